@@ -5,5 +5,8 @@ Public names are listed in `__init__.pyi` and imported on first use, so that ``i
 
 from tissue_sim.public_names import import_on_use as _import_on_use
 
-_names, __getattr__, __dir__ = _import_on_use(__name__, {"Wishes": "ImportOptions", "Stated": "ColumnHints"})
+#: Old public names -> new names.
+_RENAMED = {"Wishes": "ImportOptions", "Stated": "ColumnHints", "Imported": "ImportResult",
+            "read_measured": "read_measured_curves"}
+_names, __getattr__, __dir__ = _import_on_use(__name__, _RENAMED)
 __all__ = _names

@@ -6,7 +6,7 @@ from calibration.campaign.campaign import Noise as Noise
 from calibration.campaign.campaign import Test as Test
 from calibration.campaign.campaign import load_campaign as load_campaign
 from calibration.campaign.measured import MeasuredCurve as MeasuredCurve
-from calibration.campaign.measured import read_measured as read_measured
+from calibration.campaign.measured import read_measured_curves as read_measured_curves
 from calibration.diagnosis.decision_limits import DecisionLimits as DecisionLimits
 from calibration.diagnosis.design import Design as Design
 from calibration.diagnosis.diagnosis import Diagnosis as Diagnosis
@@ -22,8 +22,8 @@ from calibration.fit.result import CalibrationResult as CalibrationResult
 from calibration.fit.result import to_json as to_json
 from calibration.fit.usability_settings import UsabilitySettings as UsabilitySettings
 from calibration.importing.files import import_files as import_files
-from calibration.importing.imported import Imported as Imported
 from calibration.importing.imported import ImportOptions as ImportOptions
+from calibration.importing.imported import ImportResult as ImportResult
 from calibration.pipeline import calibrate as calibrate
 from calibration.pipeline import design_experiments as design_experiments
 from calibration.pipeline import diagnose as diagnose

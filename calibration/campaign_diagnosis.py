@@ -15,8 +15,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.digest import compute_digest
-from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
+from calibration.campaign.digest import compute_input_digest
+from calibration.campaign.measured import MeasuredCurve, read_measured_curves, scale_offset_defaults
 from calibration.diagnosis.confirmation import (
     compare_segment_misfits,
     compute_smooth_misfit,
@@ -100,7 +100,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
 
     Args:
         campaign: campaign with one law, see `calibration.diagnosis.evidence.make_whole_recording_campaign`.
-        measured: all recordings of each test, see `read_measured`.
+        measured: all recordings of each test, see `read_measured_curves`.
         steps: task executor and progress reports.
         solves: store of finished simulations; None: an empty store.
         limits: decision limits.
@@ -109,7 +109,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
         ConvergenceError: no start converges.
     """
     solves = solves or SimulationCache()
-    campaign = scale_offsets(campaign, measured)
+    campaign = scale_offset_defaults(campaign, measured)
     clock = _StageClock(solves)
     with clock.measure_stage("fit without any effect"):
         plain = fit_without_effects(campaign, measured, solves, steps, limits)
@@ -178,7 +178,7 @@ def read_campaign_for_diagnosis(path: str | Path, law: str | None = None
         InputError: the campaign or a recording is invalid, the campaign is analytical, or it does not list the law.
     """
     campaign = make_whole_recording_campaign(load_campaign(path), law)
-    return campaign, read_measured(campaign)
+    return campaign, read_measured_curves(campaign)
 
 
 def diagnose_file(path: str | Path, *, law: str | None = None, workers: Workers | None = None,
@@ -221,7 +221,7 @@ class CampaignDiagnosis:
         self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
         self.limits = limits
         self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = hash_content("diagnosis", compute_digest(
+        self.digest = hash_content("diagnosis", compute_input_digest(
             campaign, self.recordings, list_changed_settings(limits)), campaign.fit.laws[0],
                                    sorted(CATALOGUE), _hash_diagnosis_source())
         self.solves = SimulationCache()
@@ -235,7 +235,7 @@ class CampaignDiagnosis:
         """
         self.solves.add_read_folder(self.folder / SOLVES)
         self.steps.report_progress("checking the start values")
-        campaign = scale_offsets(self.campaign, self.measured)
+        campaign = scale_offset_defaults(self.campaign, self.measured)
         with self._clock.measure_stage("check of the start values"):
             estimator, law = GeneralisedLeastSquaresEstimator(campaign, self.measured,
                                                               self.solves), campaign.fit.laws[0]

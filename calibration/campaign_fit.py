@@ -11,8 +11,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.digest import compute_digest
-from calibration.campaign.measured import MeasuredCurve, scale_offsets
+from calibration.campaign.digest import compute_input_digest
+from calibration.campaign.measured import MeasuredCurve, scale_offset_defaults
 from calibration.campaign.segmented import summarise_notes
 from calibration.fit.assess import build_fit_record
 from calibration.fit.curves import compute_test_curves
@@ -51,7 +51,7 @@ class CampaignFit:
 
     Args:
         campaign: the campaign.
-        measured: recordings of each test, see `read_measured`.
+        measured: recordings of each test, see `read_measured_curves`.
         folder: folder of the results.
         steps: task executor and progress reports.
         limits: limits of the usability rule.
@@ -64,11 +64,11 @@ class CampaignFit:
 
     def __init__(self, campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], folder: Path,
                  steps: RunContext, limits: UsabilitySettings = USABILITY):
-        self.campaign = campaign = scale_offsets(campaign, measured)
+        self.campaign = campaign = scale_offset_defaults(campaign, measured)
         self.measured, self.folder, self.steps = measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
         self.limits = limits
-        self.digest = compute_digest(campaign, self.recordings, list_changed_settings(limits))
+        self.digest = compute_input_digest(campaign, self.recordings, list_changed_settings(limits))
         self.solves = SimulationCache()
         self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)
         #: Law -> number of simulations in the check of its start values.
@@ -120,7 +120,7 @@ class CampaignFit:
             message += f" {law} has no fit: {failure}."
         message_before_notes = message
         # A material with memory describes relaxation and creep, so these need no note.
-        left_out = {"control"} if self.campaign.fit.material.remembers else set()
+        left_out = {"control"} if self.campaign.fit.placeholder_material.remembers else set()
         message += summarise_notes((curve.test.name, curve.name, {
             subject: note for subject, note in list_recording_notes_after_fit(curve, fits[0]).items()
             if note not in message_before_notes and subject not in left_out})

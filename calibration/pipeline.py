@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.measured import read_measured
-from calibration.campaign.planned import PLANNED, read_planned
+from calibration.campaign.measured import read_measured_curves
+from calibration.campaign.planned import PLANNED, read_or_plan_curves
 from calibration.output_folder import (
     PICTURE_FORMATS,
     SUMMARY_FILE,
@@ -89,7 +89,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
     output = Path(output)
     _require_known_figure_format(figures_format)
     campaigns = _require_distinct_names([load_campaign(path) for path in paths])
-    measured = [read_measured(campaign) for campaign in campaigns]
+    measured = [read_measured_curves(campaign) for campaign in campaigns]
     # Imported on use: errors in files are reported before the slow imports of the fit and of SciPy.
     from calibration.campaign_fit import CampaignFit
     from calibration.fit.result import read_earlier_result
@@ -145,7 +145,7 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     from calibration.diagnosis.evidence import make_whole_recording_campaign
 
     campaigns = _require_distinct_names([make_whole_recording_campaign(load_campaign(path), law) for path in paths])
-    measured = [read_measured(campaign) for campaign in campaigns]
+    measured = [read_measured_curves(campaign) for campaign in campaigns]
     from calibration.campaign_diagnosis import CampaignDiagnosis
     from calibration.diagnosis.decision_limits import LIMITS
     from calibration.diagnosis.result import read_diagnosis
@@ -223,7 +223,7 @@ def design_experiments(path: str | Path, *, law: str | None = None, replicates: 
     from calibration.diagnosis.evidence import make_whole_recording_campaign
 
     campaign = make_whole_recording_campaign(load_campaign(path, planned=True), law)
-    measured = read_planned(campaign, replicates, samples)
+    measured = read_or_plan_curves(campaign, replicates, samples)
     from calibration.diagnosis.design import compute_experiment_design
     from calibration.fit.run_context import RunContext
 

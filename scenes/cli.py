@@ -31,7 +31,13 @@ from scenes.commands import (
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.parsing import CommandParser, describe_planned_feature
 from tissue_sim import __version__
-from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, nearest, sentence
+from tissue_sim.errors import (
+    ConvergenceError,
+    InputError,
+    MissingBackendError,
+    format_error_message,
+    suggest_known_word,
+)
 
 #: Module of each command, in the order of the help.
 COMMANDS = {
@@ -101,7 +107,7 @@ def _parse_command_line(words: list[str]) -> Namespace | None:
         return None
     if rest:
         options = list(arguments.parser.list_option_names())
-        hint = nearest(rest[0].split("=")[0], options) if rest[0].startswith("-") else ""
+        hint = suggest_known_word(rest[0].split("=")[0], options) if rest[0].startswith("-") else ""
         command = arguments.parser.prog.removeprefix("tissue-sim ")
         raise InputError(f"{command}: unexpected argument {rest[0]!r}{hint}")
     return arguments
@@ -135,13 +141,13 @@ def _require_known_command(words: list[str]) -> None:
         return
     name = words[0]
     if name not in COMMANDS:
-        raise InputError(f"unknown command {name!r}{nearest(name, COMMANDS)}")
+        raise InputError(f"unknown command {name!r}{suggest_known_word(name, COMMANDS)}")
     actions = getattr(COMMANDS[name], "ACTIONS", ())
     if actions and len(words) > 1 and not words[1].startswith("-"):
         if words[1] in COMMANDS[name].LATER:
             raise InputError(describe_planned_feature(f"command {f'{name} {words[1]}'!r}"))
         if words[1] not in actions:
-            raise InputError(f"unknown command {f'{name} {words[1]}'!r}{nearest(words[1], actions)}")
+            raise InputError(f"unknown command {f'{name} {words[1]}'!r}{suggest_known_word(words[1], actions)}")
 
 
 def _set_utf8_output() -> None:
@@ -157,7 +163,7 @@ def _set_utf8_output() -> None:
 
 def _report_error(text: str, code: int) -> int:
     """Print an error on stderr and return `code`, the exit code of the process."""
-    print(f"tissue-sim: {sentence(text)}", file=sys.stderr)
+    print(f"tissue-sim: {format_error_message(text)}", file=sys.stderr)
     return code
 
 

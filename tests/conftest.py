@@ -121,11 +121,11 @@ class Compilation:
         node.workerinput["compiling"] = str(self._mark)
 
     def _begin(self) -> None:
-        from tissue_sim.files import cache_folder
+        from tissue_sim.files import get_cache_folder
 
         folder = tempfile.TemporaryDirectory()
         self._mark = Path(folder.name) / "compiling"
-        if any(cache_folder().glob("*.tic")):
+        if any(get_cache_folder().glob("*.tic")):
             return
         self._mark.touch()
         path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))

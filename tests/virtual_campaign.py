@@ -6,7 +6,7 @@ import numpy as np
 
 import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.measured import read_measured, scale_offsets
+from calibration.campaign.measured import read_measured_curves, scale_offset_defaults
 from calibration.campaign_diagnosis import DiagnosisOutcome, diagnose_campaign, read_campaign_for_diagnosis
 from calibration.diagnosis.extended import simulate_force_change_of_effect
 from calibration.effects.effect import Candidate, Situation
@@ -89,8 +89,8 @@ def measured_campaign(folder, change=lambda name, model: model, *, tests=TESTS, 
 def situation_of(path):
     campaign = load_campaign(path)
     campaign = replace(campaign, fit=replace(campaign.fit, whole=True))
-    measured = read_measured(campaign)
-    campaign = scale_offsets(campaign, measured)
+    measured = read_measured_curves(campaign)
+    campaign = scale_offset_defaults(campaign, measured)
     return Situation(campaign, measured, campaign.fit.laws[0])
 
 

@@ -23,7 +23,7 @@ from typing import Any
 
 from tissue_sim.errors import InputError, format_exception
 from tissue_sim.files import require_small_archive
-from tissue_sim.packing import pack, run_packed
+from tissue_sim.packing import pack_task, run_packed_task
 
 try:
     import resource
@@ -57,15 +57,15 @@ class SandboxLimits:
 
 #: Limits of every sandbox.
 LIMITS = SandboxLimits()
-_CODE = "from tissue_sim.bounded import serve; serve()"
+_CODE = "from tissue_sim.bounded import run_sandbox_loop; run_sandbox_loop()"
 #: Length prefix of a message.
 _LENGTH = struct.Struct("<Q")
 #: Whether this process is the sandbox.
 _inside = False
 
 
-def bounded(function: Callable[..., Any], *arguments: Any, file: str | Path, size: int | None = None) -> Any:
-    """Call a reader of a file in the sandbox and return its result.
+def run_in_sandbox(function: Callable[..., Any], *arguments: Any, file: str | Path, size: int | None = None) -> Any:
+    """Call a function that reads a file in the sandbox process, and return its result.
 
     The limits are 2 s of CPU time and 250 MB of memory, and 2 s and 40 MB more for each megabyte of input; the limit of
     wall time is a multiple of the CPU time.
@@ -82,15 +82,16 @@ def bounded(function: Callable[..., Any], *arguments: Any, file: str | Path, siz
     if _inside:
         return function(*arguments)
     try:
-        task = pack(_run, (function, arguments, str(Path.cwd()), str(file), size))
+        task = pack_task(_call_with_limits, (function, arguments, str(Path.cwd()), str(file), size))
     except Exception as error:
             raise InputError(f"the reader cannot be sent to the process in which files are read ({error}); define it "
                              "in a module, and pass plain options", file=file) from error
-    seconds = LIMITS.seconds + LIMITS.seconds_per_byte * (size if size is not None else _file_size(file))
-    return _PROCESS.answer(task, LIMITS.wall_time + LIMITS.wall_time_per_second * seconds, file)
+    seconds = LIMITS.seconds + LIMITS.seconds_per_byte * (size if size is not None else _get_file_size(file))
+    return _PROCESS.execute_task(task, LIMITS.wall_time + LIMITS.wall_time_per_second * seconds, file)
 
 
-def _file_size(file: str | Path) -> int:
+def _get_file_size(file: str | Path) -> int:
+    """Return the size of a file, bytes; 0 for a file that cannot be examined."""
     try:
         return Path(file).stat().st_size
     except (OSError, ValueError):
@@ -98,8 +99,8 @@ def _file_size(file: str | Path) -> int:
 
 
 @contextlib.contextmanager
-def exclude_cpu_time() -> Iterator[None]:
-    """Context whose CPU time does not count for a reader, such as the import of a large library."""
+def exclude_cpu_time_from_limit() -> Iterator[None]:
+    """Context manager: CPU time spent inside does not count for the limit of a reader, as for importing a library."""
     left = signal.setitimer(signal.ITIMER_PROF, 0.0)[0] if _inside and resource is not None else 0.0
     try:
         yield
@@ -108,18 +109,22 @@ def exclude_cpu_time() -> Iterator[None]:
             signal.setitimer(signal.ITIMER_PROF, left)
 
 
-class _Process:
-    """Sandbox process: starts with the first task, and again after a task that ended it."""
+class _SandboxProcess:
+    """Child process that executes tasks; it is started by the first task, and again after a task that ended it."""
 
     def __init__(self) -> None:
         self._lock, self._owner = threading.Lock(), 0
         self._child: subprocess.Popen[bytes] | None = None
 
-    def answer(self, task: bytes, seconds: float, file: str | Path) -> Any:
-        """Execute a task within a limit of wall time, s."""
+    def execute_task(self, task: bytes, seconds: float, file: str | Path) -> Any:
+        """Execute a pickled task in the child process within a limit of wall time, s, and return its result.
+
+        Raises:
+            InputError: an error of the reader, or the end of the process.
+        """
         with self._lock:
             if self._child is None or self._owner != os.getpid():
-                self._child, self._owner = self._start(), os.getpid()
+                self._child, self._owner = self._start_process(), os.getpid()
             child = self._child
             late = threading.Timer(seconds, child.kill)
             late.daemon = True
@@ -134,7 +139,7 @@ class _Process:
             if answer is None:
                 code = child.wait()
                 self.close()
-                raise InputError(_describe_exit_code(code), file=file)
+                raise InputError(_explain_exit_code(code), file=file)
             done, value, grown = pickle.loads(answer)
             if grown:
                 self.close()
@@ -144,7 +149,7 @@ class _Process:
 
     @staticmethod
     def _exchange_message(child: subprocess.Popen[bytes], task: bytes) -> bytes | None:
-        """Send a task and return the answer; None if the process has ended."""
+        """Send a pickled task to the child process and return its pickled result; None if the process has ended."""
         assert child.stdin is not None and child.stdout is not None
         try:
             child.stdin.write(_LENGTH.pack(len(task)) + task)
@@ -156,7 +161,8 @@ class _Process:
         return answer or None
 
     @staticmethod
-    def _start() -> subprocess.Popen[bytes]:
+    def _start_process() -> subprocess.Popen[bytes]:
+        """Start the child process; its messages are written to stdin and read from stdout."""
         # The same import path, without the working folder, in which an untrusted file may be named like a module.
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
                        "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -168,7 +174,7 @@ class _Process:
                                 stderr=subprocess.DEVNULL, env=environment, **apart)
 
     def close(self, kill: bool = False) -> None:
-        """End the process."""
+        """End the child process, if this process started one; `kill` ends it at once."""
         child, self._child = self._child, None
         if child is None or self._owner != os.getpid():
             return
@@ -180,20 +186,20 @@ class _Process:
         child.wait()
 
 
-_PROCESS = _Process()
+_PROCESS = _SandboxProcess()
 atexit.register(_PROCESS.close)
 
 
-def _describe_exit_code(code: int) -> str:
-    """Problem of a process that ended with an exit code."""
+def _explain_exit_code(code: int) -> str:
+    """Return the problem, for an `InputError`, of a file whose reader ended the process with an exit code."""
     if resource is not None and code == -signal.SIGPROF:
         return ("exceeds the CPU time for a file of its size (2 s, and 2 s for each megabyte); it is damaged or "
                 "malicious")
     return "ends the process that reads it, or exceeds the time limit; it is damaged or malicious"
 
 
-def serve() -> None:
-    """Main loop of the sandbox: read tasks and write answers until the input ends."""
+def run_sandbox_loop() -> None:
+    """Run the main loop of the sandbox process: read tasks from stdin and write results to stdout until stdin ends."""
     global _inside
     _inside = True
     tasks, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
@@ -202,16 +208,24 @@ def serve() -> None:
     sys.stdin = io.StringIO()
     first = _read_data_memory()
     while len(head := tasks.read(_LENGTH.size)) == _LENGTH.size:
-        answer = _execute(tasks.read(*_LENGTH.unpack(head)), first)
+        answer = _execute_packed_task(tasks.read(*_LENGTH.unpack(head)), first)
         answers.write(_LENGTH.pack(len(answer)) + answer)
         answers.flush()
 
 
-def _execute(task: bytes, first: int) -> bytes:
-    """Execute a task; returns the pickled tuple (success, result or error, whether memory has grown too much)."""
+def _execute_packed_task(task: bytes, first: int) -> bytes:
+    """Execute a pickled task in the sandbox process.
+
+    Args:
+        task: result of `tissue_sim.packing.pack_task`.
+        first: data memory of the process before its first task, bytes.
+
+    Returns:
+        Pickled tuple: success, result or error, and whether the memory has grown beyond `SandboxLimits.memory_growth`.
+    """
     value: Any
     try:
-        done, value = True, run_packed(task)
+        done, value = True, run_packed_task(task)
     except InputError as error:
         done, value = False, error
     except Exception as error:
@@ -219,16 +233,20 @@ def _execute(task: bytes, first: int) -> bytes:
     return pickle.dumps((done, value, _read_data_memory() > first + LIMITS.memory_growth))
 
 
-def _run(function: Callable[..., Any], arguments: tuple, folder: str, file: str, size: int | None) -> Any:
-    """Call a function within the limits of CPU time and memory."""
+def _call_with_limits(function: Callable[..., Any], arguments: tuple, folder: str, file: str, size: int | None) -> Any:
+    """Call a reader in the sandbox process within the limits of CPU time and memory.
+
+    Raises:
+        InputError: an error of the reader or an exceeded limit.
+    """
     os.chdir(folder)
     try:
-        with _limit_resources(_file_size(file) if size is None else size):
+        with _limit_resources(_get_file_size(file) if size is None else size):
             if size is None:
                 require_small_archive(file)
             return function(*arguments)
     except InputError as error:
-        raise error.located(file=file) from None
+        raise error.with_location(file=file) from None
     except MemoryError:
         raise InputError("exceeds the memory for a file of its size (250 MB, and 40 MB for each megabyte); it is "
                          "damaged or malicious", file=file) from None
@@ -243,7 +261,7 @@ def _run(function: Callable[..., Any], arguments: tuple, folder: str, file: str,
 
 @contextlib.contextmanager
 def _limit_resources(size: int) -> Iterator[None]:
-    """Context with limits of CPU time and memory for an input of `size` bytes."""
+    """Context manager: limits of CPU time and memory of this process for an input of `size` bytes."""
     if resource is None:
         yield
         return
@@ -260,7 +278,7 @@ def _limit_resources(size: int) -> Iterator[None]:
 
 
 def _read_data_memory() -> int:
-    """Data memory of this process in bytes, as Linux limits it; 0 if unknown."""
+    """Return the data memory (``VmData``) of this process, bytes; 0 if unknown."""
     try:
         for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():
             if line.startswith("VmData:"):

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 
 
 @contextlib.contextmanager
-def start_without_ctrl_c() -> Iterator[None]:
-    """Context in which started processes ignore Ctrl-C."""
+def child_processes_ignore_ctrl_c() -> Iterator[None]:
+    """Context manager: child processes that are started inside ignore Ctrl-C; this process receives it afterwards."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -26,8 +26,10 @@ def start_without_ctrl_c() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def start_with_one_thread() -> Iterator[None]:
-    """Context in which started processes use one thread for linear algebra, unless the user sets another number.
+def limit_threads_of_child_processes() -> Iterator[None]:
+    """Context manager: child processes that are started inside use one thread for linear algebra.
+
+    The number that the user sets in ``OPENBLAS_NUM_THREADS`` is kept.
 
     A loop at a real-time priority would otherwise wait for helper threads without that priority.
     """
@@ -42,8 +44,8 @@ def start_with_one_thread() -> Iterator[None]:
         os.environ.pop(name, None)
 
 
-def follow_parent(grace: float = 0.0, clean_up: Callable[[], None] | None = None) -> None:
-    """Ignore Ctrl-C and end this process when its parent ends; to be called in a child process.
+def exit_when_parent_ends(grace: float = 0.0, clean_up: Callable[[], None] | None = None) -> None:
+    """In a child process: ignore Ctrl-C, and start a thread that ends the process when its parent process ends.
 
     Args:
         grace: time that the process has to end by itself after its parent, s.
@@ -54,9 +56,10 @@ def follow_parent(grace: float = 0.0, clean_up: Callable[[], None] | None = None
     """
     parent = multiprocessing.parent_process()
     if parent is None:
-        raise RuntimeError("this process has no parent; call follow_parent in a process that multiprocessing started")
+        raise RuntimeError("exit_when_parent_ends must be called in a child process; this process has no parent. Start "
+                           "the process with multiprocessing.")
 
-    def wait() -> None:
+    def wait_for_parent() -> None:
         # A parent that is killed cannot end its children. join() waits without using the interpreter.
         parent.join()
         time.sleep(grace)
@@ -65,4 +68,4 @@ def follow_parent(grace: float = 0.0, clean_up: Callable[[], None] | None = None
         os._exit(1)
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=wait, daemon=True).start()
+    threading.Thread(target=wait_for_parent, daemon=True).start()

@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 from msgspec.inspect import DictType, LiteralType, NoneType, StructType, UnionType, type_info
 
-from tissue_sim.bounded import bounded
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.bounded import run_in_sandbox
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.files import LIMITS, read_text
 
 #: Type in msgspec's messages -> words for users.
@@ -38,7 +38,7 @@ def read_json(path: str | Path, expected: str) -> Any:
     try:
         return parse_json(text)
     except InputError as error:
-        raise error.located(file=path) from None
+        raise error.with_location(file=path) from None
     except json.JSONDecodeError as error:
         raise InputError(f"damaged JSON at column {error.colno} ({error.msg}), expected {expected}; repair or restore "
                          "it", file=path, line=error.lineno) from None
@@ -54,7 +54,7 @@ def parse_json(text: str) -> Any:
         ValueError: not JSON, or an integer that is too long.
     """
     try:
-        value = json.loads(text, object_pairs_hook=_without_duplicates)
+        value = json.loads(text, object_pairs_hook=_make_dict_without_duplicates)
         if "\\u" in text:
             _require_whole_characters(value, "")
         return value
@@ -71,10 +71,10 @@ def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
     path = Path(path)
     text = read_text(path, expected, LIMITS.toml)
     # In a bounded process, because Python's parser takes hours for keys with thousands of parts.
-    return bounded(_parse_toml, text, file=path, size=len(text))
+    return run_in_sandbox(_parse_toml_text, text, file=path, size=len(text))
 
 
-def _parse_toml(text: str) -> dict[str, Any]:
+def _parse_toml_text(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -86,8 +86,8 @@ def _parse_toml(text: str) -> dict[str, Any]:
         raise InputError(f"this is not valid TOML: {error}") from None
 
 
-def decode(value: Any, kind: Any, field: str = "", words: Mapping[str, str] | None = None) -> Any:
-    """Convert a value of JSON types to a struct.
+def decode_struct(value: Any, kind: Any, field: str = "", words: Mapping[str, str] | None = None) -> Any:
+    """Convert a value of JSON types to a msgspec struct, and check it.
 
     Args:
         value: decoded JSON; a struct of the type is returned unchanged.
@@ -107,32 +107,34 @@ def decode(value: Any, kind: Any, field: str = "", words: Mapping[str, str] | No
     place = place.rstrip("`").lstrip(".")
     path = ".".join(part for part in (field, place) if part)
     if unknown := re.search(r"unknown field `(.*)`$", message):
-        raise InputError(f"unknown key{nearest(unknown[1], _find_keys(kind, place))}",
+        raise InputError(f"unknown key{suggest_known_word(unknown[1], _list_struct_keys(kind, place))}",
                          field=f"{path}.{unknown[1]}".lstrip("."))
     if missing := re.search(r"missing required field `(.*)`$", message):
         hint = "; give a unit such as Pa, kPa or 1" if missing[1] == "unit" else "; add it"
         raise InputError(f"is missing{hint}", field=f"{path}.{missing[1]}".lstrip("."))
     if choice := re.match(r"Invalid enum value '(.*)'$", message):
-        raise InputError(f"unknown value {choice[1]!r}{nearest(choice[1], _find_choices(kind, place))}", field=path)
+        hint = suggest_known_word(choice[1], _list_valid_choices(kind, place))
+        raise InputError(f"unknown value {choice[1]!r}{hint}", field=path)
     known = {**_WORDS, **(words or {})}
     sentence = re.sub(r"`([^`]*)`", lambda match: " or ".join(known.get(word, word) for word in match[1].split(" | ")),
                       message)
     raise InputError(sentence[0].lower() + sentence[1:], field=path or None)
 
 
-def require_schema(data: Any, kind: str, newest: int) -> None:
-    """Require the ``schema`` of a kind of file, ``tissue_sim/KIND/VERSION``, in decoded JSON.
+def require_file_schema(data: Any, kind: str, newest: int) -> None:
+    """Raise an error unless decoded JSON has the ``schema`` of a kind of file, ``tissue_sim/KIND/VERSION``.
 
     Args:
         data: decoded JSON.
-        kind: ``"rig"``.
+        kind: kind of file, such as ``"rig"``.
         newest: newest supported version.
 
     Raises:
         InputError: not an object, no schema, another schema, or a newer version.
     """
     if not isinstance(data, dict):
-        raise InputError('expected an object { "schema": ... }, found something else')
+        raise InputError('file must contain an object { "schema": ... }; got '
+                         f"{type(data).__name__}. Choose a file of this kind.")
     schema, expected = data.get("schema"), f"tissue_sim/{kind}/{newest}"
     version = re.fullmatch(rf"tissue_sim/{kind}/([0-9]{{1,9}})", schema) if isinstance(schema, str) else None
     if not version or int(version[1]) < 1:
@@ -143,20 +145,20 @@ def require_schema(data: Any, kind: str, newest: int) -> None:
                          field="schema")
 
 
-def as_json_types(value: Any) -> Any:
+def convert_to_json_types(value: Any) -> Any:
     """Convert structs, read-only maps, tuples, numpy numbers and paths to types that JSON supports.
 
     Raises:
         TypeError: a value without an equivalent in JSON.
     """
     if isinstance(value, msgspec.Struct):
-        return as_json_types(msgspec.to_builtins(value))
+        return convert_to_json_types(msgspec.to_builtins(value))
     if isinstance(value, np.generic | np.ndarray):
-        return as_json_types(value.tolist())
+        return convert_to_json_types(value.tolist())
     if isinstance(value, Mapping):
-        return {str(key): as_json_types(item) for key, item in value.items()}
+        return {str(key): convert_to_json_types(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [as_json_types(item) for item in value]
+        return [convert_to_json_types(item) for item in value]
     if isinstance(value, Path):
         return str(value)
     if value is None or isinstance(value, bool | int | float | str):
@@ -164,30 +166,34 @@ def as_json_types(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no equivalent in JSON")
 
 
-def require_writable(value: Any, field: str = "") -> None:
-    """Require that decoded JSON can be written as UTF-8: no NaN, infinity or half of a surrogate pair anywhere.
+def require_valid_json_values(value: Any, field: str = "") -> None:
+    """Raise an error if decoded JSON cannot be written as UTF-8: NaN, infinity, or half of a surrogate pair.
 
     Raises:
-        InputError: with the dotted path of the value.
+        InputError: the error names the dotted path of the value.
     """
     _require_whole_characters(value, field)
-    _require_finite(value, field)
+    _require_finite_numbers(value, field)
 
 
-def _require_finite(value: Any, field: str) -> None:
+def _require_finite_numbers(value: Any, field: str) -> None:
+    """Raise an `InputError` for a number in nested maps and lists that is not finite; `field`: path of `value`."""
     if isinstance(value, float) and not math.isfinite(value):
-        raise InputError(f"{value} is not a finite number; give a finite one, or leave the key out", field=field)
+        raise InputError(f"number must be finite; got {value}. Give a finite number, or leave out the key.",
+                         field=field)
     if isinstance(value, Mapping):
         for key, item in value.items():
-            _require_finite(item, f"{field}.{key}".lstrip("."))
+            _require_finite_numbers(item, f"{field}.{key}".lstrip("."))
     elif isinstance(value, list | tuple):
         for index, item in enumerate(value):
-            _require_finite(item, f"{field}[{index}]")
+            _require_finite_numbers(item, f"{field}[{index}]")
 
 
 def _require_whole_characters(value: Any, field: str) -> None:
+    """Raise an `InputError` for a text in nested maps and lists that has half of a surrogate pair."""
     if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
-        raise InputError(f"{value!r} contains half of a surrogate pair, expected whole characters", field=field)
+        raise InputError(f"text must consist of whole characters; got half of a surrogate pair in {value!r}. Write the "
+                         "character as UTF-8.", field=field)
     if isinstance(value, Mapping):
         for key, item in value.items():
             _require_whole_characters(key, field)
@@ -197,36 +203,38 @@ def _require_whole_characters(value: Any, field: str) -> None:
             _require_whole_characters(item, f"{field}[{index}]")
 
 
-def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _make_dict_without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Make a dictionary of the pairs of a JSON object; raise an `InputError` for a key that appears twice."""
     seen: dict[str, Any] = {}
     for key, value in pairs:
         if key in seen:
-            raise InputError(f"key {key!r} appears twice; remove one")
+            raise InputError(f"key must appear once in an object; got {key!r} twice. Remove one of the two.")
         seen[key] = value
     return seen
 
 
-def _find_keys(kind: Any, place: str) -> list[str]:
-    """Keys of the struct at a dotted path such as ``provenance.recordings[0]``."""
-    return [field.encode_name for field in _find_struct_type(_find_type(kind, place)).fields]
+def _list_struct_keys(kind: Any, place: str) -> list[str]:
+    """Return the keys of the struct at a dotted path such as ``provenance.recordings[0]`` below the type `kind`."""
+    return [field.encode_name for field in _unwrap_struct_type(_find_type_at_path(kind, place)).fields]
 
 
-def _find_choices(kind: Any, place: str) -> list[str]:
-    """Valid values of the text at a dotted path."""
-    info = _find_type(kind, place)
+def _list_valid_choices(kind: Any, place: str) -> list[str]:
+    """Return the valid values of the text at a dotted path below the type `kind`."""
+    info = _find_type_at_path(kind, place)
     options = info.types if isinstance(info, UnionType) else (info,)
     return [str(choice) for option in options if isinstance(option, LiteralType) for choice in option.values]
 
 
-def _find_type(kind: Any, place: str) -> Any:
+def _find_type_at_path(kind: Any, place: str) -> Any:
+    """Return the msgspec type information at a dotted path below the type `kind`."""
     info = type_info(kind)
     for name in filter(None, re.split(r"\.|\[[^\]]*\]", place)):
-        info = next(field.type for field in _find_struct_type(info).fields if field.encode_name == name)
+        info = next(field.type for field in _unwrap_struct_type(info).fields if field.encode_name == name)
     return info
 
 
-def _find_struct_type(info: Any) -> StructType:
-    """Struct type inside of options, lists and maps."""
+def _unwrap_struct_type(info: Any) -> StructType:
+    """Return the struct type that an optional type, a list type or a map type contains."""
     while not isinstance(info, StructType):
         if isinstance(info, UnionType):
             info = next(option for option in info.types if not isinstance(option, NoneType))

@@ -99,7 +99,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
                      dtype=bool)
     options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": topology or model,
                "estimate_error": False}
-    neighbours = [_make_neighbour_materials(model, parameter)
+    neighbours = [_make_materials_for_difference(model, parameter)
                   for parameter, one in zip(asked, exact, strict=True) if one]
     watch = _DerivativeObserver(neighbours, model.experiment.approach)
     recording = simulate(model, watch=watch, **options)
@@ -147,7 +147,10 @@ class _DerivativeObserver:
 
 
 def _has_exact_derivative(model: Model, parameter: Parameter) -> bool:
-    """Whether a solver may differentiate its equations with respect to a parameter of the material."""
+    """Return whether a solver may differentiate its equations with respect to a parameter of the material.
+
+    Otherwise, the derivative is a difference of two simulations.
+    """
     if model.experiment.tilt or model.experiment.slip or model.rig.compliance:
         return False
     added = [effect for effect in model.material.effects.values() if not isinstance(effect, ReducedEffect)]
@@ -158,14 +161,20 @@ def _has_exact_derivative(model: Model, parameter: Parameter) -> bool:
     return not (issubclass(parameter.part, Poroelasticity) and value(model, phi) == 0.0)
 
 
-def _make_neighbour_materials(model: Model, parameter: Parameter):
-    """Material with a parameter increased, material with it decreased, and the difference of the parameter."""
+def _make_materials_for_difference(model: Model, parameter: Parameter):
+    """Return the materials with a parameter increased and decreased, and the difference of the two parameter values."""
     half = 0.5 * DIFFERENCES.formula_width * (abs(parameter.value) or 1.0)
-    return _evaluate_neighbours(lambda new: with_values(model, {parameter.path: new}).material, parameter.value, half)
+    return _evaluate_for_difference(lambda new: with_values(model, {parameter.path: new}).material, parameter.value,
+                                    half)
 
 
-def _evaluate_neighbours(change: Callable, value: float, half: float):
-    """Results for an increased and a decreased value, and the difference; one-sided at the end of the range.
+def _evaluate_for_difference(change: Callable, value: float, half: float):
+    """Evaluate a function at ``value + half`` and ``value - half`` for a central difference.
+
+    The difference is one-sided at the end of the valid range.
+
+    Returns:
+        (result at the larger value, result at the smaller value, difference of the two values).
 
     Raises:
         InputError: both values are invalid.
@@ -182,7 +191,9 @@ def _evaluate_neighbours(change: Callable, value: float, half: float):
 
 def _difference_simulations(model: Model, parameter: Parameter, force: np.ndarray, options: dict, *,
                             one_sided: bool) -> np.ndarray:
-    """Central difference of two simulations on one mesh, whose nodes move with the geometry, N per unit, shape (n,).
+    """Compute the derivative of the force by a central difference of two simulations, N per SI unit, shape (n,).
+
+    Both simulations use one mesh, whose nodes move with the geometry.
 
     The difference is one-sided, with the force of the model itself, N, if requested or if only one side is valid.
 

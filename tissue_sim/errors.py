@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from tissue_sim.public_names import OldName
+
 
 @dataclass(frozen=True)
 class MessageLimits:
@@ -55,24 +57,33 @@ class InputError(ValueError):
             place.append(f"line {line}")
         if field is not None:
             place.append(field)
-        super().__init__(sentence(problem, place))
+        super().__init__(format_error_message(problem, place))
 
     def __reduce__(self):
-        return _remake, (type(self), self.problem, self.file, self.line, self.field)
+        return _remake_error, (type(self), self.problem, self.file, self.line, self.field)
 
-    def located(self, *, file: str | Path | None = None, field: str | None = None, part: str = "") -> InputError:
-        """Return the error with a file, an outer field, or a part of the file in words, which only the caller knows."""
+    located = OldName("with_location")
+
+    def with_location(self, *, file: str | Path | None = None, field: str | None = None, part: str = "") -> InputError:
+        """Return a copy of the error with a location that the caller knows.
+
+        Args:
+            file: file of the error, unless the error has one.
+            field: outer field, which is written before the field of the error.
+            part: description of a section of the file, such as ``sheet 2``, which is written before the problem.
+        """
         joined = ".".join(place for place in (field, self.field) if place) or None
         problem = f"{part}: {self.problem}" if part else self.problem
         return InputError(problem, file=self.file if self.file is not None else file, line=self.line, field=joined)
 
 
-def _remake(kind, problem, file, line, field):
+def _remake_error(kind, problem, file, line, field):
+    """Make an error from its pickled attributes."""
     return kind(problem, file=file, line=line, field=field)
 
 
-def sentence(problem: str, place: Iterable[str] = ()) -> str:
-    """Join place and problem to one printable line of at most `MessageLimits.message` characters.
+def format_error_message(problem: str, place: Iterable[str] = ()) -> str:
+    """Join locations and problem to one printable line of at most `MessageLimits.message` characters.
 
     A longer sentence is shortened in the middle: first its quotations, then the place, then the whole.
 
@@ -82,11 +93,11 @@ def sentence(problem: str, place: Iterable[str] = ()) -> str:
     """
     parts = [_escape_unprintable(part) for part in (*place, problem)]
     if len(": ".join(parts)) > MESSAGE_LIMITS.message:
-        quoted = _QUOTATION.sub(lambda match: shortened(match[0], MESSAGE_LIMITS.quotation), parts.pop())
+        quoted = _QUOTATION.sub(lambda match: shorten_text(match[0], MESSAGE_LIMITS.quotation), parts.pop())
         # The problem contains the remedy and keeps its length; the user knows the place.
         length = max(MESSAGE_LIMITS.place, (MESSAGE_LIMITS.message - len(quoted)) // max(len(parts), 1) - 2)
-        parts = [*(shortened(part, length) for part in parts), quoted]
-    return shortened(": ".join(parts), MESSAGE_LIMITS.message)
+        parts = [*(shorten_text(part, length) for part in parts), quoted]
+    return shorten_text(": ".join(parts), MESSAGE_LIMITS.message)
 
 
 def _escape_unprintable(text: str) -> str:
@@ -97,7 +108,7 @@ def _escape_unprintable(text: str) -> str:
                    for each in text)
 
 
-def shortened(text: str, longest: int) -> str:
+def shorten_text(text: str, longest: int) -> str:
     """Return a text of at most `longest` characters; the middle of a longer text is left out.
 
     Examples:
@@ -112,19 +123,21 @@ def shortened(text: str, longest: int) -> str:
 
 def format_exception(error: BaseException) -> str:
     """Return the message of another library's exception, on one line of at most `MessageLimits.reason` characters."""
-    return shortened(_escape_unprintable(" ".join(str(error).split())), MESSAGE_LIMITS.reason) or type(error).__name__
+    return shorten_text(_escape_unprintable(" ".join(str(error).split())),
+                        MESSAGE_LIMITS.reason) or type(error).__name__
 
 
 @contextmanager
-def located(*, file: str | Path | None = None, field: str | None = None, part: str = "") -> Iterator[None]:
-    """Add a place to the input errors of the work inside; see `InputError.located`.
+def add_location_to_errors(*, file: str | Path | None = None, field: str | None = None,
+                           part: str = "") -> Iterator[None]:
+    """Context manager: add a location to input errors that are raised inside; see `InputError.with_location`.
 
     With a file, other exceptions that malformed files cause become input errors too.
     """
     try:
         yield
     except InputError as error:
-        raise error.located(file=file, field=field, part=part) from None
+        raise error.with_location(file=file, field=field, part=part) from None
     except _MALFORMED as error:
         if file is None:
             raise
@@ -149,7 +162,7 @@ class MissingBackendError(RuntimeError):
     """A required package is not available on this platform."""
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
+def suggest_known_word(word: str, known: Iterable[str]) -> str:
     """Return a hint for an unknown word: ``; did you mean 'radius_mm'?``, or the known words if none is similar.
 
     Examples:
@@ -163,7 +176,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f"; known: {', '.join(known)}"
 
 
-def require_length(value: float, field: str) -> None:
-    """Require a length, m, that is positive and finite."""
+def require_positive_length(value: float, field: str) -> None:
+    """Raise an `InputError` for `field` unless a length, m, is positive and finite."""
     if not 0 < value < float("inf"):
         raise InputError(f"must be a positive length in m; got {value:g}.", field=field)

@@ -39,7 +39,7 @@ class StabilityFactors:
 _STABILITY = StabilityFactors()
 
 
-def least_tool_mass(stiffness: Matrix, step_stiffness: Matrix | None, dt: float) -> float:
+def minimum_stable_tool_mass(stiffness: Matrix, step_stiffness: Matrix | None, dt: float) -> float:
     """Smallest tool mass, kg, of a stable explicit coupling.
 
     The diagonal entries of the three translations are used, as for a tool that moves along an axis of the scene.
@@ -62,8 +62,8 @@ class LightToolWarning(UserWarning):
     """A tool that is coupled explicitly is too light for the tissue that moves with it."""
 
 
-def warn_of_light_tool(least_mass: float) -> None:
-    """Warn that the tool turns in every step, and name the remedies.
+def warn_about_light_tool(least_mass: float) -> None:
+    """Issue a `LightToolWarning` that the tool reverses its motion in every step, with remedies.
 
     Args:
         least_mass: `ToolForce.least_tool_mass` of the last step, kg.
@@ -74,7 +74,7 @@ def warn_of_light_tool(least_mass: float) -> None:
         "docs/realtime.md."), stacklevel=2)
 
 
-class MotionCheck:
+class ToolReversalDetector:
     """Detector of motions of the tool that the time steps do not resolve.
 
     Backward differences resolve the acceleration of a motion only if it takes several steps to reverse. A tool that is
@@ -91,8 +91,8 @@ class MotionCheck:
         self.quiet = float("inf")
         self._turns, self._x, self._y, self._z = 0, 0.0, 0.0, 0.0
 
-    def advance(self, x: float, y: float, z: float, dt: float, is_fast: bool) -> None:
-        """Register a step.
+    def register_step(self, x: float, y: float, z: float, dt: float, is_fast: bool) -> None:
+        """Register the motion of the tool in a step; set `quiet` to 0 after `MOST_TURNS` successive reversals.
 
         Args:
             x: translation of the tool in this step along x, m.
@@ -108,9 +108,9 @@ class MotionCheck:
         if self._turns >= self.MOST_TURNS:
             self.quiet = 0.0
 
-    def copy(self) -> MotionCheck:
-        """An independent copy, for saved states."""
-        other = MotionCheck()
+    def copy(self) -> ToolReversalDetector:
+        """Return an independent copy, for saved states."""
+        other = ToolReversalDetector()
         other.quiet, other._turns = self.quiet, self._turns
         other._x, other._y, other._z = self._x, self._y, self._z
         return other

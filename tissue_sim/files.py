@@ -65,8 +65,8 @@ def open_file(path: str | Path, expected: str, largest: int = LIMITS.recording) 
     except FileNotFoundError:
         raise InputError(f"no such file, expected {expected}; check the name and the folder", file=path) from None
     except (OSError, ValueError) as error:
-        if isinstance(error, IsADirectoryError) or _is_folder(path):
-            raise _folder_error(path, expected) from None
+        if isinstance(error, IsADirectoryError) or _is_existing_folder(path):
+            raise _make_folder_error(path, expected) from None
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read ({reason}), expected {expected}; check the name and the permissions",
                          file=path) from error
@@ -75,21 +75,21 @@ def open_file(path: str | Path, expected: str, largest: int = LIMITS.recording) 
         return file
     file.close()
     if stat.S_ISDIR(found.st_mode):
-        raise _folder_error(path, expected)
+        raise _make_folder_error(path, expected)
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"is a pipe, socket or device, expected {expected} in a file; save it as one", file=path)
     raise InputError(f"has {found.st_size / 1e6:.3g} MB, expected {expected} of at most {largest / 1e6:g} MB; use a "
                      "part of it", file=path)
 
 
-def _is_folder(path: Path) -> bool:
+def _is_existing_folder(path: Path) -> bool:
     try:
         return path.is_dir()
     except OSError:
         return False
 
 
-def _folder_error(path: Path, expected: str) -> InputError:
+def _make_folder_error(path: Path, expected: str) -> InputError:
     return InputError(f"is a folder, expected {expected}; name a file in it", file=path)
 
 
@@ -106,7 +106,7 @@ def read_bytes(path: str | Path, expected: str, largest: int = LIMITS.recording)
     return data or b""
 
 
-def first_bytes(path: str | Path, count: int) -> bytes:
+def read_first_bytes(path: str | Path, count: int) -> bytes:
     """Return the first bytes of a file; empty if the file cannot be read."""
     try:
         with open_file(path, "") as file:
@@ -115,7 +115,7 @@ def first_bytes(path: str | Path, count: int) -> bytes:
         return b""
 
 
-def exists(path: Path) -> bool:
+def path_exists(path: Path) -> bool:
     """Whether a file or folder exists; False for an invalid name."""
     try:
         return path.exists()
@@ -225,7 +225,7 @@ def decode_text(data: bytes, path: str | Path, expected: str) -> tuple[str, str]
     return text, {"utf-8-sig": "utf-8"}.get(name, name)
 
 
-def cache_folder() -> Path:
+def get_cache_folder() -> Path:
     """Folder of compiled kernels and derived formulas: `TISSUE_SIM_CACHE`, or a folder in the user's cache."""
     if "TISSUE_SIM_CACHE" in os.environ:
         return Path(os.environ["TISSUE_SIM_CACHE"])

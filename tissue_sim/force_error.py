@@ -54,12 +54,12 @@ class ForceError:
                 f"and {seen}; {remedy}")
 
 
-def coarse_samples(displacement: np.ndarray) -> np.ndarray:
-    """Samples of a motion at which the test with longer steps is computed for the comparison.
+def select_comparison_samples(displacement: np.ndarray) -> np.ndarray:
+    """Select the samples of a motion at which a comparison test with longer steps is computed.
 
-    Every second sample, so that the steps are twice as long; the first and the last; those at which the motion turns,
-    stops or starts; and after each turn the middle and the end of the first step: an error in the slip that begins
-    there is gone one sample later, and a longer step would miss it.
+    These are every second sample, so that the steps are twice as long; the first and the last; those at which the
+    motion turns, stops or starts; and after each turn the middle and the end of the first step: an error in the slip
+    that begins there is gone one sample later, and a longer step would miss it.
 
     Args:
         displacement: m, shape (n,).
@@ -80,9 +80,9 @@ def coarse_samples(displacement: np.ndarray) -> np.ndarray:
     return np.array(kept)
 
 
-def force_error(force: np.ndarray, samples: np.ndarray, other: np.ndarray, fraction: float, *,
+def estimate_force_error(force: np.ndarray, samples: np.ndarray, other: np.ndarray, fraction: float, *,
                 shorter: bool = False) -> ForceError | None:
-    """Error of a test, estimated from its difference to another test.
+    """Estimate the error of the force of a test from its difference to another simulation of the test.
 
     Args:
         force: of the test, N, shape (n,).

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 
-def read_only(mapping: Mapping) -> MappingProxyType:
+def make_read_only_copy(mapping: Mapping) -> MappingProxyType:
     """Return a read-only copy of a mapping."""
     return MappingProxyType(dict(mapping))
 
 
-copyreg.pickle(MappingProxyType, lambda view: (read_only, (dict(view),)))
+copyreg.pickle(MappingProxyType, lambda view: (make_read_only_copy, (dict(view),)))

@@ -35,7 +35,7 @@ class KernelOwner:
                         f"{self.copy_remedy}")
 
 
-def exclusive(method: _Method) -> _Method:
+def allow_one_thread(method: _Method) -> _Method:
     """Decorate a method that one thread at a time may execute; the object has a reentrant lock `_guard`.
 
     Raises:
@@ -44,7 +44,7 @@ def exclusive(method: _Method) -> _Method:
     @wraps(method)
     def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
         if not self._guard.acquire(blocking=False):
-            raise busy_error(self)
+            raise make_busy_error(self)
         try:
             return method(self, *args, **kwargs)
         finally:
@@ -52,7 +52,7 @@ def exclusive(method: _Method) -> _Method:
     return cast("_Method", guarded)
 
 
-def busy_error(owner: object) -> BusyError:
+def make_busy_error(owner: object) -> BusyError:
     """Make the error of a simultaneous call."""
     name = type(owner).__name__
     return BusyError(f"{name} was called from two threads at the same time ({threading.current_thread().name} came "

@@ -27,8 +27,8 @@ class ModulusRange:
 MODULI = ModulusRange()
 
 
-def require_live(experiment: Experiment) -> None:
-    """Check that an experiment has no reduced effects that correct whole recordings.
+def require_realtime_experiment(experiment: Experiment) -> None:
+    """Raise an error for an experiment with corrections of whole recordings, which no single step can apply.
 
     Raises:
         InputError: a tilted tool, or partial slip.
@@ -41,7 +41,7 @@ def require_live(experiment: Experiment) -> None:
                          "out, or use a coefficient of friction", field="slip")
 
 
-def require_tissue(material: Material) -> None:
+def require_tissue_moduli(material: Material) -> None:
     """Check that the moduli of a material are in the range of tissues and gels.
 
     Raises:
@@ -57,7 +57,7 @@ def require_tissue(material: Material) -> None:
                          field="parameters")
 
 
-def require_same_layers(before: Material, after: Material) -> None:
+def require_equal_layer_thicknesses(before: Material, after: Material) -> None:
     """Check that two materials have layers of the same thickness, on which the mesh depends.
 
     Raises:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import Any
 
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
+from tissue_sim.public_names import OldName, adopt_old_names
 
 
 class LimitError(InputError):
     """A pose or a time step that a scene refuses: not finite, or beyond its limits."""
 
 
-def checked_pose(pose: float | Pose) -> Pose:
-    """Return a pose, or the pose at a depth in m; its numbers may be NaN or infinite.
+def convert_to_pose(pose: float | Pose) -> Pose:
+    """Convert a pose or a depth, m, to a `Pose`; the numbers may be NaN or infinite.
 
     Raises:
         InputError: something else than a pose of numbers, or than one real number.
@@ -24,14 +26,14 @@ def checked_pose(pose: float | Pose) -> Pose:
     if type(pose) is float:
         return Pose((0.0, 0.0, -pose))
     if isinstance(pose, str | bytes):
-        raise _pose_error(pose)
+        raise _make_pose_error(pose)
     try:
         return Pose.at_depth(float(pose))
     except (TypeError, ValueError, OverflowError):
-        raise _pose_error(pose) from None
+        raise _make_pose_error(pose) from None
 
 
-def _pose_error(pose: object) -> InputError:
+def _make_pose_error(pose: object) -> InputError:
     return InputError(f"must be a Pose, or a depth in m; got {pose!r}. Write Pose((x, y, z), (w, x, y, z)).",
                       field="pose")
 
@@ -62,8 +64,14 @@ class MotionLimits:
             if not number > 0.0:
                 raise InputError(f"must be positive; got {number:g}.", field=each.name)
 
-    def require(self, pose: Pose, before: Pose | None, dt: float) -> None:
-        """Check a step before it changes the tissue.
+    require = OldName("require_valid_step")
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        adopt_old_names(cls, {"require": "require_valid_step"})
+
+    def require_valid_step(self, pose: Pose, before: Pose | None, dt: float) -> None:
+        """Raise a `LimitError` for a pose or time step beyond the limits, before the step changes the tissue.
 
         Args:
             pose: of the tool at the end of the step.

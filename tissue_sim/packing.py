@@ -15,13 +15,13 @@ from typing import Any
 
 import cloudpickle
 
-from tissue_sim.registry import modules_of_additions, register_all, registered
+from tissue_sim.registry import list_modules_of_additions, list_registered_objects, register_objects_of_other_process
 
 
-def pack(function: Callable[..., Any], arguments: tuple) -> bytes:
-    """Serialise a task for `run_packed` in another process."""
-    things = registered()
-    by_value = [module for name, module in modules_of_additions().items() if not _is_installed(name)]
+def pack_task(function: Callable[..., Any], arguments: tuple) -> bytes:
+    """Pickle a function call, with all objects added to registries, for `run_packed_task` in another process."""
+    things = list_registered_objects()
+    by_value = [module for name, module in list_modules_of_additions().items() if not _is_importable_by_workers(name)]
     for module in by_value:
         cloudpickle.register_pickle_by_value(module)
     try:
@@ -33,17 +33,17 @@ def pack(function: Callable[..., Any], arguments: tuple) -> bytes:
             cloudpickle.unregister_pickle_by_value(module)
 
 
-def run_packed(task: bytes) -> Any:
-    """Execute a task of `pack` in the worker and return its result."""
+def run_packed_task(task: bytes) -> Any:
+    """Execute a task of `pack_task` in this worker process, and return the result of the function."""
     things, call = cloudpickle.loads(task)
     if things:
-        register_all(cloudpickle.loads(things))
+        register_objects_of_other_process(cloudpickle.loads(things))
     function, arguments = cloudpickle.loads(call)
     return function(*arguments)
 
 
-def _is_installed(module: str) -> bool:
-    """Whether every worker can import the module."""
+def _is_importable_by_workers(module: str) -> bool:
+    """Return whether every worker process can import a module."""
     package = module.partition(".")[0]
     return package in sys.stdlib_module_names or package in _list_importable_packages()
 

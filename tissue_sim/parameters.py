@@ -16,7 +16,8 @@ from math import inf
 from numbers import Real
 from typing import Any, Protocol, TypeGuard, TypeVar, runtime_checkable
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.public_names import OldName
 
 #: Key of the declaration in the metadata of a field.
 _KEY = "tissue_sim.parameter"
@@ -68,27 +69,30 @@ class Parameter:
 
     @property
     def symbol(self) -> str:
-        """Symbol, with a number if there are several parameters of the kind: ``g1``."""
-        return symbol_at(self.path, self.declaration)
+        """Symbol of the parameter, with a number if there are several parameters of this kind, such as ``g1``."""
+        return make_parameter_symbol(self.path, self.declaration)
+
+    file_path = OldName("path_in_file")
 
     @property
-    def file_path(self) -> str:
-        """Path in files, whose last part contains the unit: ``viscoelastic.terms[0].tau_s``."""
+    def path_in_file(self) -> str:
+        """Path of the parameter in files, whose last key contains the unit: ``viscoelastic.terms[0].tau_s``."""
         place, dot, _ = self.path.rpartition(".")
         return place + dot + self.declaration.key
 
 
-def symbol_at(path: str, declaration: Declaration) -> str:
-    """Symbol of a declaration at a path, with a number if there are several of the kind: ``g1``."""
-    return declaration.symbol + "".join(str(token + 1) for token in split_path(path) if isinstance(token, int))
+def make_parameter_symbol(path: str, declaration: Declaration) -> str:
+    """Return the symbol of a declaration at a path, with the index in the path plus 1: ``terms[0].g`` gives ``g1``."""
+    return declaration.symbol + "".join(str(token + 1) for token in split_parameter_path(path)
+                                        if isinstance(token, int))
 
 
 @runtime_checkable
 class HasParameters(Protocol):
-    """Part with parameters that are not fields, such as those of a law."""
+    """Protocol of a model component with parameters that are not dataclass fields, such as those of a law."""
 
     def own_parameters(self) -> Mapping[str, tuple[Declaration, float]]:
-        """Declaration and value, by name, of the parameters that are not fields."""
+        """Return name -> (declaration, value in SI) of the parameters that are not fields."""
 
     def with_own_parameters(self: Part, values: Mapping[str, float], **changes: Any) -> Part:
         """Return the part with changed parameters and fields."""
@@ -102,20 +106,20 @@ def parameter(symbol: str, unit: str, *, key: str, factor: float = 1.0, bounds: 
     return field(default=default, metadata={_KEY: what})
 
 
-def declaration(entry: Field) -> Declaration | None:
-    """Declaration of a dataclass field; None if it is not a parameter."""
+def get_field_declaration(entry: Field) -> Declaration | None:
+    """Return the `Declaration` of a dataclass field; None if the field is not a parameter."""
     return entry.metadata.get(_KEY)
 
 
-def declared(kind: type) -> dict[str, Declaration]:
-    """Return the declarations of the parameters of a dataclass by field name, in the order of the fields."""
-    return {entry.name: what for entry in fields(kind) if (what := declaration(entry)) is not None}
+def list_field_declarations(kind: type) -> dict[str, Declaration]:
+    """Return field name -> `Declaration` of the parameters that a dataclass declares, in the order of the fields."""
+    return {entry.name: what for entry in fields(kind) if (what := get_field_declaration(entry)) is not None}
 
 
-def accepts_declared(base: type) -> Callable[[Any], bool]:
-    """Return a check for registries: whether an object is a dataclass that derives from `base` and has parameters."""
+def make_declared_class_check(base: type) -> Callable[[Any], bool]:
+    """Return a predicate for registries: whether a class is a dataclass, derives from `base` and has parameters."""
     return lambda kind: (isinstance(kind, type) and issubclass(kind, base) and is_dataclass(kind)
-                         and bool(declared(kind)))
+                         and bool(list_field_declarations(kind)))
 
 
 def parameters(part: Any) -> dict[str, Parameter]:
@@ -147,12 +151,12 @@ def value(part: Any, path: str) -> float:
     """
     known = parameters(part)
     if path not in known:
-        raise InputError(f"there is no parameter {path!r}{nearest(path, known)}", field="parameters")
+        raise InputError(f"there is no parameter {path!r}{suggest_known_word(path, known)}", field="parameters")
     return known[path].value
 
 
 def find_parameters(model: Any, names: Iterable[str]) -> list[Parameter]:
-    """Return parameters of a model by their paths; ``material.`` may be left out.
+    """Return the parameters of a model with given paths, in which ``material.`` may be left out.
 
     Raises:
         InputError: an unknown path; the message names the nearest.
@@ -165,10 +169,10 @@ def _find_parameter(model: Any, name: str, known: Mapping[str, Parameter]) -> Pa
     for path in (name, f"material.{name}"):
         if path in known:
             return known[path]
-        word = _find_part(model, path)
+        word = _find_component(model, path)
         if isinstance(word, str):
             raise InputError(f"must be a number to be changed; got {word!r}.", field=name)
-    raise InputError(f"unknown parameter{nearest(name, [path.removeprefix('material.') for path in known])}",
+    raise InputError(f"unknown parameter{suggest_known_word(name, [path.removeprefix('material.') for path in known])}",
                      field=name)
 
 
@@ -190,33 +194,35 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
     """
     tree: dict = {}
     for path, number in values.items():
-        *outer, last = split_path(path)
-        if not _has_parameter(_find_part(part, path.rpartition(".")[0]), last):
-            raise InputError(f"there is no parameter {path!r}{nearest(path, parameters(part))}", field="parameters")
+        *outer, last = split_parameter_path(path)
+        if not _has_parameter(_find_component(part, path.rpartition(".")[0]), last):
+            raise InputError(f"there is no parameter {path!r}{suggest_known_word(path, parameters(part))}",
+                             field="parameters")
         branch = tree
         for token in outer:
             branch = branch.setdefault(token, {})
         branch[last] = float(number)
-    return _replace_values(part, tree)
+    return _replace_values_in_component(part, tree)
 
 
-def split_path(path: str) -> list[str | int]:
+def split_parameter_path(path: str) -> list[str | int]:
     """Split a path: ``terms[0].g`` -> ``["terms", 0, "g"]``.
 
     Examples:
-        >>> split_path("terms[0].g")
+        >>> split_parameter_path("terms[0].g")
         ['terms', 0, 'g']
     """
     return [name if name else int(index) for name, index in _TOKEN.findall(path)]
 
 
-def to_keys(part: Any) -> dict[str, float]:
+def convert_to_file_keys(part: Any) -> dict[str, float]:
     """Return the declared numbers of a part by their keys in files, in the units of the keys with 15 digits."""
-    return {what.key: float(f"{number / what.factor:.15g}") for name, what in declared(type(part)).items()
+    return {what.key: float(f"{number / what.factor:.15g}") for name,
+            what in list_field_declarations(type(part)).items()
             if (number := getattr(part, name)) is not None}
 
 
-def from_keys(kind: type[Part], content: Mapping[str, float], field: str, **others: Any) -> Part:
+def make_from_file_keys(kind: type[Part], content: Mapping[str, float], field: str, **others: Any) -> Part:
     """Make a part from the keys of a file.
 
     Args:
@@ -228,10 +234,10 @@ def from_keys(kind: type[Part], content: Mapping[str, float], field: str, **othe
     Raises:
         InputError: an unknown key (the message names the nearest), a missing key, or an invalid value; with the field.
     """
-    names = {what.key: (name, what.factor) for name, what in declared(kind).items()}
+    names = {what.key: (name, what.factor) for name, what in list_field_declarations(kind).items()}
     for key in content:
         if key not in names:
-            raise InputError(f"unknown key{nearest(key, names)}", field=f"{field}.{key}")
+            raise InputError(f"unknown key{suggest_known_word(key, names)}", field=f"{field}.{key}")
     entries: Mapping[str, Field] = getattr(kind, "__dataclass_fields__", {})
     needed = {name for name, entry in entries.items() if entry.default is MISSING}
     if missing := [key for key, (name, _) in names.items() if name in needed and key not in content]:
@@ -244,9 +250,9 @@ def from_keys(kind: type[Part], content: Mapping[str, float], field: str, **othe
         raise InputError(refused.problem, field=".".join(filter(None, (field, named)))) from None
 
 
-def _find_part(part: Any, path: str) -> Any:
-    """Object at a path, the part itself at the empty path; None if there is none."""
-    for token in split_path(path):
+def _find_component(part: Any, path: str) -> Any:
+    """Return the object at a path below a component (empty path: the component itself); None without an object."""
+    for token in split_parameter_path(path):
         if isinstance(token, int):
             part = part[token] if isinstance(part, tuple) and token < len(part) else None
         else:
@@ -255,7 +261,7 @@ def _find_part(part: Any, path: str) -> Any:
 
 
 def _has_parameter(part: Any, name: str | int) -> bool:
-    """Whether the part itself, not one below it, has a parameter of the name."""
+    """Return whether a component itself, not a component inside it, has a parameter with a name."""
     if not is_dataclass(part):
         return False
     return any(each.path == name for each in _iterate_own_parameters(part, ""))
@@ -266,7 +272,7 @@ def _iterate_parameters(part: Any, place: str) -> Iterator[Parameter]:
     yield from _iterate_own_parameters(part, place)
     for entry in fields(part):
         content = getattr(part, entry.name)
-        if declaration(entry) is not None:
+        if get_field_declaration(entry) is not None:
             continue
         if is_dataclass(content):
             yield from _iterate_parameters(content, f"{place}{entry.name}.")
@@ -284,7 +290,7 @@ def _iterate_own_parameters(part: Any, place: str) -> Iterator[Parameter]:
         for name, (what, number) in part.own_parameters().items():
             yield Parameter(place + name, what, number, type(part))
     for entry in fields(part):
-        stated = declaration(entry)
+        stated = get_field_declaration(entry)
         if stated is not None:
             content = getattr(part, entry.name)
             content = stated.words.get(content, content) if isinstance(content, str) else content
@@ -302,12 +308,14 @@ def _is_parameter_class(kind: type) -> bool:
     return issubclass(kind, HasParameters)
 
 
-def _replace_values(part: Any, tree: Mapping[Any, Any]) -> Any:
+def _replace_values_in_component(part: Any, tree: Mapping[Any, Any]) -> Any:
     if isinstance(part, tuple):
-        return tuple(_replace_values(item, tree[index]) if index in tree else item for index, item in enumerate(part))
+        return tuple(_replace_values_in_component(item, tree[index]) if index in tree else item for index,
+                     item in enumerate(part))
     if isinstance(part, Mapping):
-        return {name: _replace_values(item, tree[name]) if name in tree else item for name, item in part.items()}
-    changes = {name: _replace_values(getattr(part, name), sub) if isinstance(sub, dict) else sub
+        return {name: _replace_values_in_component(item, tree[name]) if name in tree else item for name,
+                item in part.items()}
+    changes = {name: _replace_values_in_component(getattr(part, name), sub) if isinstance(sub, dict) else sub
                for name, sub in tree.items()}
     if _has_own_parameters(part):
         own = {name: changes.pop(name) for name in part.own_parameters() if name in changes}

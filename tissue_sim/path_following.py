@@ -6,30 +6,30 @@ import math
 import time
 from dataclasses import replace
 
-from tissue_sim.explicit_coupling import MotionCheck, least_tool_mass, warn_of_light_tool
+from tissue_sim.explicit_coupling import ToolReversalDetector, minimum_stable_tool_mass, warn_about_light_tool
 from tissue_sim.fem.solver import Solver, StaticStiffnessRequest, Step, StepStatus
-from tissue_sim.material.effect import ReducedForce
+from tissue_sim.material.effect import ReducedForceFactor
 from tissue_sim.model import Model
 from tissue_sim.path_settings import PathSettings
 from tissue_sim.pending_path import PendingPath
-from tissue_sim.pose import Pose, Screw, between, motion, raised
-from tissue_sim.simulator_state import AT_REST, Attempt, Creep, Equilibrium
-from tissue_sim.step_clock import LEAST_SOLVES, Allowance, StepClock, count_solves_in_budget
+from tissue_sim.pose import Pose, Screw, between, motion, shift_pose_along_z
+from tissue_sim.simulator_state import AT_REST, DampedPathState, LastEquilibrium, NewtonAttempt
+from tissue_sim.step_clock import LEAST_SOLVES, StepBudget, StepClock, count_solves_in_budget
 from tissue_sim.tool_force import (
     ForceStatus,
-    NextForce,
+    PredictedForce,
     ToolForce,
+    compute_largest_force_change,
     extrapolate_wrench,
-    force_of_increment,
-    is_known_well,
-    shortened,
+    is_force_accurate_enough,
+    limit_force_of_wrench,
 )
-from tissue_sim.tool_track import ToolTrack, fraction_in_air
-from tissue_sim.wave_error import WaveScale
+from tissue_sim.tool_track import ToolTrack, compute_fraction_in_air
+from tissue_sim.wave_error import WaveTimeAndSpeed
 
 
 class ToolPathMixin:
-    """Mixin of `Simulator` with the motion along the path of the tool: parts of a path, retries, creep, and the answer.
+    """Mixin of `Simulator` that follows the path of the tool: substeps, retries, damped paths, and the step result.
 
     Attributes:
         error: estimate of the error of the force at the last equilibrium, N; None if it is unknown.
@@ -45,14 +45,14 @@ class ToolPathMixin:
     error: float | None
     _solver: Solver
     _clock: StepClock
-    _reduced: ReducedForce
-    _equilibrium: Equilibrium
+    _reduced: ReducedForceFactor
+    _equilibrium: LastEquilibrium
     _pose: Pose
     _answer: ToolForce
     _tool: ToolTrack
-    _motion_check: MotionCheck
-    _attempt: Attempt | None
-    _creep: Creep | None
+    _motion_check: ToolReversalDetector
+    _attempt: NewtonAttempt | None
+    _creep: DampedPathState | None
     _most: int | None
     _solve: float | None
     _radius: float
@@ -63,7 +63,7 @@ class ToolPathMixin:
     _left: float
     _largest_force: float
     _error_floor: float
-    _wave_scale: WaveScale
+    _wave_scale: WaveTimeAndSpeed
     _stiffness_lasts: int
     _weighs: bool
     _bonded: bool
@@ -81,40 +81,40 @@ class ToolPathMixin:
         """Largest number of linear solves of a step; None: no limit."""
         return self._most or count_solves_in_budget(self.budget, self._solve)
 
-    def _note_motion(self, target: Pose, dt: float) -> None:
-        """Register how fast the tool moves in contact, and whether the steps resolve its motion."""
+    def _register_tool_motion(self, target: Pose, dt: float) -> None:
+        """Register speed, direction and reversals of a motion to a target in dt s; warn once about a light tool."""
         if self._begins:
             return
         x, y, z, a, b, c = way = motion(self._pose, target)
         if self._pending.is_direct:
-            self._pending.note_motion(way, self._settings.rounding * self._radius)
+            self._pending.register_contact_motion(way, self._settings.rounding * self._radius)
         length = math.hypot(x, y, z)
         if a or b or c:
             length += self._radius * math.hypot(a, b, c)
         is_fast = length >= self._settings.inertial_speed * dt > 0.0
         self._lingers = 0.0 if is_fast else self._lingers + dt
-        self._motion_check.advance(x, y, z, dt, is_fast)
+        self._motion_check.register_step(x, y, z, dt, is_fast)
         if self._motion_check.quiet == 0.0 and self._equilibrium.inertial and not self._has_warned:
             self._has_warned = True
-            warn_of_light_tool(self._answer.least_tool_mass)
+            warn_about_light_tool(self._answer.least_tool_mass)
 
     @property
-    def _is_free(self) -> bool:
+    def _has_settled_without_contact(self) -> bool:
         """Whether the tool may have lifted off, and the last equilibrium is that of its last pose."""
-        return self._is_unloaded and self._attempt is None and self._creep is None and self._pending.is_empty
+        return self._is_tool_unloaded and self._attempt is None and self._creep is None and self._pending.is_empty
 
     @property
-    def _is_unloaded(self) -> bool:
+    def _is_tool_unloaded(self) -> bool:
         """Whether the tool may have lifted off at the last equilibrium."""
         x, y, z, *_ = self._equilibrium.wrench
         return not self._pulls and abs(x) + abs(y) + abs(z) <= self._settings.free_force * self._largest_force
 
     @property
-    def _is_above(self) -> bool:
-        """Whether the tool is above the place of its first touch, where waves exert no force on it."""
-        return self._is_unloaded and self._solver.pose.depth <= 0.0
+    def _is_tool_above_first_touch(self) -> bool:
+        """Whether the tool is unloaded and not below its first touch, where waves exert no force on the tool."""
+        return self._is_tool_unloaded and self._solver.pose.depth <= 0.0
 
-    def _step_in_air(self, pose: Pose, target: Pose, dt: float, began: float) -> ToolForce | float:
+    def _step_tool_in_air(self, pose: Pose, target: Pose, dt: float, began: float) -> ToolForce | float:
         """Make a step of a tool that has lifted off.
 
         Returns:
@@ -132,39 +132,39 @@ class ToolPathMixin:
             if not begins:
                 # The tissue relaxes or swings until the touch without the tool.
                 solver.move_in_air(self._pose)
-                depends_on_time = solver.is_time_dependent or self._counts_mass
-                self._pending.extend_to_touch(self._pose, until * dt if depends_on_time else 0.0)
+                depends_on_time = solver.is_time_dependent or self._includes_inertia
+                self._pending.append_motion_to_touch(self._pose, until * dt if depends_on_time else 0.0)
             return (1.0 - until) * dt
         solver.move_in_air(target)
         self._pose = target
         self._pending.is_direct = True
         if self._pending.gap > 0.0:
-            self._pending.lift_off(self.model.material.memory_time(self._radius))
-        if solver.is_time_dependent or self._counts_mass:
+            self._pending.limit_remembered_time(self.model.material.memory_time(self._radius))
+        if solver.is_time_dependent or self._includes_inertia:
             return dt
         self._lingers += dt
         solver.stop_tissue_motion()
-        self._reduced.commit(target.depth, dt)
-        tool.pose, self._equilibrium, self.error = pose, Equilibrium.in_air(target), None
+        self._reduced.accept_depth(target.depth, dt)
+        tool.pose, self._equilibrium, self.error = pose, LastEquilibrium.make_in_air(target), None
         self._answer = ToolForce(AT_REST.wrench, AT_REST.stiffness, ForceStatus.CONVERGED, pose=pose,
                                  compute_time=time.perf_counter() - began)
         return self._answer
 
     def _bound_displacement(self, start: Pose, end: Pose) -> float:
-        """Upper bound of the displacement of contact points in a rigid motion, m."""
+        """Return an upper bound of the displacement of contact points in a rigid motion of the tool, m."""
         x, y, z, a, b, c = motion(start, end)
         return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
 
     def _split_tick_at_touch(self, inertial: bool) -> None:
-        """Let a late tick begin at the touch if the tool returns to the tissue in it; see `_step_in_air`."""
+        """Split the first pending tick at the touch if the tool returns to the tissue; see `_step_tool_in_air`."""
         solver, pending, here = self._solver, self._pending, self._solver.pose
         first = pending.ticks[0]
-        if not self._is_unloaded or solver.ignores_twist or here == first.pose:
+        if not self._is_tool_unloaded or solver.ignores_twist or here == first.pose:
             return
         clearance, before = solver.clearance(first.pose), solver.clearance(here)
         if clearance is None or before is None or clearance > 0.0 or before <= 0.0:
             return
-        until = fraction_in_air(solver, here, first.pose)
+        until = compute_fraction_in_air(solver, here, first.pose)
         begins = solver.move_to_next_touch(between(here, first.pose, until))
         if not begins:
             solver.move_in_air(here)
@@ -172,28 +172,28 @@ class ToolPathMixin:
             pending.ticks[0] = replace(first, dt=(1.0 - until) * first.dt)
             pending.meets = not begins
         else:
-            pending.split_first(here, until)
+            pending.split_first_tick_at_touch(here, until)
 
-    def _move_to_touch(self) -> Pose:
-        """Move a tool in the air to where it touches the tissue in the next tick, and return its pose."""
+    def _move_to_next_touch(self) -> Pose:
+        """Move a tool in the air to the pose at which it touches the tissue in the next tick; return this pose."""
         solver, end = self._solver, self._pending.ticks[0].pose
         here = solver.pose
         clearance, before = solver.clearance(end), solver.clearance(here)
         if clearance is not None and before is not None and clearance <= 0.0 < before:
-            solver.move_in_air(between(here, end, fraction_in_air(solver, here, end)))
+            solver.move_in_air(between(here, end, compute_fraction_in_air(solver, here, end)))
         return solver.pose
 
     def _press_from_above(self, pose: Pose) -> None:
         """Lift the tool above a pose that was not reached, and press it down; the stick anchors there are new."""
         solver = self._solver
         solver.lift_off()
-        solver.move_in_air(raised(pose, -solver.height_above_tissue(pose)))
+        solver.move_in_air(shift_pose_along_z(pose, -solver.height_above_tissue(pose)))
         # In the first step the motion to the pose is unknown, and the tool comes from above.
-        self._pending.restart(pose, rubs=self._keeps_path and not self._begins,
-                              ages=self.model.material.remembers and not self._begins)
+        self._pending.restart_from_above(pose, rubs=self._keeps_path and not self._begins,
+                                         ages=self.model.material.remembers and not self._begins)
         self._share, self._leaps, self._can_restart = 1.0, True, False
 
-    def _step_in_parts(self, pose: Pose, tick: float, began: float, is_behind: bool) -> ToolForce:
+    def _step_along_pending_path(self, pose: Pose, tick: float, began: float, is_behind: bool) -> ToolForce:
         """Step to a pose in as many parts as needed.
 
         Args:
@@ -204,17 +204,18 @@ class ToolPathMixin:
         """
         solver, status, solves, residual, outside = self._solver, None, 0, self._answer.residual, False
         pending = self._pending
-        allowance = Allowance(self._clock, self.max_solves, None if self.budget is None else began + self.budget)
+        allowance = StepBudget(self._clock, self.max_solves, None if self.budget is None else began + self.budget)
         while status is None:
-            started, creep, here, inertial = time.perf_counter(), self._creep, solver.pose, self._counts_mass
+            started, creep, here, inertial = time.perf_counter(), self._creep, solver.pose, self._includes_inertia
             if creep is None and self._attempt is None:
                 if len(pending.ticks) > 1 and allowance.count_fitting_solves() < LEAST_SOLVES * len(pending.ticks):
-                    pending.merge(here, self._radius, self._get_straightness_tolerance(inertial),
-                                  self._settings.inertial_time, timed=inertial or solver.is_time_dependent)
+                    pending.merge_straight_ticks(here, self._radius, self._compute_straightness_tolerance(inertial),
+                                                 self._settings.inertial_time,
+                                                 timed=inertial or solver.is_time_dependent)
                 if is_behind and not pending.meets:
                     self._split_tick_at_touch(inertial)
                 if pending.meets:
-                    here = self._move_to_touch()
+                    here = self._move_to_next_touch()
             first = pending.ticks[0]
             way, part = self._bound_displacement(here, first.pose), self._share * self._largest_part
             # Parts of equal length, because the mass of the tissue resists a short part like an impact.
@@ -235,7 +236,7 @@ class ToolPathMixin:
                 known = max(solver.equilibria_since_contact_change, weighs) if self._extrapolates else 0
                 order = min(solver.highest_order, known)
                 limit = self._settings.most_extrapolated_solves if order > 0 else self._settings.most_solves
-                attempt = Attempt(target, dt, order, limit)
+                attempt = NewtonAttempt(target, dt, order, limit)
             most = attempt.limit - attempt.spent
             fitting = allowance.count_fitting_solves()
             if fitting < 1:
@@ -262,12 +263,12 @@ class ToolPathMixin:
             attempt, self._attempt = replace(attempt, spent=attempt.spent + step.iterations), None
             if step.status is StepStatus.CONVERGED:
                 self._store_equilibrium(step, dt, weighs)
-                self._estimate_waves(motion(here, target), dt, weighs=weighs)
+                self._estimate_wave_error(motion(here, target), dt, weighs=weighs)
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 is_timed = inertial or solver.is_time_dependent
                 is_over = self._leaps or not is_timed or first.dt - dt <= self._settings.rounding * first.dt
                 arrives = is_over and target == first.pose
-                pending.advance(dt, arrives=arrives, timed=is_timed)
+                pending.remove_solved_time(dt, arrives=arrives, timed=is_timed)
                 if arrives and self._begins:
                     # The motion to the first pose is unknown: the tissue is at rest there.
                     solver.stop_tissue_motion()
@@ -291,7 +292,7 @@ class ToolPathMixin:
                     self._extrapolates = False
             elif creep is None and min(self._share, way / self._largest_part) < self._settings.damped_fraction:
                 self._share = max(self._settings.smallest_cut, min(self._share, way / self._largest_part))
-                self._creep = Creep(target, dt, step)
+                self._creep = DampedPathState(target, dt, step)
                 self._creep.steps = solver.step_with_damping(
                     target, dt, tolerance=self.tolerance, max_iterations=self._settings.most_damped_solves,
                     allowed=self._creep.solves_until_yield)
@@ -306,10 +307,10 @@ class ToolPathMixin:
             # Extrapolate to the last pose that the tool may have; no force is estimated beyond it.
             status, outside = ForceStatus.STOPPED, True
         if status is ForceStatus.STOPPED:
-            pending.give_up()
+            pending.discard_unreachable_poses()
         return self._make_step_result(pose, tick, status, outside, solves, residual, began)
 
-    def _estimate_waves(self, way: Screw, dt: float, *, weighs: bool) -> None:
+    def _estimate_wave_error(self, way: Screw, dt: float, *, weighs: bool) -> None:
         """Estimate the error of the force by waves in tissue with mass that a step does not resolve.
 
         Steps that replace several ticks are longer and resolve less; the estimate holds for them as for any step.
@@ -317,36 +318,37 @@ class ToolPathMixin:
         Args:
             way: motion of the tool, m and rad.
             dt: time of the step, s.
-            weighs: whether the mass counts.
+            weighs: whether the inertia of the tissue acts in the step.
         """
         waves, at, scale = self._pending.waves, self._equilibrium, self._wave_scale
         if not weighs or at.step_stiffness is None:
-            waves.register_step_without_mass(None if self._is_unloaded else way, dt)
+            waves.register_step_without_mass(None if self._is_tool_unloaded else way, dt)
             return
-        waves.advance(at.stiffness, at.step_stiffness, way, dt, scale)
-        self._has_waves = not self._is_above and (
-            waves.is_supersonic or not is_known_well(at.wrench, waves.force, scale.floor))
+        waves.register_step_with_mass(at.stiffness, at.step_stiffness, way, dt, scale)
+        self._has_waves = not self._is_tool_above_first_touch and (
+            waves.is_supersonic or not is_force_accurate_enough(at.wrench, waves.force, scale.floor))
 
-    def _get_straightness_tolerance(self, inertial: bool) -> float:
-        """Largest distance of late poses from a straight line that replaces them, m."""
+    def _compute_straightness_tolerance(self, inertial: bool) -> float:
+        """Return the largest distance of pending poses from a line, m; infinite if the path has no influence."""
         if inertial or self._solver.is_time_dependent or self._keeps_path:
             return self._settings.straightness * self._largest_part
         return math.inf
 
-    def _choose_stiffness_request(self, allowance: Allowance, allowed: int) -> StaticStiffnessRequest:
-        """Decide whether a part of at most `allowed` linear solves also computes the static stiffness."""
+    def _choose_stiffness_request(self, allowance: StepBudget, allowed: int) -> StaticStiffnessRequest:
+        """Decide whether a substep of at most `allowed` linear solves also computes the static stiffness."""
         age = self._equilibrium.stiffness_age + 1
         if age < self._stiffness_lasts:
             return StaticStiffnessRequest.OMITTED
-        if age >= self._settings.reserved_after * self._stiffness_lasts and allowance.has_time(allowed, answers=2):
+        is_due = age >= self._settings.reserved_after * self._stiffness_lasts
+        if is_due and allowance.has_time_for_solves(allowed, answers=2):
             return StaticStiffnessRequest.RESERVED
         if allowance.count_fitting_solves(answers=2) > 0:
             return StaticStiffnessRequest.IF_LEFT
         return StaticStiffnessRequest.OMITTED
 
     @property
-    def _counts_mass(self) -> bool:
-        """Whether the mass of the tissue acts in this step."""
+    def _includes_inertia(self) -> bool:
+        """Whether the inertia of the tissue acts in this step."""
         if not self._weighs or self._begins:
             return False
         least = self._settings.inertial_time
@@ -354,44 +356,48 @@ class ToolPathMixin:
 
     def _make_step_result(self, pose: Pose, tick: float, status: ForceStatus, outside: bool, solves: int,
                           residual: float, began: float) -> ToolForce:
-        """Make the result of a step to a pose of the solver."""
-        at, tool, waiting = self._equilibrium, self._tool, self._pending.time
+        """Make the result of a step: wrench of the last equilibrium, extrapolated to a pose unless converged."""
+        at, tool, waiting = self._equilibrium, self._tool, self._pending.elapsed_time
         wrench, ahead, within = at.wrench, None, None
         if status is ForceStatus.CONVERGED:
             ahead = self._predict_next_force(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
             within = at.step_stiffness
-            is_known = is_known_well(wrench, self.error, self._error_floor)
-            if self._pending.is_incomplete or self._has_waves or not is_known:
+            is_known = is_force_accurate_enough(wrench, self.error, self._error_floor)
+            if self._pending.has_omitted_motion or self._has_waves or not is_known:
                 status = ForceStatus.LATE
         elif not outside:
             # Mass resists the acceleration within a step, not a steady motion.
             wrench = self._extrapolate_last_wrench(wrench, motion(at.pose, pose))
             if status is ForceStatus.STOPPED:
-                wrench = shortened(wrench, self._largest_force + force_of_increment(at.stiffness, self._largest_part))
+                change = compute_largest_force_change(at.stiffness, self._largest_part)
+                wrench = limit_force_of_wrench(wrench, self._largest_force + change)
         # An equilibrium without the waves of the tissue, or after another path, has an unknown error.
-        error = None if status is ForceStatus.STOPPED or self._pending.is_incomplete else self.error
-        if error is not None and not self._is_above:
+        error = None if status is ForceStatus.STOPPED or self._pending.has_omitted_motion else self.error
+        if error is not None and not self._is_tool_above_first_touch:
             error += self._pending.waves.force
         return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
                          waiting, at.pose if tool.twist is None else tool.to_simulator_pose(at.pose), ahead, within,
                          at.stiffness_time + waiting, error, waiting, True,
-                         least_tool_mass(at.stiffness, at.step_stiffness, tick))
+                         minimum_stable_tool_mass(at.stiffness, at.step_stiffness, tick))
 
-    def _predict_next_force(self, tick: float) -> NextForce | None:
+    def _predict_next_force(self, tick: float) -> PredictedForce | None:
         """Predict the force of the next step, of length `tick`, s, after a converged one."""
         ahead, left = self._solver.predict_next_force(tick), self._left
-        return ahead if ahead is None or left == 1.0 else ahead.scaled(left)
+        return ahead if ahead is None or left == 1.0 else ahead.scale_force(left)
 
     def _extrapolate_last_wrench(self, wrench: Screw, way: Screw) -> Screw:
-        """Extrapolate the wrench of the last equilibrium; tissue that cannot attract the tool does not pull."""
+        """Extrapolate a wrench by the stiffness of the last equilibrium to a further motion, m and rad, of the tool.
+
+        Without adhesion the result is zero if the extrapolated force would pull the tool into the tissue.
+        """
         wrench = extrapolate_wrench(wrench, self._equilibrium.stiffness, way)
         return wrench if self._pulls or wrench[2] > 0.0 else AT_REST.wrench
 
     def _store_equilibrium(self, step: Step, dt: float, inertial: bool) -> None:
-        """Store the result of an equilibrium."""
+        """Store a converged step of the solver as the last equilibrium, with effects in reduced form."""
         self._has_waves = False
-        left = self._left = self._reduced.commit(self._solver.pose.depth, dt)
-        at = self._equilibrium = self._equilibrium.make_next(step, self._solver.pose, left, inertial, dt)
+        left = self._left = self._reduced.accept_depth(self._solver.pose.depth, dt)
+        at = self._equilibrium = self._equilibrium.make_next_equilibrium(step, self._solver.pose, left, inertial, dt)
         x, y, z, *_ = at.wrench
         force = math.sqrt(x * x + y * y + z * z)
         if force > self._largest_force:

@@ -13,20 +13,20 @@ import math
 from dataclasses import dataclass, replace
 
 from tissue_sim.pose import Pose, Screw, between, motion
-from tissue_sim.wave_error import WaveError
+from tissue_sim.wave_error import WaveErrorEstimator
 
 #: Largest number of ticks that are followed one by one. The oldest ones beyond it are merged.
 MOST_TICKS = 32
 
 
 @dataclass(frozen=True, slots=True)
-class Tick:
-    """A part of the path.
+class PathTick:
+    """One step of the tool's path that has no equilibrium yet.
 
     Attributes:
-        pose: where it ends.
-        dt: its time, s.
-        touches: whether the tool is in the air until then and meets tissue in the next tick; see
+        pose: pose of the tool at the end of the tick.
+        dt: duration, s.
+        touches: whether the tool is in the air in this tick and touches the tissue in the next tick; see
             `FreeTool.bind_points_on_path`.
     """
 
@@ -36,11 +36,11 @@ class Tick:
 
 
 class PendingPath:
-    """Ticks between the pose of the last equilibrium and that of the tool.
+    """Path of the tool since the last equilibrium, as a list of ticks.
 
     Attributes:
-        ticks: in their order.
-        meets: whether the tool meets tissue in the next increment; see `FreeTool.bind_points_on_path`.
+        ticks: ticks in the order of time.
+        meets: whether the tool touches the tissue in the next increment; see `FreeTool.bind_points_on_path`.
         lost: time for which an equilibrium is not that of the tool's own motion, since ticks that were not on one line
             were merged, s.
         gap: time for which an equilibrium depends on a part of the path that was left out, s; infinite while the tool
@@ -52,19 +52,19 @@ class PendingPath:
     __slots__ = ("_spare", "gap", "is_direct", "lost", "meets", "ticks", "waves")
 
     def __init__(self) -> None:
-        self.ticks: list[Tick] = []
-        self.meets, self.lost, self._spare, self.waves = False, 0.0, 0.0, WaveError()
+        self.ticks: list[PathTick] = []
+        self.meets, self.lost, self._spare, self.waves = False, 0.0, 0.0, WaveErrorEstimator()
         self.gap, self.is_direct = 0.0, True
 
     def copy(self) -> PendingPath:
-        """An independent copy, for saved states."""
+        """Return an independent copy, for saved states."""
         other = PendingPath()
         other.ticks, other.meets, other.lost, other._spare = list(self.ticks), self.meets, self.lost, self._spare
         other.gap, other.is_direct, other.waves = self.gap, self.is_direct, self.waves.copy()
         return other
 
     @property
-    def time(self) -> float:
+    def elapsed_time(self) -> float:
         """Time since the last equilibrium, s."""
         return self._spare + sum(tick.dt for tick in self.ticks)
 
@@ -73,60 +73,70 @@ class PendingPath:
         """Whether the last equilibrium is that of the last pose."""
         return not self.ticks and self._spare == 0.0
 
-    def extend(self, pose: Pose, dt: float) -> None:
-        """Append a tick that lasts dt, s."""
-        self.ticks.append(Tick(pose, self._spare + dt))
+    def append_tick(self, pose: Pose, dt: float) -> None:
+        """Append a tick of dt s that ends at a pose."""
+        self.ticks.append(PathTick(pose, self._spare + dt))
         self._spare = 0.0
         self.lost, self.gap = max(0.0, self.lost - dt), max(0.0, self.gap - dt)
 
-    def extend_to_touch(self, pose: Pose, dt: float) -> None:
-        """Append the part of a tick, s, in which a tool that comes back from a pose has yet to reach the tissue."""
+    def append_motion_to_touch(self, pose: Pose, dt: float) -> None:
+        """Append the motion in air of a tool that returns to the tissue: dt s up to a pose at the touch."""
         if dt > 0.0:
-            self.ticks.append(Tick(pose, dt, touches=True))
+            self.ticks.append(PathTick(pose, dt, touches=True))
         else:
             self.meets = True
 
-    def split_first(self, start: Pose, fraction: float) -> None:
-        """Split the first tick where a tool that comes back from a pose touches, after this fraction of the tick."""
+    def split_first_tick_at_touch(self, start: Pose, fraction: float) -> None:
+        """Split the first tick at the touch of a returning tool into a tick in air and a tick in contact.
+
+        Args:
+            start: pose of the tool at the end of the tick in air.
+            fraction: fraction of the time of the tick that the tool spends in the air.
+        """
         first, self.ticks = self.ticks[0], self.ticks[1:]
         rest = replace(first, dt=(1.0 - fraction) * first.dt)
-        air = Tick(start, fraction * first.dt, touches=True)
+        air = PathTick(start, fraction * first.dt, touches=True)
         self.meets = air.dt == 0.0
         self.ticks[:0] = [rest] if self.meets else [air, rest]
 
-    def give_up(self) -> None:
-        """Leave out the poses of all ticks, which cannot be reached; their time is added to the next tick."""
-        self._spare, self.ticks = self.time, []
+    def discard_unreachable_poses(self) -> None:
+        """Remove all ticks, whose poses cannot be reached; their time is added to the next tick."""
+        self._spare, self.ticks = self.elapsed_time, []
 
     @property
-    def is_incomplete(self) -> bool:
-        """Whether an equilibrium may differ from that of the tool's own motion, because a part of it was left out."""
+    def has_omitted_motion(self) -> bool:
+        """Whether motion was left out, so that an equilibrium may differ from that of the complete path."""
         return self.lost > 0.0 or self.gap > 0.0
 
-    def restart(self, pose: Pose, *, rubs: bool, ages: bool) -> None:
-        """Replace all ticks by one that leads straight down to a pose in the same time, from the undeformed tissue.
+    def restart_from_above(self, pose: Pose, *, rubs: bool, ages: bool) -> None:
+        """Replace all ticks by one tick from above the undeformed tissue straight down to a pose in the same time.
 
         Args:
             pose: end of the tick.
             rubs: whether the force depends on the path, as with friction.
             ages: whether the force depends on the time of the path.
         """
-        self._spare, self.ticks = 0.0, [Tick(pose, self.time)]
+        self._spare, self.ticks = 0.0, [PathTick(pose, self.elapsed_time)]
         if ages or (rubs and not self.is_direct):
             self.gap = math.inf
 
-    def note_motion(self, way: Screw, negligible: float) -> None:
-        """Register a motion of the tool in contact, m and rad; shorter parts than `negligible` are ignored."""
+    def register_contact_motion(self, way: Screw, negligible: float) -> None:
+        """Register a motion of the tool in contact; clear `is_direct` unless the tool moved straight down.
+
+        Args:
+            way: translation, m, and rotation vector, rad.
+            negligible: components up to this size are ignored, m and rad.
+        """
         x, y, z, a, b, c = way
         if z > negligible or max(abs(x), abs(y), abs(a), abs(b), abs(c)) > negligible:
             self.is_direct = False
 
-    def lift_off(self, memory: float) -> None:
-        """Shorten `gap` in the air, where friction ends, to the time for which the tissue remembers its path, s."""
+    def limit_remembered_time(self, memory: float) -> None:
+        """Limit `gap` to `memory`, the time for which the tissue remembers its path, s; called while in the air."""
         self.gap = min(self.gap, memory)
 
-    def merge(self, start: Pose, radius: float, tolerance: float, lasts: float, *, timed: bool) -> None:
-        """Merge the first ticks as far as the tool moves along one line, and the oldest if there are too many.
+    def merge_straight_ticks(self, start: Pose, radius: float, tolerance: float, lasts: float, *, timed: bool) -> None:
+        """Merge the first ticks along which the tool moves on one line, and the oldest if there are too many.
 
         Args:
             start: pose of the last equilibrium.
@@ -146,28 +156,29 @@ class PendingPath:
             self.ticks[:count] = [replace(merged[-1], dt=sum(tick.dt for tick in merged))]
 
     def _count_straight_ticks(self, start: Pose, radius: float, tolerance: float, timed: bool) -> int:
-        """Number of the first ticks in which the tool moves along one line."""
+        """Return the number of ticks, from the first, along which the tool moves on one line; at least 1."""
         count, before = 1, start
         passed: list[float] = []
         for number, tick in enumerate(self.ticks):
-            length = tick.dt if timed else _pose_distance(before, tick.pose, radius)
+            length = tick.dt if timed else _compute_pose_distance(before, tick.pose, radius)
             passed.append(length + (passed[-1] if passed else 0.0))
             before, total = tick.pose, passed[-1]
             if number and self.ticks[number - 1].touches:
                 break
-            away = max(_pose_distance(between(start, tick.pose, at / total if total else 0.0), skipped.pose, radius)
+            away = max(_compute_pose_distance(between(start, tick.pose, at / total if total else 0.0), skipped.pose,
+                                              radius)
                        for at, skipped in zip(passed, self.ticks, strict=False))
             if away > tolerance:
                 break
             count = number + 1
         return count
 
-    def advance(self, dt: float, *, arrives: bool, timed: bool) -> None:
-        """Take an equilibrium off the first tick.
+    def remove_solved_time(self, dt: float, *, arrives: bool, timed: bool) -> None:
+        """Remove the time of a solved step from the first tick.
 
         Args:
             dt: time of the step, s.
-            arrives: whether the step ended at the end of the tick, and no time is left to be followed.
+            arrives: whether the step ended at the end of the tick, which is then removed.
             timed: whether time counts. Otherwise ticks in which the tool rests need no step.
         """
         first = self.ticks[0]
@@ -180,6 +191,7 @@ class PendingPath:
             self.ticks[0] = replace(first, dt=max(0.0, first.dt - dt))
 
 
-def _pose_distance(one: Pose, other: Pose, radius: float) -> float:
+def _compute_pose_distance(one: Pose, other: Pose, radius: float) -> float:
+    """Return translation plus rotation angle times the contact radius between two poses, m."""
     x, y, z, a, b, c = motion(one, other)
     return math.hypot(x, y, z) + radius * math.hypot(a, b, c)

@@ -70,7 +70,7 @@ class Pose:
             w, x, y, z = self.orientation
             length = math.sqrt(w * w + x * x + y * y + z * z)
         except TypeError:
-            raise _numbers_error(self.orientation, 4, "orientation", "w, x, y, z") from None
+            raise _make_numbers_error(self.orientation, 4, "orientation", "w, x, y, z") from None
         excess = length - 1.0
         if -QUATERNION.rounding < excess < QUATERNION.rounding:
             return
@@ -122,42 +122,42 @@ def _convert_to_floats(values: object, count: int, field: str, names: str) -> tu
         InputError: another type, or another number of entries.
     """
     if isinstance(values, str | bytes):
-        raise _numbers_error(values, count, field, names)
+        raise _make_numbers_error(values, count, field, names)
     try:
         numbers = tuple(map(float, values))  # type: ignore[call-overload]
     except (TypeError, ValueError, OverflowError):
-        raise _numbers_error(values, count, field, names) from None
+        raise _make_numbers_error(values, count, field, names) from None
     if len(numbers) != count:
-        raise _numbers_error(values, count, field, names)
+        raise _make_numbers_error(values, count, field, names)
     return numbers
 
 
-def _numbers_error(values: object, count: int, field: str, names: str) -> InputError:
+def _make_numbers_error(values: object, count: int, field: str, names: str) -> InputError:
     return InputError(f"must be {count} numbers, {names}; got {values!r}.", field=field)
 
 
 def _format_length(length: float) -> str:
-    """Text of a length with four significant digits of its difference from 1."""
+    """Format the length of a quaternion with four significant digits of its difference from 1."""
     if not 0.5 < length < 2.0:
         return f"{length:.4g}"
     decimals = 3 - math.floor(math.log10(abs(length - 1.0)))
     return f"{length:.{decimals}f}"
 
 
-def scaled(factor: float, screw: Screw) -> Screw:
+def scale_screw(factor: float, screw: Screw) -> Screw:
     """Multiply a screw by a number."""
     x, y, z, u, v, w = screw
     return (factor * x, factor * y, factor * z, factor * u, factor * v, factor * w)
 
 
-def added(one: Screw, other: Screw) -> Screw:
+def add_screws(one: Screw, other: Screw) -> Screw:
     """Return the sum of two screws."""
     (x, y, z, u, v, w), (a, b, c, d, e, f) = one, other
     return (x + a, y + b, z + c, u + d, v + e, w + f)
 
 
 def motion(start: Pose, end: Pose) -> Screw:
-    """Return the motion between two poses: translation, m, and rotation vector, rad, in the frame of the scene.
+    """Compute the motion from the first to the second pose: translation, m, and rotation vector, rad, scene frame.
 
     Examples:
         >>> motion(Pose.at_depth(0.0), Pose.at_depth(0.002))
@@ -166,7 +166,7 @@ def motion(start: Pose, end: Pose) -> Screw:
     (x0, y0, z0), (x1, y1, z1) = start.position, end.position
     if start.orientation == end.orientation:
         return (x1 - x0, y1 - y0, z1 - z0, 0.0, 0.0, 0.0)
-    w, x, y, z = _relative_rotation(start.orientation, end.orientation)
+    w, x, y, z = _compute_relative_rotation(start.orientation, end.orientation)
     sine = math.sqrt(x * x + y * y + z * z)
     factor = 2.0 if sine < QUATERNION.small_sine else 2.0 * math.atan2(sine, w) / sine
     return (x1 - x0, y1 - y0, z1 - z0, factor * x, factor * y, factor * z)
@@ -192,7 +192,7 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     position = (x0 + share * (x1 - x0), y0 + share * (y1 - y0), z0 + share * (z1 - z0))
     if start.orientation == end.orientation:
         return Pose(position, start.orientation)
-    w, x, y, z = _relative_rotation(start.orientation, end.orientation)
+    w, x, y, z = _compute_relative_rotation(start.orientation, end.orientation)
     sine = math.sqrt(x * x + y * y + z * z)
     half = share * math.atan2(sine, w)
     factor = share if sine < QUATERNION.small_sine else math.sin(half) / sine
@@ -200,8 +200,8 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     return Pose(position, _multiply_quaternions(turn, start.orientation))
 
 
-def turned(pose: Pose, rotation: Vector) -> Pose:
-    """Rotate a pose about its position by a rotation vector, rad, in the frame of the scene."""
+def rotate_pose(pose: Pose, rotation: Vector) -> Pose:
+    """Return a pose that is rotated about its position by a rotation vector, rad, in the frame of the scene."""
     angle = math.sqrt(sum(part * part for part in rotation))
     if angle == 0.0:
         return pose
@@ -209,8 +209,8 @@ def turned(pose: Pose, rotation: Vector) -> Pose:
     return Pose(pose.position, _multiply_quaternions((math.cos(0.5 * angle), x, y, z), pose.orientation))
 
 
-def twist_about_axis(orientation: Quaternion) -> Quaternion | None:
-    """Rotation about the tool's own axis that a quaternion contains (swing-twist decomposition); None: no rotation."""
+def compute_twist_about_axis(orientation: Quaternion) -> Quaternion | None:
+    """Compute the rotation about the tool's axis in a quaternion (swing-twist decomposition); None: no rotation."""
     w, _, _, z = orientation
     size = math.hypot(w, z)
     if size < QUATERNION.small_sine or abs(z) < QUATERNION.rounding * size:
@@ -218,27 +218,27 @@ def twist_about_axis(orientation: Quaternion) -> Quaternion | None:
     return (w / size, 0.0, 0.0, z / size)
 
 
-def without_twist(pose: Pose, twist: Quaternion | None) -> Pose:
-    """Remove a rotation about the tool's own axis from a pose; a body of revolution does not change."""
+def remove_twist(pose: Pose, twist: Quaternion | None) -> Pose:
+    """Return a pose without a rotation about the tool's axis, which does not change a body of revolution."""
     if twist is None:
         return pose
     w, _, _, z = twist
     return Pose(pose.position, _multiply_quaternions(pose.orientation, (w, 0.0, 0.0, -z)))
 
 
-def with_twist(pose: Pose, twist: Quaternion | None) -> Pose:
-    """Inverse of `without_twist`."""
+def add_twist(pose: Pose, twist: Quaternion | None) -> Pose:
+    """Return a pose with an additional rotation about the tool's axis; inverse of `remove_twist`."""
     return pose if twist is None else Pose(pose.position, _multiply_quaternions(pose.orientation, twist))
 
 
-def raised(pose: Pose, height: float) -> Pose:
-    """Move a pose along z by a height, m."""
+def shift_pose_along_z(pose: Pose, height: float) -> Pose:
+    """Return a pose that is shifted along z, out of the tissue, by a height, m."""
     x, y, z = pose.position
     return Pose((x, y, z + height), pose.orientation)
 
 
-def _relative_rotation(start: Quaternion, end: Quaternion) -> Quaternion:
-    """Rotation from one orientation to another, by at most half a turn."""
+def _compute_relative_rotation(start: Quaternion, end: Quaternion) -> Quaternion:
+    """Compute the rotation vector, rad, from one orientation to another, by at most half a turn."""
     w, x, y, z = start
     relative = _multiply_quaternions(end, (w, -x, -y, -z))
     if relative[0] >= 0.0:

@@ -52,7 +52,7 @@ class LazyModule(ModuleType):
         return getattr(import_module(self.__name__), name)
 
 
-def old_names(module: str, renamed: Mapping[str, str]) -> Callable[[str], Any]:
+def make_getattr_for_old_names(module: str, renamed: Mapping[str, str]) -> Callable[[str], Any]:
     """Return a ``__getattr__`` of a module that answers old names with a `DeprecationWarning`.
 
     Args:
@@ -60,7 +60,7 @@ def old_names(module: str, renamed: Mapping[str, str]) -> Callable[[str], Any]:
         renamed: old name -> new name, or ``"other.module:new_name"``.
 
     Example:
-        ``__getattr__ = old_names(__name__, {"Rung": "ResolutionLevel"})``
+        ``__getattr__ = make_getattr_for_old_names(__name__, {"Rung": "ResolutionLevel"})``
     """
     def get(name: str) -> Any:
         if name not in renamed:

@@ -41,14 +41,14 @@ MOTION = TestMotion()
 _LEAST_COST_RATIO = 1.5
 
 
-class Stepped(Protocol):
+class SteppableTissue(Protocol):
     """Object whose steps are timed, such as a `Simulator`."""
 
     def step(self, pose: float, dt: float) -> ToolForce:
         """Return the force at a depth, m, dt s after the last step."""
 
 
-def measure_tick(simulator: Stepped, depth: float, *, lifts: bool, budget: float = math.inf) -> float:
+def measure_tick_time(simulator: SteppableTissue, depth: float, *, lifts: bool, budget: float = math.inf) -> float:
     """Measure the CPU time of this thread, s, within which 99 % of the ticks of a fast motion end.
 
     Args:
@@ -72,7 +72,7 @@ def measure_tick(simulator: Stepped, depth: float, *, lifts: bool, budget: float
     return sorted(spent)[math.ceil(MOTION.in_time * MOTION.ticks) - 1]
 
 
-def choose_level(levels: Sequence[ResolutionLevel], start: int, budget: float,
+def choose_finest_level_in_budget(levels: Sequence[ResolutionLevel], start: int, budget: float,
                  tick_of: Callable[[ResolutionLevel], float]) -> ResolutionLevel:
     """Return the finest level whose tick fits into the budget; the coarsest if none fits.
 

@@ -15,7 +15,7 @@ from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 from typing import Any, Generic, TypeVar
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 
 T = TypeVar("T")
 #: Group -> registry, for all registries of this process.
@@ -44,7 +44,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._built_in = frozenset(built_in)
         self._added: dict[str, T] = {}
         _ALL[group] = self
-        register_all((group, name, thing) for name, thing in _WAITING.pop(group, ()))
+        register_objects_of_other_process((group, name, thing) for name, thing in _WAITING.pop(group, ()))
 
     @cached_property
     def _installed_entry_points(self) -> dict[str, EntryPoint]:
@@ -97,7 +97,7 @@ class Registry(Mapping[str, T], Generic[T]):
             'flat'
         """
         if name not in self:
-            raise InputError(f"unknown {self.what} {name!r}{nearest(str(name), self)}", field=field)
+            raise InputError(f"unknown {self.what} {name!r}{suggest_known_word(str(name), self)}", field=field)
         return self[name]
 
     def register(self, thing: T, name: str | None = None) -> T:
@@ -133,13 +133,16 @@ class Registry(Mapping[str, T], Generic[T]):
         del self._added[name], self._things[name]
 
 
-def registered() -> list[tuple[str, str, Any]]:
-    """Return (group, name, object) of all objects registered in this process, for `register_all` in another one."""
+def list_registered_objects() -> list[tuple[str, str, Any]]:
+    """Return (group, name, object) of all objects registered in this process.
+
+    `register_objects_of_other_process` registers these objects in another process.
+    """
     return [(group, name, thing) for group, registry in _ALL.items() for name, thing in registry._added.items()]
 
 
-def modules_of_additions() -> dict[str, ModuleType]:
-    """Return the modules, by name, of all objects that are not built in: registered ones, and loaded ones of packages.
+def list_modules_of_additions() -> dict[str, ModuleType]:
+    """Return name -> module of all objects that are not built in: registered objects, and loaded objects of packages.
 
     Results of a program depend on the source of these modules.
     """
@@ -149,7 +152,7 @@ def modules_of_additions() -> dict[str, ModuleType]:
     return {name: sys.modules[name] for name in sorted(name for name in names if name in sys.modules)}
 
 
-def register_all(things: Iterable[tuple[str, str, Any]]) -> None:
+def register_objects_of_other_process(things: Iterable[tuple[str, str, Any]]) -> None:
     """Register objects of another process, at once or when their registry is made; existing names are kept."""
     for group, name, thing in things:
         if group not in _ALL:

@@ -12,14 +12,14 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
-from tissue_sim.force_error import FORCE_ERROR, ForceError, coarse_samples, force_error
+from tissue_sim.force_error import FORCE_ERROR, ForceError, estimate_force_error, select_comparison_samples
 from tissue_sim.laws import check_stability
-from tissue_sim.material.effect import ReducedForce
+from tissue_sim.material.effect import ReducedForceFactor
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose, Screw, between, scaled
+from tissue_sim.pose import Pose, Screw, between, scale_screw
 from tissue_sim.recording.recording import Recording
-from tissue_sim.slip import slipped
-from tissue_sim.tilt import tilted
+from tissue_sim.slip import blend_partial_slip
+from tissue_sim.tilt import compute_tilted_recording
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class SolverObserver(Protocol):
     """Observer of a solver during a test."""
 
     def before_first_step(self, solver: Solver) -> None:
-        """Called before the first step."""
+        """Prepare for the test; called once before the first step of `solver`."""
 
     def after_sample(self, solver: Solver, factor: float) -> None:
         """Called after each sample; the force of the test is `factor` times that of the solver."""
@@ -125,7 +125,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
                      estimate_error=estimate_error)
             for experiment, follow, watched in ((replace(model.experiment, slip=None), progress, watch),
                                                 (model.experiment.with_free_faces(), None, None)))
-        return rig.read(slipped(held, free, share))
+        return rig.read(blend_partial_slip(held, free, share))
     tissue = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh, topology=topology)
     if watch:
         watch.before_first_step(tissue)
@@ -139,7 +139,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         report["self_weight"] = {"density_kg_m3": specimen.density, "gravity_m_s2": specimen.gravity,
                                  "height_is": specimen.height_is, **report["self_weight"]}
 
-    def record(status: str, message: str) -> Recording:
+    def make_recording(status: str, message: str) -> Recording:
         done, wrench = len(wrenches), np.array(wrenches).reshape(-1, 6)
         solved = {"status": status, "message": message, **report}
         solved.setdefault("wall_s", time.perf_counter() - started)
@@ -150,11 +150,11 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         true = Recording(channels, labels={name: values[:done] for name, values in protocol.labels.items()},
                          metadata={"name": "simulation", "solver": solved},
                          fields=tissue.fields(samples) if fields else None)
-        return rig.read(tilted(true, model.experiment.tilt, np.array(travels)))
+        return rig.read(compute_tilted_recording(true, model.experiment.tilt, np.array(travels)))
 
     if progress:
         progress(0, protocol.displacement.size)
-    drive, largest = _Drive(tissue, model), 0.0
+    drive, largest = _ToolDrive(tissue, model), 0.0
     for sample, (position, dt, steps) in enumerate(drive.iterate_samples(np.arange(protocol.time.size))):
         for step in steps:
             report["newton_iterations"] += step.iterations
@@ -168,15 +168,15 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             stability = check_stability(model.material.energy_law, model.material.values)
             if step.status is StepStatus.INDEFINITE or not stability.stable:
                 message += f"; the law alone is {stability}"
-            raise ConvergenceError(message, recording=record("not_converged", message) if wrenches else None,
+            raise ConvergenceError(message, recording=make_recording("not_converged", message) if wrenches else None,
                                    depth=depth)
-        _note_largest(report, step)
+        _update_maxima_in_report(report, step)
         wrenches.append(drive.register_sample(step.wrench, dt))
         if (size := math.hypot(*wrenches[-1][:3])) >= largest:
             largest, report["warnings"] = size, list(tissue.warnings())
         travels.append(drive.travel)
         if watch:
-            watch.after_sample(tissue, drive.share)
+            watch.after_sample(tissue, drive.reduced_force_factor)
         if fields:
             samples.append(tissue.field_sample())
         if progress:
@@ -192,7 +192,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
                 report["warnings"] = [found.in_words(protocol.displacement, _REMEDIES.get(resolution, _REMEDY)),
                                       *report["warnings"]]
     cuts = report["cuts"]
-    return record("converged", f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}")
+    return make_recording("converged", f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}")
 
 
 def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solver: str, resolution: str,
@@ -217,12 +217,12 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
     if estimate is None:
         return None
 
-    def forces(samples: np.ndarray) -> np.ndarray:
+    def simulate_forces(samples: np.ndarray) -> np.ndarray:
         """Forces of the second solution at fractional sample numbers, N, as far as it converges."""
         other, solves = [], 0
         along = replace(model, experiment=replace(model.experiment, protocol=protocol.interpolate_motion(samples)))
         try:
-            drive = _Drive(SOLVERS.find(solver, "solver")(along, resolution=estimate.resolution, topology=topology),
+            drive = _ToolDrive(SOLVERS.find(solver, "solver")(along, resolution=estimate.resolution, topology=topology),
                            along, tolerance=_SETTINGS.rough_tolerance)
         except ConvergenceError:
             return np.zeros(0)
@@ -234,28 +234,28 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
             other.append(model.experiment.resistance(drive.register_sample(step.wrench, dt)))
         return np.array(other)
 
-    samples = coarse_samples(protocol.displacement)
-    other = forces(samples)
+    samples = select_comparison_samples(protocol.displacement)
+    other = simulate_forces(samples)
     common = np.flatnonzero(samples[:other.size] % 1.0 == 0.0)
-    found = force_error(force, samples[common].astype(int), other[common], estimate.fraction)
+    found = estimate_force_error(force, samples[common].astype(int), other[common], estimate.fraction)
     if found is None or found.fraction <= FORCE_ERROR.warning_fraction:
         return found
     # A step in which contact begins again may err by many times more than a step half as long. Errors in proportion to
     # the step length, and the error of the mesh, are at most twice the difference to steps half as long.
-    other = forces(0.5 * np.arange(2 * protocol.time.size - 1))[::2]
-    again = force_error(force, np.arange(force.size), other, 2.0 * estimate.fraction, shorter=True)
+    other = simulate_forces(0.5 * np.arange(2 * protocol.time.size - 1))[::2]
+    again = estimate_force_error(force, np.arange(force.size), other, 2.0 * estimate.fraction, shorter=True)
     return again if again is not None and other.size == force.size and again.fraction < found.fraction else found
 
 
-def _note_largest(report: dict, step: Step) -> None:
-    """Update the maxima over the samples in a report."""
+def _update_maxima_in_report(report: dict, step: Step) -> None:
+    """Update the maxima over all samples in a report with the values of one step."""
     for name, value in (("residual", step.residual), ("penetration_mm", step.violation * 1e3),
                         ("slipping_points", step.slipping)):
         if name in report:
             report[name] = max(report[name], value)
 
 
-def _find_times_from_touch(positions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
+def _compute_times_and_first_contact(positions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
     """Return the time of the motion to each position of the tool, s, and the index of the first sample in contact.
 
     For that sample only the time after the touch counts.
@@ -274,8 +274,8 @@ class _LoadTrain:
         self.compliance = compliance
         self._known: list[tuple[float, float]] = []
 
-    def note(self, depth: float, force: float) -> None:
-        """Register depth and force of a sample."""
+    def register_sample(self, depth: float, force: float) -> None:
+        """Store depth, m, and force, N, of a converged sample for `predict_depth`."""
         self._known = [*self._known[-1:], (depth, force)]
 
     def predict_depth(self, position: float) -> tuple[float, float]:
@@ -285,7 +285,7 @@ class _LoadTrain:
         return d1 + (position - d1 - self.compliance * f1) / growth, growth
 
 
-class _Drive:
+class _ToolDrive:
     """Motion of the tool along the experiment's path, through a load train, in steps that converge.
 
     Args:
@@ -300,26 +300,26 @@ class _Drive:
     def __init__(self, solver: Solver, model: Model, **options: Any):
         self._solver, self._model, self._experiment, self._options = solver, model, model.experiment, options
         self._train = _LoadTrain(model.rig.compliance)
-        self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
+        self._reduced = ReducedForceFactor(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         self.travel = 0.0
 
     @property
-    def share(self) -> float:
-        """Factor of effects in reduced form on the force at the present depth."""
-        return self._reduced.share(self._solver.pose.depth)
+    def reduced_force_factor(self) -> float:
+        """Factor of the effects in reduced form on the force at the present depth of the tool."""
+        return self._reduced.compute_factor(self._solver.pose.depth)
 
     def register_sample(self, wrench: Screw, dt: float) -> Screw:
         """Register a converged sample, dt s after the last one; returns its wrench with effects in reduced form."""
-        share = self._reduced.commit(self._solver.pose.depth, dt)
-        wrench = scaled(share, wrench)
-        self._train.note(self.travel, self._experiment.resistance(wrench))
+        share = self._reduced.accept_depth(self._solver.pose.depth, dt)
+        wrench = scale_screw(share, wrench)
+        self._train.register_sample(self.travel, self._experiment.resistance(wrench))
         return wrench
 
     def iterate_samples(self, samples: np.ndarray) -> Iterator[tuple[float, float, Iterable[Step]]]:
         """Yield position, m, time since the last sample, s, and the steps, for samples of the protocol."""
         protocol = self._experiment.protocol
         positions = self._model.rig.tool_motion(protocol.displacement)[samples]
-        waits, first = _find_times_from_touch(positions, protocol.time[samples])
+        waits, first = _compute_times_and_first_contact(positions, protocol.time[samples])
         for number, (position, dt) in enumerate(zip(positions.tolist(), waits.tolist(), strict=True)):
             if number < first:
                 # The tool is in the air: nothing is solved.
@@ -336,7 +336,7 @@ class _Drive:
         solver, train = self._solver, self._train
         if not train.compliance:
             self.travel = position
-            yield from _step_towards(solver, self._pose(position), dt, **self._options)
+            yield from _iterate_steps_to_pose(solver, self._make_pose(position), dt, **self._options)
             return
         saved = solver.save()
         depth, growth = train.predict_depth(position)
@@ -349,11 +349,11 @@ class _Drive:
             if trial and not near:
                 solver.restore(saved)
             self.travel = depth
-            for step in _step_towards(solver, self._pose(depth), 0.0 if near else dt, **self._options):
+            for step in _iterate_steps_to_pose(solver, self._make_pose(depth), 0.0 if near else dt, **self._options):
                 yield step
             if step.status is not StepStatus.CONVERGED:
                 return
-            share = self._reduced.share(solver.pose.depth, dt)
+            share = self._reduced.compute_factor(solver.pose.depth, dt)
             excess = depth + train.compliance * share * self._experiment.resistance(step.wrench) - position
             if abs(excess) <= _SETTINGS.position_tolerance * max(abs(position), abs(depth), 1e-6):
                 return
@@ -363,11 +363,11 @@ class _Drive:
             before, depth = (depth, excess), depth - excess / growth
         yield replace(step, status=StepStatus.SLOW, iterations=0)
 
-    def _pose(self, travel: float) -> Pose:
+    def _make_pose(self, travel: float) -> Pose:
         return self._solver.project_pose(self._experiment.tool_pose(travel))
 
 
-def _step_towards(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> Iterator[Step]:
+def _iterate_steps_to_pose(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> Iterator[Step]:
     """Yield steps to a pose along a rigid motion; a step is halved after a failure and doubled after a success.
 
     Args:

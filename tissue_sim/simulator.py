@@ -12,26 +12,26 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.explicit_coupling import MotionCheck
+from tissue_sim.explicit_coupling import ToolReversalDetector
 from tissue_sim.fem.solver import SOLVERS, ResolutionLevel, Surface
-from tissue_sim.kernel_owner import KernelOwner, busy_error, exclusive
-from tissue_sim.live_material import require_live, require_same_layers, require_tissue
-from tissue_sim.material.effect import ReducedForce
+from tissue_sim.kernel_owner import KernelOwner, allow_one_thread, make_busy_error
+from tissue_sim.live_material import require_equal_layer_thicknesses, require_realtime_experiment, require_tissue_moduli
+from tissue_sim.material.effect import ReducedForceFactor
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
-from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
+from tissue_sim.motion_limits import LimitError, MotionLimits, convert_to_pose
 from tissue_sim.parameters import with_values
 from tissue_sim.path_following import ToolPathMixin
 from tissue_sim.path_settings import PATH, PathSettings
 from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose
-from tissue_sim.realtime_ladder import choose_level, measure_tick
-from tissue_sim.simulator_state import AT_REST, NEVER, Attempt, Creep, SimulatorState, StateOrigin
+from tissue_sim.realtime_ladder import choose_finest_level_in_budget, measure_tick_time
+from tissue_sim.simulator_state import AT_REST, NEVER, DampedPathState, NewtonAttempt, SimulatorState, StateOrigin
 from tissue_sim.snapshot import Snapshot, snapshot
-from tissue_sim.step_clock import StepClock, require_solves
-from tissue_sim.tool_force import ForceStatus, ToolForce, error_floor
-from tissue_sim.tool_track import ToolTrack, is_on_axis
-from tissue_sim.wave_error import WaveScale
+from tissue_sim.step_clock import StepClock, require_enough_solves
+from tissue_sim.tool_force import ForceStatus, ToolForce, compute_negligible_force_error
+from tissue_sim.tool_track import ToolTrack, is_pose_on_axis
+from tissue_sim.wave_error import WaveTimeAndSpeed
 
 #: Relative residual below which a state is an equilibrium, 1.
 TOLERANCE = 1e-6
@@ -60,7 +60,7 @@ class Simulator(ToolPathMixin, KernelOwner):
             no limit, and the same motion gives the same forces bit for bit.
         inertia: ``"auto"``: the mass of the tissue acts if the tool is faster than
             `tissue_sim.path_settings.PathSettings.inertial_speed`, if the solver has a mass, and if the steps resolve
-            the motion (`tissue_sim.explicit_coupling.MotionCheck`); ``"on"``, ``"off"``.
+            the motion (`tissue_sim.explicit_coupling.ToolReversalDetector`); ``"on"``, ``"off"``.
         tolerance: relative residual of the nodal forces, 1.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         looks_ahead: whether inertial steps predict the force of the next step (`ToolForce.ahead`), for a virtual
@@ -101,9 +101,9 @@ class Simulator(ToolPathMixin, KernelOwner):
             raise InputError(f"must be 'auto', 'on' or 'off'; got {inertia!r}.", field="inertia")
         if budget is not None and not budget > 0:
             raise InputError(f"must be positive or None; got {budget:g} s.", field="budget")
-        require_solves(max_solves)
-        require_live(model.experiment)
-        require_tissue(model.material)
+        require_enough_solves(max_solves)
+        require_realtime_experiment(model.experiment)
+        require_tissue_moduli(model.material)
         self.model, self.budget, self.inertia, self.tolerance = model, budget, inertia, tolerance
         self.looks_ahead, self.strict_axis, self.limits = looks_ahead, strict_axis, limits or MotionLimits()
         self._settings = path_settings
@@ -129,9 +129,9 @@ class Simulator(ToolPathMixin, KernelOwner):
         # A rotation counts as the displacement of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
         self._largest_part = path_settings.largest_part * self._radius
-        self._wave_scale = WaveScale.of(model, self.density)
-        self._error_floor = error_floor(model.material.mu0, self._radius)
-        self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
+        self._wave_scale = WaveTimeAndSpeed.from_model(model, self.density)
+        self._error_floor = compute_negligible_force_error(model.material.mu0, self._radius)
+        self._reduced = ReducedForceFactor(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         # Factor of effects in reduced form on the force at the last equilibrium.
         self._left = 1.0
         self._solve: float | None = None  # wall time of a linear solve at warm-up, s
@@ -141,7 +141,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         self.error: float | None = None
         # Track of the tool; whether its first pose in the tissue has yet to be reached; largest force so far, N.
         self._tool, self._begins, self._largest_force = ToolTrack(), False, 0.0
-        self._pose, self._motion_check, self._has_warned = self._solver.pose, MotionCheck(), False
+        self._pose, self._motion_check, self._has_warned = self._solver.pose, ToolReversalDetector(), False
         # Path since the last equilibrium; time since the last fast motion, s; fraction of the largest part that works.
         self._pending, self._lingers, self._share = PendingPath(), math.inf, 1.0
         # Whether a quasi-static transition is in progress: the tool is pressed on again, and no time passes.
@@ -150,11 +150,11 @@ class Simulator(ToolPathMixin, KernelOwner):
         self._has_waves = False
         # Unfinished iteration; whether an iteration may begin with an extrapolation; whether the tool may be pressed on
         # again if no equilibrium is found.
-        self._attempt: Attempt | None = None
+        self._attempt: NewtonAttempt | None = None
         self._extrapolates, self._can_restart = True, not self._bonded
-        self._creep: Creep | None = None
+        self._creep: DampedPathState | None = None
         self._stiffness_lasts = _STIFFNESS_LASTS
-        self._origin = StateOrigin.of(solver, self._solver.mesh_digest(), model)
+        self._origin = StateOrigin.from_model(solver, self._solver.mesh_digest(), model)
         self._start = self.save()
 
     @property
@@ -172,13 +172,13 @@ class Simulator(ToolPathMixin, KernelOwner):
         """Wall time of a linear solve with its assembly, s, estimated since `warm_up`."""
         return self._clock.solve
 
-    @exclusive
+    @allow_one_thread
     def warm_up(self) -> None:
         """Compile the kernels of a step or load them from the cache, and choose the mesh; the state is kept.
 
         This takes seconds the first time on a computer; call it before the first step.
         """
-        self._compile()
+        self._compile_kernels()
         if self._levels:
             self._switch_to_finest_mesh_in_budget()
 
@@ -195,13 +195,13 @@ class Simulator(ToolPathMixin, KernelOwner):
             except ConvergenceError:  # the specimen has an equilibrium under its weight on finer meshes only
                 return math.inf
             made[level.resolution] = one
-            one._compile()
+            one._compile_kernels()
             one._stiffness_lasts = NEVER  # the static stiffness is only computed in spare time
-            tick = measure_tick(one, depth, lifts=not self._bonded, budget=self.budget or math.inf)
+            tick = measure_tick_time(one, depth, lifts=not self._bonded, budget=self.budget or math.inf)
             one.reset()
             return tick
 
-        level = choose_level(levels, _FIRST_LEVEL, self.budget or math.inf, measure_level_tick)
+        level = choose_finest_level_in_budget(levels, _FIRST_LEVEL, self.budget or math.inf, measure_level_tick)
         if level.resolution not in made:
             return
         one = made[level.resolution]
@@ -210,7 +210,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         self.resolution, self.force_error = level.resolution, level.force_error
         self.restore(self._start)
 
-    def _compile(self) -> None:
+    def _compile_kernels(self) -> None:
         """Compile the kernels by three small steps, and restore the state."""
         saved, pose = self.save(), self._solver.pose
         x, y, z = pose.position
@@ -220,10 +220,10 @@ class Simulator(ToolPathMixin, KernelOwner):
             step = self._solver.step(replace(pose, position=(x, y, z - depth * self._radius)), 1e-3,
                                      tolerance=self.tolerance)
             spent.append((time.perf_counter() - started) / (1 + step.iterations))
-        self._clock.begin(min(spent))
+        self._clock.restart_estimate(min(spent))
         self._solve = self._clock.solve
         # Stiffness with which a late first touch is extrapolated.
-        touch = replace(AT_REST, stiffness=AT_REST.make_next(step, AT_REST.pose, 1.0, False).stiffness)
+        touch = replace(AT_REST, stiffness=AT_REST.make_next_equilibrium(step, AT_REST.pose, 1.0, False).stiffness)
         self._start = replace(self._start, equilibrium=touch)
         self.restore(saved if saved.tool.touch.has_touched else replace(saved, equilibrium=touch))
 
@@ -256,21 +256,21 @@ class Simulator(ToolPathMixin, KernelOwner):
             ('CONVERGED', 0.13)
         """
         if not self._guard.acquire(blocking=False):
-            raise busy_error(self)
+            raise make_busy_error(self)
         try:
-            return self._step(checked_pose(pose), dt, time.perf_counter())
+            return self._compute_step(convert_to_pose(pose), dt, time.perf_counter())
         finally:
             self._guard.release()
 
-    def _step(self, pose: Pose, dt: float, began: float) -> ToolForce:
+    def _compute_step(self, pose: Pose, dt: float, began: float) -> ToolForce:
         tool, solver = self._tool, self._solver
         try:
-            self.limits.require(pose, tool.pose, dt)
+            self.limits.require_valid_step(pose, tool.pose, dt)
         except LimitError:
             return self._make_refused_result(began)
         seen = tool.without_own_rotation(pose)
         target = solver.project_pose(seen)
-        on_axis = target is seen or is_on_axis(pose, target, self._radius)
+        on_axis = target is seen or is_pose_on_axis(pose, target, self._radius)
         if not on_axis and self.strict_axis:
             return replace(self._make_refused_result(began), is_on_axis=False)
         tick, is_behind = dt, not self._pending.is_empty
@@ -285,16 +285,16 @@ class Simulator(ToolPathMixin, KernelOwner):
                 return self._answer
             self._begins, dt = first, spent
             self._pose, target = tool.to_solver_pose(solver, tool.pose or pose), tool.to_solver_pose(solver, pose)
-        elif self._is_free:
-            in_air = self._step_in_air(pose, target, dt, began)
+        elif self._has_settled_without_contact:
+            in_air = self._step_tool_in_air(pose, target, dt, began)
             if isinstance(in_air, ToolForce):
                 return in_air
             dt = in_air
             target = tool.to_solver_pose(solver, pose)
-        self._note_motion(target, tick)
+        self._register_tool_motion(target, tick)
         tool.pose, self._pose = pose, target
-        self._pending.extend(target, dt)
-        answer = self._step_in_parts(target, tick, began, is_behind)
+        self._pending.append_tick(target, dt)
+        answer = self._step_along_pending_path(target, tick, began, is_behind)
         self._answer = answer if on_axis else replace(answer, is_on_axis=False)
         return self._answer
 
@@ -302,12 +302,12 @@ class Simulator(ToolPathMixin, KernelOwner):
         return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
                        compute_time=time.perf_counter() - began)
 
-    @exclusive
+    @allow_one_thread
     def reset(self) -> None:
         """Return to the specimen before the first touch."""
         self.restore(self._start)
 
-    @exclusive
+    @allow_one_thread
     def save(self) -> SimulatorState:
         """Return the state on which the next step depends, without parameters; a damped path is restarted."""
         self._stop_creeping()
@@ -315,7 +315,7 @@ class Simulator(ToolPathMixin, KernelOwner):
                               self._pose, self._leaps, self._pending.copy(), self._lingers, self._share, self._begins,
                               self._largest_force, self._motion_check.copy(), self._reduced.history, self.error)
 
-    @exclusive
+    @allow_one_thread
     def restore(self, state: SimulatorState) -> None:
         """Restore a saved state of this simulator or of a similar one.
 
@@ -328,7 +328,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         """
         if not isinstance(state, SimulatorState):
             raise InputError(f"must be a state that save() returned; got {type(state).__name__}.", field="state")
-        self._origin.require(state.origin)
+        self._origin.require_equal_origin(state.origin)
         self._stop_creeping()
         self._solver.restore(state.solver)
         self.error, self._answer, self._equilibrium = state.error, state.answer, state.equilibrium
@@ -338,7 +338,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         self._motion_check, self._reduced.history = state.motion_check.copy(), state.history
         self._attempt, self._extrapolates, self._can_restart, self._has_waves = None, True, not self._bonded, False
 
-    @exclusive
+    @allow_one_thread
     def clone(self) -> Simulator:
         """Return an independent simulator with the same parameters at the same state.
 
@@ -364,7 +364,7 @@ class Simulator(ToolPathMixin, KernelOwner):
             self._creep.steps.close()
             self._creep = None
 
-    @exclusive
+    @allow_one_thread
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the material; the state is kept, and the next step finds its equilibrium.
 
@@ -377,8 +377,8 @@ class Simulator(ToolPathMixin, KernelOwner):
                 (`tissue_sim.live_material`); nothing is changed.
         """
         material = with_values(self.model.material, values)
-        require_same_layers(self.model.material, material)
-        require_tissue(material)
+        require_equal_layer_thicknesses(self.model.material, material)
+        require_tissue_moduli(material)
         self._stop_creeping()
         self._set_material(material)
 
@@ -386,15 +386,15 @@ class Simulator(ToolPathMixin, KernelOwner):
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)
         history = self._reduced.history
-        self._reduced = ReducedForce(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
+        self._reduced = ReducedForceFactor(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
         self._reduced.history = history
 
-    @exclusive
+    @allow_one_thread
     def surface(self) -> Surface:
         """Return the surface of the tissue at the last equilibrium."""
         return self._solver.deformed_surface()
 
-    @exclusive
+    @allow_one_thread
     def snapshot(self) -> Snapshot:
         """Return a snapshot of the tissue at the last equilibrium, with its fields."""
         return snapshot(self._solver)

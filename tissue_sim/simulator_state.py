@@ -8,13 +8,13 @@ from numbers import Real
 from typing import Any
 
 from tissue_sim.errors import InputError
-from tissue_sim.explicit_coupling import MotionCheck
+from tissue_sim.explicit_coupling import ToolReversalDetector
 from tissue_sim.fem.solver import Step
 from tissue_sim.material.effect import ToolHistory
 from tissue_sim.model import Model
 from tissue_sim.pending_path import PendingPath
-from tissue_sim.pose import Pose, Screw, scaled
-from tissue_sim.tool_force import Matrix, ToolForce, axial_stiffness, axial_wrench, scaled_matrix
+from tissue_sim.pose import Pose, Screw, scale_screw
+from tissue_sim.tool_force import Matrix, ToolForce, make_axial_stiffness_matrix, make_axial_wrench, scale_matrix
 from tissue_sim.tool_track import ToolTrack
 
 #: Age of a stiffness that has not been computed yet.
@@ -22,7 +22,7 @@ NEVER = 1 << 30
 
 
 @dataclass(frozen=True, slots=True)
-class Equilibrium:
+class LastEquilibrium:
     """Result of the last equilibrium, and the pose of the tool.
 
     Attributes:
@@ -40,8 +40,9 @@ class Equilibrium:
     step_stiffness: Matrix | None = None
     stiffness_time: float = 0.0
 
-    def make_next(self, step: Step, pose: Pose, share: float, inertial: bool, dt: float = 0.0) -> Equilibrium:
-        """Return the next equilibrium, after a converged step.
+    def make_next_equilibrium(self, step: Step, pose: Pose, share: float, inertial: bool,
+                              dt: float = 0.0) -> LastEquilibrium:
+        """Return the equilibrium after a converged step; the stiffness of this one is kept if the step has none.
 
         Args:
             step: result of the solver.
@@ -57,26 +58,26 @@ class Equilibrium:
         if own is None and within is None:
             raise TypeError("step() must return a stiffness after ask_for_stiffness(); see Solver.ask_for_stiffness")
         if share != 1.0:
-            wrench = scaled(share, wrench)
-            own = None if own is None else scaled_matrix(share, own)
-            within = None if within is None else scaled_matrix(share, within)
+            wrench = scale_screw(share, wrench)
+            own = None if own is None else scale_matrix(share, own)
+            within = None if within is None else scale_matrix(share, within)
         if own is None:
-            return Equilibrium(pose, wrench, self.stiffness, inertial, self.stiffness_age + 1, within,
+            return LastEquilibrium(pose, wrench, self.stiffness, inertial, self.stiffness_age + 1, within,
                                self.stiffness_time + dt)
-        return Equilibrium(pose, wrench, own, inertial, 0, within, step.stiffness_age)
+        return LastEquilibrium(pose, wrench, own, inertial, 0, within, step.stiffness_age)
 
     @classmethod
-    def in_air(cls, pose: Pose) -> Equilibrium:
+    def make_in_air(cls, pose: Pose) -> LastEquilibrium:
         """Return the equilibrium of a tool at a pose without contact."""
         return cls(pose, AT_REST.wrench, AT_REST.stiffness, False, NEVER)
 
 
 #: Equilibrium without contact.
-AT_REST = Equilibrium(Pose.at_depth(0.0), axial_wrench(0.0), axial_stiffness(0.0), False, NEVER)
+AT_REST = LastEquilibrium(Pose.at_depth(0.0), make_axial_wrench(0.0), make_axial_stiffness_matrix(0.0), False, NEVER)
 
 
 @dataclass(frozen=True, slots=True)
-class Attempt:
+class NewtonAttempt:
     """Unfinished Newton iteration for the equilibrium at a pose, dt seconds later, which the next step continues.
 
     Attributes:
@@ -93,7 +94,7 @@ class Attempt:
 
 
 @dataclass(slots=True)
-class Creep:
+class DampedPathState:
     """Unfinished path of `Solver.step_with_damping` to a pose, dt seconds later, and its last step."""
 
     pose: Pose
@@ -103,11 +104,15 @@ class Creep:
     _allowed: int = field(init=False, default=1)
 
     def solves_until_yield(self) -> int:
-        """Return the number of linear solves until the next yield."""
+        """Return the number of linear solves that the damped path may make until its next yield."""
         return self._allowed
 
     def continue_with_solves(self, allowed: int) -> Step | None:
-        """Continue with a number of linear solves; return the next step, also as `last`; None after the last one."""
+        """Continue the damped path with at most `allowed` linear solves.
+
+        Returns:
+            The next step, which is also stored as `last`; None if the path is complete.
+        """
         self._allowed = allowed
         step = next(self.steps, None)
         self.last = step or self.last
@@ -131,14 +136,14 @@ class StateOrigin:
     material: str
 
     @classmethod
-    def of(cls, solver: str, mesh: str, model: Model) -> StateOrigin:
-        """Make the origin of the states of a model in a solver whose mesh has a digest."""
+    def from_model(cls, solver: str, mesh: str, model: Model) -> StateOrigin:
+        """Make the origin of saved states from solver name, digest of the mesh, and model."""
         experiment = {each.name: getattr(model.experiment, each.name) for each in fields(model.experiment)
                       if each.name != "protocol"}
-        return cls(solver, mesh, repr(experiment), describe_structure(model.material))
+        return cls(solver, mesh, repr(experiment), describe_material_structure(model.material))
 
-    def require(self, other: StateOrigin) -> None:
-        """Require that a state comes from the same solver, mesh, experiment and material structure.
+    def require_equal_origin(self, other: StateOrigin) -> None:
+        """Raise an error unless a state has the same solver, mesh, experiment and material structure.
 
         Raises:
             InputError: another solver, mesh, experiment or structure of the material.
@@ -146,22 +151,24 @@ class StateOrigin:
         for name, what in (("solver", "solver"), ("experiment", "specimen, tool or interface"),
                            ("material", "law or with other effects or layers"), ("mesh", "mesh")):
             if getattr(self, name) != getattr(other, name):
-                raise InputError(f"must be of the same model and mesh; this state is of another {what}. Restore it in "
-                                 "the simulator that saved it, or in a clone() of that one.", field="state")
+                raise InputError(f"must be of the same model and mesh; this state is of another {what}. Restore the "
+                                 "state in the simulator that saved it, or in a clone() of that simulator.",
+                                 field="state")
 
 
-def describe_structure(value: Any) -> str:
-    """Text of a material without its numbers, name and bulk response, to compare structures."""
+def describe_material_structure(value: Any) -> str:
+    """Return a text of law, effects and layers of a material without its numbers and name, to compare structures."""
     if is_dataclass(value):
-        inner = [f"{each.name}={describe_structure(getattr(value, each.name))}" for each in fields(value)
+        inner = [f"{each.name}={describe_material_structure(getattr(value, each.name))}" for each in fields(value)
                  if each.name not in ("name", "bulk", "parameters", "density", "source")]
         return f"{type(value).__name__}({', '.join(inner)})"
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key}: {describe_structure(entry)}" for key, entry in sorted(value.items())) + "}"
+        return "{" + ", ".join(f"{key}: {describe_material_structure(entry)}" for key,
+                               entry in sorted(value.items())) + "}"
     if isinstance(value, str):
         return repr(value)
     if isinstance(value, Sequence):
-        return "[" + ", ".join(map(describe_structure, value)) + "]"
+        return "[" + ", ".join(map(describe_material_structure, value)) + "]"
     return "None" if value is None else "number" if isinstance(value, Real) else type(value).__name__
 
 
@@ -172,7 +179,7 @@ class SimulatorState:
     origin: StateOrigin
     solver: Any
     answer: ToolForce
-    equilibrium: Equilibrium
+    equilibrium: LastEquilibrium
     tool: ToolTrack
     pose: Pose
     leaps: bool
@@ -181,6 +188,6 @@ class SimulatorState:
     share: float
     begins: bool
     largest_force: float
-    motion_check: MotionCheck
+    motion_check: ToolReversalDetector
     history: ToolHistory
     error: float | None

@@ -17,7 +17,7 @@ from tissue_sim.tool_force import Tissue
 
 
 @dataclass(frozen=True, eq=False)
-class Skin:
+class TriangulatedSurface:
     """Triangulated surface of the tissue, for drawing.
 
     Attributes:
@@ -45,15 +45,17 @@ class Snapshot:
     pose: Pose
     datum: float
     fields: Fields | None
-    skin: Skin | None = None
+    skin: TriangulatedSurface | None = None
 
     @property
     def depth(self) -> float:
         """Depth of the tool, m."""
         return self.pose.depth
 
+    in_space = OldName("is_three_dimensional")
+
     @property
-    def in_space(self) -> bool:
+    def is_three_dimensional(self) -> bool:
         """Whether the tissue is three-dimensional, so that the tool may move sideways."""
         return self.skin is not None or (self.fields is not None and _has_solid_mesh(self.fields))
 
@@ -71,13 +73,13 @@ class Snapshot:
         return positions
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Arrays that differ between snapshots of one tissue, besides pose and datum; empty without shared fields."""
+        """Return the arrays that differ between snapshots of one tissue; empty if the fields cannot share data."""
         if self.skin is not None:
             return (self.skin.vertices,)
         return self.fields.arrays() if _is_shared_fields(self.fields) else ()
 
     def at(self, pose: Pose, datum: float, arrays: Sequence[np.ndarray]) -> Snapshot:
-        """Make another snapshot of this tissue from its `arrays`."""
+        """Make a snapshot of the same tissue at another equilibrium from the `arrays` of that snapshot."""
         fields, skin = self.fields, self.skin
         if skin is not None:
             skin = replace(skin, vertices=arrays[0])
@@ -86,7 +88,7 @@ class Snapshot:
         return Snapshot(pose, datum, fields, skin)
 
     def material_data(self) -> dict[str, Any]:
-        """Return the data, besides the arrays, that change with the parameters of the material."""
+        """Return name -> data, other than `arrays`, that change with the parameters of the material."""
         return self.fields.material_data() if _is_shared_fields(self.fields) else {}
 
     def with_material(self, changed: Mapping[str, Any]) -> Snapshot:
@@ -98,16 +100,16 @@ class Snapshot:
 def _is_shared_fields(fields: Any) -> TypeGuard[SharedFields]:
     # isinstance with a protocol takes longer than all other work on a snapshot.
     kind: Any = type(fields)
-    return _is_shared(kind)
+    return _is_shared_value(kind)
 
 
 @cache
-def _is_shared(kind: Any) -> bool:
+def _is_shared_value(kind: Any) -> bool:
     return all(hasattr(kind, name) for name in ("arrays", "with_arrays", "material_data", "with_material"))
 
 
 @runtime_checkable
-class ShownTissue(Tissue, Protocol):
+class DisplayableTissue(Tissue, Protocol):
     """Tissue that can be displayed between its steps: a `Simulator` or an equivalent."""
 
     def snapshot(self) -> Snapshot:
@@ -120,7 +122,8 @@ def snapshot(solver: Solver) -> Snapshot:
     fields = solver.fields([solver.field_sample()])
     if surface.outline is None and not (_is_shared_fields(fields) and _has_solid_mesh(fields)):
         vertices, triangles = surface.triangles()
-        skin = Skin(np.asarray(vertices, dtype=float).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3))
+        skin = TriangulatedSurface(np.asarray(vertices, dtype=float).reshape(-1, 3),
+                                   np.asarray(triangles).reshape(-1, 3))
     return Snapshot(solver.pose, solver.datum, fields, skin)
 
 

@@ -53,15 +53,15 @@ class StepClock:
     """
 
     def __init__(self):
-        self.begin(1e-9)
+        self.restart_estimate(1e-9)
 
-    def begin(self, solve: float) -> None:
-        """Start the estimate again from the time of one solve, s, including assembly."""
+    def restart_estimate(self, solve: float) -> None:
+        """Restart the estimate from the measured time of one linear solve with its assembly, s."""
         self.fixed = self.solve = solve
         self._solves, self._time, self._variance, self._covariance = 1.0, 2.0 * solve, 0.0, 0.0
 
     def count_fitting_solves(self, time: float, first: bool = False) -> int:
-        """Number of solves that fit into a time together with the fixed part of the step.
+        """Return the number of linear solves that fit, with the fixed time of a step, into a time.
 
         Args:
             time: s.
@@ -91,12 +91,12 @@ class StepClock:
             self.solve = min(max(self._covariance / self._variance, least), mean)
 
     def halve_fixed_time(self) -> None:
-        """Halve the fixed time if no step was tried because of it: it may come from one slow step."""
+        """Halve the estimated fixed time, which may come from one slow step, after a step without any solve."""
         self.fixed *= 0.5
 
 
-def require_solves(most: int | None) -> None:
-    """Refuse a bound on the linear solves of a step that is too small for any step.
+def require_enough_solves(most: int | None) -> None:
+    """Raise an error if the largest number of linear solves of a step is too small for any step.
 
     Raises:
         InputError: `most` is not an integer, or less than `LEAST_SOLVES`.
@@ -106,7 +106,7 @@ def require_solves(most: int | None) -> None:
 
 
 def count_solves_in_budget(budget: float | None, solve: float | None) -> int | None:
-    """Number of linear solves that fit into a budget, at least `LEAST_SOLVES`.
+    """Return the number of linear solves that fit into a time budget, at least `LEAST_SOLVES`.
 
     Args:
         budget: wall time, s; None: no limit.
@@ -120,7 +120,7 @@ def count_solves_in_budget(budget: float | None, solve: float | None) -> int | N
     return max(LEAST_SOLVES, int(min(budget / solve, _UNBOUNDED)))
 
 
-class Allowance:
+class StepBudget:
     """Number of linear solves and wall time that a step may still use.
 
     A step consists of parts; each part is a call of the solver, which makes one linear solve for the contact stiffness
@@ -140,7 +140,7 @@ class Allowance:
         self._begins, self.is_bounded = True, most is not None or ends is not None
 
     def count_fitting_solves(self, answers: int = 1) -> int:
-        """Number of solves that the next part may make in addition to its stiffnesses; below one: it may not begin.
+        """Return the number of solves that the next substep may make besides its stiffnesses; below 1: do not begin.
 
         Args:
             answers: number of stiffnesses of the part, one solve each.
@@ -151,19 +151,19 @@ class Allowance:
             fits = min(fits, self._clock.count_fitting_solves(left, first=self._begins))
         return fits
 
-    def has_time(self, solves: int, answers: int) -> bool:
-        """Whether the time alone, without the bound on solves, allows these solves and stiffnesses (`answers`)."""
+    def has_time_for_solves(self, solves: int, answers: int) -> bool:
+        """Return whether the remaining time suffices for these solves and stiffnesses (`answers`)."""
         if self._ends is None:
             return True
         left = self._ends - time.perf_counter() - (answers - 1) * self._clock.fixed
         return self._clock.count_fitting_solves(left) >= solves
 
     def subtract_solves(self, solves: int, answers: int = 1) -> None:
-        """Subtract a part with these solves and stiffnesses (`answers`)."""
+        """Subtract the solves and stiffnesses (`answers`) of a completed substep from the budget."""
         self._left -= solves + answers
         self._begins = self._begins and solves == 0
 
     def finish_parts(self) -> None:
-        """Call when no further part fits; if none was begun, the estimate of the clock is lowered."""
+        """End the step: no further substep fits; if no substep was begun, lower the time estimate of the clock."""
         if self._begins and self._left > 1:
             self._clock.halve_fixed_time()

@@ -11,8 +11,8 @@ from tissue_sim.rig.loading_curve import LoadingCurve
 _POINTS = 32
 
 
-def tilted(recording: Recording, tilt: float, depth: np.ndarray) -> Recording:
-    """Compute the recording of a tilted face from that of an upright one.
+def compute_tilted_recording(recording: Recording, tilt: float, depth: np.ndarray) -> Recording:
+    """Compute the recording of a test with a tilted face from the recording with an upright face.
 
     The tool touches on its lower side first. A strip of the face at the distance x from the axis, in radii, is
     tilt (1 - x)/2 behind the side that touches first, so that
@@ -31,12 +31,12 @@ def tilted(recording: Recording, tilt: float, depth: np.ndarray) -> Recording:
         return recording
     curve = LoadingCurve(recording.with_channels(displacement=depth))
     samples = np.arange(recording.force.size, dtype=float)
-    force = sum(share * curve.solve_force_with_compliance(_delayed_depth(depth, lag), 0.0, samples)
-                for lag, share in split_into_strips(tilt))
+    force = sum(share * curve.solve_force_with_compliance(_compute_depth_after_lag(depth, lag), 0.0, samples)
+                for lag, share in split_tilted_face_into_strips(tilt))
     return recording.with_channels(force=force)
 
 
-def split_into_strips(tilt: float) -> list[tuple[float, float]]:
+def split_tilted_face_into_strips(tilt: float) -> list[tuple[float, float]]:
     """Return lag behind the side that touches first, m, and fraction of the area, for each strip of a tilted face."""
     # Gauss-Chebyshev quadrature of the second kind, whose weight is the width of the disc.
     angle = np.arange(1, _POINTS + 1) * np.pi / (_POINTS + 1)
@@ -44,6 +44,6 @@ def split_into_strips(tilt: float) -> list[tuple[float, float]]:
     return list(zip((0.5 * tilt * (1.0 - np.cos(angle))).tolist(), shares.tolist(), strict=True))
 
 
-def _delayed_depth(displacement: np.ndarray, lag: float) -> np.ndarray:
-    """Depth of a strip that touches later; above the touch all strips are in the air."""
+def _compute_depth_after_lag(displacement: np.ndarray, lag: float) -> np.ndarray:
+    """Return the depth, m, of a strip that touches the tissue later; above the touch all strips are in the air."""
     return np.where(displacement > 0, np.maximum(displacement - lag, 0.0), displacement)

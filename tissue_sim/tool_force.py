@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
 
-from tissue_sim.pose import Pose, Screw, Vector, scaled
+from tissue_sim.pose import Pose, Screw, Vector, scale_screw
+from tissue_sim.public_names import OldName
 
 #: 6 x 6 matrix, row by row.
 Matrix = tuple[Screw, Screw, Screw, Screw, Screw, Screw]
@@ -15,12 +16,12 @@ _NONE: Screw = (0.0,) * 6
 _AT_THE_TOUCH = Pose((0.0, 0.0, 0.0))
 
 
-def axial_wrench(force: float) -> Screw:
+def make_axial_wrench(force: float) -> Screw:
     """Make the wrench of a force along z, N."""
     return (0.0, 0.0, force, 0.0, 0.0, 0.0)
 
 
-def axial_stiffness(stiffness: float) -> Matrix:
+def make_axial_stiffness_matrix(stiffness: float) -> Matrix:
     """Make the stiffness matrix of a body that resists along z only, N/m."""
     return (_NONE, _NONE, (0.0, 0.0, stiffness, 0.0, 0.0, 0.0), _NONE, _NONE, _NONE)
 
@@ -42,18 +43,23 @@ ERROR_FLOOR = 0.05
 ERROR_FLOOR_SHARE = 0.05
 
 
-def error_floor(shear_modulus: float, contact_radius: float) -> float:
-    """Estimated error of the force, N, that never rules out CONVERGED, for a modulus in Pa and a radius in m."""
+def compute_negligible_force_error(shear_modulus: float, contact_radius: float) -> float:
+    """Return the error of the force, N, up to which a force has the status CONVERGED however small the force is.
+
+    Args:
+        shear_modulus: initial shear modulus, Pa.
+        contact_radius: contact radius of the tool, m.
+    """
     return min(ERROR_FLOOR, ERROR_FLOOR_SHARE * shear_modulus * contact_radius**2)
 
 
-def is_known_well(wrench: Screw, error: float | None, floor: float = ERROR_FLOOR) -> bool:
-    """Whether the estimated error of the force, N, allows the status CONVERGED; an unknown error (None) does.
+def is_force_accurate_enough(wrench: Screw, error: float | None, floor: float = ERROR_FLOOR) -> bool:
+    """Return whether the estimated error of the force, N, allows the status CONVERGED; True for an unknown error.
 
     Args:
         wrench: force and torque on the tool.
         error: N.
-        floor: see `error_floor`, N.
+        floor: see `compute_negligible_force_error`, N.
     """
     if error is None or error <= floor:
         return True
@@ -61,14 +67,14 @@ def is_known_well(wrench: Screw, error: float | None, floor: float = ERROR_FLOOR
     return error <= ERROR_SHARE * math.sqrt(x * x + y * y + z * z)
 
 
-def shortened(wrench: Screw, largest: float) -> Screw:
-    """Limit the force of a wrench to `largest`, N; force and torque are scaled by the same factor."""
+def limit_force_of_wrench(wrench: Screw, largest: float) -> Screw:
+    """Return a wrench whose force is at most `largest`, N; force and torque are scaled by the same factor."""
     force = math.hypot(*wrench[:3])
-    return wrench if force <= largest else scaled(largest / force, wrench)
+    return wrench if force <= largest else scale_screw(largest / force, wrench)
 
 
-def force_of_increment(stiffness: Matrix, length: float) -> float:
-    """Largest change of the force along an axis for an increment of the tool's motion, N.
+def compute_largest_force_change(stiffness: Matrix, length: float) -> float:
+    """Return the largest change of a force component, N, for a displacement increment of the tool.
 
     Args:
         stiffness: see `ToolForce`.
@@ -77,9 +83,9 @@ def force_of_increment(stiffness: Matrix, length: float) -> float:
     return length * max(abs(stiffness[axis][axis]) for axis in (0, 1, 2))
 
 
-def scaled_matrix(share: float, matrix: Matrix) -> Matrix:
+def scale_matrix(share: float, matrix: Matrix) -> Matrix:
     """Multiply a matrix by a number."""
-    a, b, c, d, e, f = (scaled(share, row) for row in matrix)
+    a, b, c, d, e, f = (scale_screw(share, row) for row in matrix)
     return (a, b, c, d, e, f)
 
 
@@ -91,9 +97,10 @@ class ForceStatus(IntEnum):
     - the tissue is in equilibrium with the tool at the pose of this step, within the tolerance, with the material that
       is set now;
     - the equilibrium is one of this time: no time and no part of the path is left to later steps;
-    - the estimated error of the force, where one is known, is at most `ERROR_SHARE` of the force, or `error_floor`;
+    - the estimated error of the force, where one is known, is at most `ERROR_SHARE` of the force, or
+      `compute_negligible_force_error`;
     - where the tissue has mass, the part of the error that unresolved waves have is at most `ERROR_SHARE` of the force,
-      or `tissue_sim.wave_error.WaveScale.floor`, the tool is slower than shear waves, and no wave was lost.
+      or `tissue_sim.wave_error.WaveTimeAndSpeed.floor`, the tool is slower than shear waves, and no wave was lost.
 
     The status does not depend on the age of the stiffness (`ToolForce.stiffness_age`). An unknown error is None, not 0.
     A tissue returns the first four statuses; the others are set between tissue and hand
@@ -128,7 +135,7 @@ class ForceStatus(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class NextForce:
+class PredictedForce:
     """Predicted force of the next step of a tissue with mass: wrench - stiffness m after a motion m of the tool.
 
     The next step is assumed to be as long as this one.
@@ -141,9 +148,9 @@ class NextForce:
     wrench: Screw
     stiffness_matrix: Matrix
 
-    def scaled(self, share: float) -> NextForce:
-        """Multiply wrench and stiffness by a number."""
-        return NextForce(scaled(share, self.wrench), scaled_matrix(share, self.stiffness_matrix))
+    def scale_force(self, share: float) -> PredictedForce:
+        """Return the prediction with wrench and stiffness multiplied by a number."""
+        return PredictedForce(scale_screw(share, self.wrench), scale_matrix(share, self.stiffness_matrix))
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +191,7 @@ class ToolForce:
     inertial: bool = False
     age: float = 0.0
     pose: Pose = _AT_THE_TOUCH
-    ahead: NextForce | None = None
+    ahead: PredictedForce | None = None
     step_stiffness_matrix: Matrix | None = None
     stiffness_age: float = 0.0
     force_error: float | None = None
@@ -208,7 +215,8 @@ class ToolForce:
             age: time since the last equilibrium, s.
             depth: depth of the tool at the last equilibrium, m.
         """
-        return cls(axial_wrench(force), axial_stiffness(stiffness), status, iterations, residual, compute_time,
+        return cls(make_axial_wrench(force), make_axial_stiffness_matrix(stiffness), status, iterations, residual,
+                   compute_time,
                    inertial, age, Pose.at_depth(depth))
 
     @property
@@ -221,15 +229,18 @@ class ToolForce:
         """Derivative of the static force along z with respect to depth, N/m."""
         return self.stiffness_matrix[2][2]
 
+    within_step = OldName("stiffness_within_step")
+    scaled = OldName("scale_force")
+
     @property
-    def within_step(self) -> Matrix:
+    def stiffness_within_step(self) -> Matrix:
         """Stiffness for a motion within this step, with the mass of the tissue if it acted."""
         return self.stiffness_matrix if self.step_stiffness_matrix is None else self.step_stiffness_matrix
 
     @property
     def step_stiffness(self) -> float:
         """Derivative of the force along z with respect to depth within this step, N/m."""
-        return self.within_step[2][2]
+        return self.stiffness_within_step[2][2]
 
     @property
     def depth(self) -> float:
@@ -246,13 +257,13 @@ class ToolForce:
         """Torque on the tool about its deepest point, N m."""
         return self.wrench[3:]
 
-    def scaled(self, share: float, status: ForceStatus) -> ToolForce:
-        """Multiply force, torque and every stiffness by a number, and set a status."""
+    def scale_force(self, share: float, status: ForceStatus) -> ToolForce:
+        """Return the result with force, torque and all stiffnesses multiplied by a number, and with another status."""
         ahead, within = self.ahead, self.step_stiffness_matrix
         return replace(
-            self, wrench=scaled(share, self.wrench), stiffness_matrix=scaled_matrix(share, self.stiffness_matrix),
-            status=status, ahead=None if ahead is None else ahead.scaled(share),
-            step_stiffness_matrix=None if within is None else scaled_matrix(share, within))
+            self, wrench=scale_screw(share, self.wrench), stiffness_matrix=scale_matrix(share, self.stiffness_matrix),
+            status=status, ahead=None if ahead is None else ahead.scale_force(share),
+            step_stiffness_matrix=None if within is None else scale_matrix(share, within))
 
     @property
     def is_finite(self) -> bool:
@@ -288,8 +299,8 @@ class TouchState:
     def __init__(self, has_touched: bool = False, height: float | None = None):
         self.has_touched, self.height = has_touched, height
 
-    def advance(self, height: float, dt: float) -> float | None:
-        """Register a step.
+    def register_height(self, height: float, dt: float) -> float | None:
+        """Register the height of the tool in a step, and update whether the tool has touched the tissue.
 
         Args:
             height: distance that the tool must go down until it touches the undeformed tissue, m; negative if the tool
@@ -332,11 +343,11 @@ def has_touched(tissue: Tissue) -> bool:
     return bool(getattr(tissue, "has_touched", True))
 
 
-def depth_of(pose: float | Pose) -> float:
-    """Depth of a pose; a number is returned as it is, m."""
+def get_depth_of_pose(pose: float | Pose) -> float:
+    """Return the depth of a pose, m; a number is a depth and is returned unchanged."""
     return pose.depth if isinstance(pose, Pose) else float(pose)
 
 
-def pose_of(pose: float | Pose) -> Pose:
-    """Pose of a number, which is a depth in m; a pose is returned as it is."""
+def convert_depth_to_pose(pose: float | Pose) -> Pose:
+    """Return a pose unchanged, or the pose of an upright tool at a depth, m."""
     return pose if isinstance(pose, Pose) else Pose.at_depth(float(pose))

@@ -6,7 +6,16 @@ import math
 from dataclasses import dataclass
 
 from tissue_sim.fem.solver import Solver
-from tissue_sim.pose import Pose, Quaternion, between, motion, raised, twist_about_axis, with_twist, without_twist
+from tissue_sim.pose import (
+    Pose,
+    Quaternion,
+    add_twist,
+    between,
+    compute_twist_about_axis,
+    motion,
+    remove_twist,
+    shift_pose_along_z,
+)
 from tissue_sim.tool_force import TouchState
 
 #: Halvings in the search for the pose of a touch: the last part of the air is 1/4096 of the step.
@@ -61,7 +70,7 @@ class ToolTrack:
 
     def without_own_rotation(self, pose: Pose) -> Pose:
         """Return a pose without the rotation about the tool's own axis at the last touch."""
-        return pose if self.twist is None else without_twist(pose, self.twist)
+        return pose if self.twist is None else remove_twist(pose, self.twist)
 
     def to_solver_pose(self, solver: Solver, pose: Pose) -> Pose:
         """Return the part of a pose that the solver uses, without the rotation about the tool's own axis."""
@@ -69,7 +78,7 @@ class ToolTrack:
 
     def to_simulator_pose(self, pose: Pose) -> Pose:
         """Convert a pose of the solver to a pose as passed to the simulator; the inverse of `without_own_rotation`."""
-        return pose if self.twist is None else with_twist(pose, self.twist)
+        return pose if self.twist is None else add_twist(pose, self.twist)
 
     def register_step_before_touch(self, solver: Solver, pose: Pose, dt: float) -> tuple[float | None, bool]:
         """Register a step before the first touch, and place the tool where it touches.
@@ -86,19 +95,19 @@ class ToolTrack:
         """
         before = self.touch.height
         height = solver.height_above_tissue(pose)
-        spent = self.touch.advance(height, dt)
+        spent = self.touch.register_height(height, dt)
         if spent is None:
             self.is_refused = False
             return None, True
         if self.is_refused:
             self.touch = TouchState(False, height)
             return spent, False
-        start = raised(pose, -height)
+        start = shift_pose_along_z(pose, -height)
         if before is not None and before > 0.0 and self.pose is not None:
             start = between(self.pose, pose, before / (before - height))
-            start = raised(start, -solver.height_above_tissue(start))
-        twist = twist_about_axis(start.orientation) if solver.ignores_twist else None
-        if solver.place_tool_at_first_touch(without_twist(start, twist)):
+            start = shift_pose_along_z(start, -solver.height_above_tissue(start))
+        twist = compute_twist_about_axis(start.orientation) if solver.ignores_twist else None
+        if solver.place_tool_at_first_touch(remove_twist(start, twist)):
             self.twist = twist
             return spent, True
         self.touch, self.is_refused = TouchState(False, height), True
@@ -116,14 +125,14 @@ class ToolTrack:
             tissue relaxes or oscillates until then.
         """
         assert self.pose is not None
-        until = fraction_in_air(solver, self.pose, pose)
+        until = compute_fraction_in_air(solver, self.pose, pose)
         start = between(self.pose, pose, until)
-        self.twist = twist_about_axis(start.orientation) if solver.ignores_twist else None
+        self.twist = compute_twist_about_axis(start.orientation) if solver.ignores_twist else None
         return until, solver.move_to_next_touch(self.to_solver_pose(solver, start))
 
 
-def fraction_in_air(solver: Solver, before: Pose, pose: Pose) -> float:
-    """Fraction of a straight path on which a tool in the air does not touch the tissue in its present shape."""
+def compute_fraction_in_air(solver: Solver, before: Pose, pose: Pose) -> float:
+    """Compute the fraction of a straight path at which a tool in the air touches the tissue in its present shape."""
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
@@ -132,8 +141,8 @@ def fraction_in_air(solver: Solver, before: Pose, pose: Pose) -> float:
     return low
 
 
-def is_on_axis(pose: Pose, seen: Pose, radius: float) -> bool:
-    """Whether a pose agrees with its projection on the axis, which an axisymmetric solver uses instead.
+def is_pose_on_axis(pose: Pose, seen: Pose, radius: float) -> bool:
+    """Return whether a pose agrees, within `AxisTolerances`, with its projection on the axis of symmetry.
 
     Args:
         pose: pose as passed to the simulator.
@@ -145,5 +154,5 @@ def is_on_axis(pose: Pose, seen: Pose, radius: float) -> bool:
         return False
     if pose.orientation is seen.orientation:
         return True
-    untwisted = without_twist(pose, twist_about_axis(pose.orientation))
+    untwisted = remove_twist(pose, compute_twist_about_axis(pose.orientation))
     return math.hypot(*motion(seen, untwisted)[3:]) <= AXIS.angle

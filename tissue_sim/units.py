@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 
 #: Standard gravity, m/s2, for forces in grams (BIPM, SI brochure).
 _G = 9.80665
@@ -56,7 +56,7 @@ _LONGEST_HEADER = 300
 _HEADER = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
 
 
-def to_si(unit: str, quantity: str | None = None) -> tuple[float, float]:
+def get_si_factor_and_offset(unit: str, quantity: str | None = None) -> tuple[float, float]:
     """Return factor and offset that convert a value in a unit to SI.
 
     Args:
@@ -67,15 +67,15 @@ def to_si(unit: str, quantity: str | None = None) -> tuple[float, float]:
         InputError: unknown unit, or a unit of another quantity.
 
     Examples:
-        >>> to_si("mm")
+        >>> get_si_factor_and_offset("mm")
         (0.001, 0.0)
-        >>> factor, offset = to_si("degC")
+        >>> factor, offset = get_si_factor_and_offset("degC")
         >>> 20.0 * factor + offset
         293.15
     """
-    unit = known_unit(unit) or unit.strip()
+    unit = find_known_unit(unit) or unit.strip()
     if unit not in UNITS:
-        raise InputError(f"unknown unit {unit!r}{nearest(unit, UNITS)}")
+        raise InputError(f"unknown unit {unit!r}{suggest_known_word(unit, UNITS)}")
     found, factor, offset = UNITS[unit]
     if quantity is not None and found != quantity:
         possible = ", ".join(name for name, entry in UNITS.items() if entry[0] == quantity)
@@ -83,11 +83,11 @@ def to_si(unit: str, quantity: str | None = None) -> tuple[float, float]:
     return factor, offset
 
 
-def known_unit(text: str) -> str | None:
-    """Name in `UNITS` of a unit in another spelling or in brackets: ``(sec)`` gives ``s``; None if it is not known.
+def find_known_unit(text: str) -> str | None:
+    """Return the name in `UNITS` of a unit in another spelling or in brackets; None for an unknown unit.
 
     Examples:
-        >>> known_unit("(sec)")
+        >>> find_known_unit("(sec)")
         's'
     """
     text = text.strip()
@@ -97,14 +97,14 @@ def known_unit(text: str) -> str | None:
     return text if text in UNITS else None
 
 
-def quantity_of(unit: str | None) -> str | None:
-    """Quantity of a unit, such as ``force``; ``signal`` for volts and counts; None if the unit is not known.
+def find_quantity_of_unit(unit: str | None) -> str | None:
+    """Return the quantity of a unit, such as ``force``, or ``signal`` for volts and counts; None for an unknown unit.
 
     Examples:
-        >>> quantity_of("kPa"), quantity_of("mV")
+        >>> find_quantity_of_unit("kPa"), quantity_of("mV")
         ('stress', 'signal')
     """
-    name = None if unit is None else known_unit(unit)
+    name = None if unit is None else find_known_unit(unit)
     return None if name is None else UNITS[name][0]
 
 
@@ -118,11 +118,11 @@ def get_display_unit(unit: str) -> tuple[str, float]:
     return _SHOWN.get(unit, (unit, 1.0))
 
 
-def split_header(header: str) -> tuple[str, str | None]:
-    """Split a header: ``'Load (N)'`` -> ``('Load', 'N')``; ``'Stretch'`` -> ``('Stretch', None)``.
+def split_header_with_brackets(header: str) -> tuple[str, str | None]:
+    """Split a header with the unit in brackets into name and unit; the unit is None without brackets.
 
     Examples:
-        >>> split_header("Load (N)")
+        >>> split_header_with_brackets("Load (N)")
         ('Load', 'N')
     """
     match = _HEADER.match(header.strip()) if len(header) <= _LONGEST_HEADER else None
@@ -131,22 +131,22 @@ def split_header(header: str) -> tuple[str, str | None]:
     return match["name"].strip(), match["unit"].strip()
 
 
-def loose_header(header: str) -> tuple[str, str | None]:
-    """Split a header in one of the forms that testing machines write: ``'Fz, gf'``, ``'Force_N'``, ``'Weg / mm'``.
+def split_free_form_header(header: str) -> tuple[str, str | None]:
+    """Split a header of a testing machine without brackets, such as ``'Fz, gf'``, into name and unit; None: no unit.
 
     Only a known unit is split off: ``Run_2`` and ``Position (z)`` are names without a unit.
 
     Examples:
-        >>> loose_header("Weg / mm")
+        >>> split_free_form_header("Weg / mm")
         ('Weg', 'mm')
-        >>> loose_header("Run_2")
+        >>> split_free_form_header("Run_2")
         ('Run_2', None)
     """
-    name, unit = split_header(header)
+    name, unit = split_header_with_brackets(header)
     if unit is not None:
-        return (name, unit) if known_unit(unit) else (header.strip(), None)
+        return (name, unit) if find_known_unit(unit) else (header.strip(), None)
     for pattern in _LOOSE if len(header) <= _LONGEST_HEADER else ():
         match = pattern.match(name)
-        if match and known_unit(match["unit"]) not in (None, "1"):
+        if match and find_known_unit(match["unit"]) not in (None, "1"):
             return match["name"].strip(), match["unit"]
     return name, None

@@ -27,7 +27,7 @@ import math
 from dataclasses import dataclass
 
 from tissue_sim.model import Model
-from tissue_sim.pose import Screw, Vector, scaled
+from tissue_sim.pose import Screw, Vector, scale_screw
 from tissue_sim.tool_force import ERROR_SHARE, Matrix
 
 #: Time constant of the decay of reflected waves, s. In elastic tissue, which has no damping, steps of 1 ms and of
@@ -38,7 +38,7 @@ _STANDS: Screw = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class WaveScale:
+class WaveTimeAndSpeed:
     """Time and speed of the waves under a tool.
 
     Attributes:
@@ -54,8 +54,8 @@ class WaveScale:
     floor: float
 
     @classmethod
-    def of(cls, model: Model, density: float) -> WaveScale:
-        """Make the scale of the waves of a model whose tissue has a density, kg/m3."""
+    def from_model(cls, model: Model, density: float) -> WaveTimeAndSpeed:
+        """Compute time and speed of the waves in the tissue of a model that has a density, kg/m3."""
         experiment, material = model.experiment, model.material
         shear_modulus = material.mu0
         speed, radius = math.sqrt(shear_modulus / density), experiment.contact_radius
@@ -66,7 +66,7 @@ class WaveScale:
         return cls(experiment.specimen.height / pressure_speed, speed, floor)
 
 
-class WaveError:
+class WaveErrorEstimator:
     """Estimate of the error of the force that is due to waves which the steps do not resolve.
 
     Attributes:
@@ -81,15 +81,15 @@ class WaveError:
         self._moving_momentum: Vector | None = None
         self._inertial, self._slope, self._velocity = _AT_REST, _AT_REST, _STANDS
 
-    def copy(self) -> WaveError:
+    def copy(self) -> WaveErrorEstimator:
         """An independent copy, for saved states."""
-        other = WaveError()
+        other = WaveErrorEstimator()
         for name in self.__slots__:
             setattr(other, name, getattr(self, name))
         return other
 
     def register_step_without_mass(self, way: Screw | None, dt: float) -> None:
-        """Register a step in which the mass does not count.
+        """Update the error estimate with a quasi-static step, in which the inertia of the tissue does not act.
 
         Args:
             way: motion of the tool, which tissue in contact follows, m and rad; None if there is no contact.
@@ -97,10 +97,11 @@ class WaveError:
         """
         self.force, self._square, self._dt, self.is_supersonic = 0.0, 0.0, math.inf, False
         self._moving_momentum, self._inertial, self._slope = None, _AT_REST, _AT_REST
-        self._velocity = scaled(1.0 / dt, way) if way is not None and dt > 0.0 else _STANDS
+        self._velocity = scale_screw(1.0 / dt, way) if way is not None and dt > 0.0 else _STANDS
 
-    def advance(self, stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float, scale: WaveScale) -> None:
-        """Register a step in which the mass counts.
+    def register_step_with_mass(self, stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float,
+                                scale: WaveTimeAndSpeed) -> None:
+        """Update the error estimate with a step in which the inertia of the tissue acts.
 
         Args:
             stiffness: stiffness of the tissue without its mass, as in a `ToolForce`.
@@ -109,12 +110,12 @@ class WaveError:
             dt: time of the step, s.
             scale: of the shear waves.
         """
-        momentum = _moving_momentum(stiffness, step_stiffness, way, dt)
+        momentum = _compute_tissue_momentum(stiffness, step_stiffness, way, dt)
         before = self._moving_momentum
         if before is None:
-            before = _moving_momentum(stiffness, step_stiffness, scaled(dt, self._velocity), dt)
-        inertial = _change_rate(momentum, before, dt)
-        slope = _change_rate(inertial, self._inertial, dt)
+            before = _compute_tissue_momentum(stiffness, step_stiffness, scale_screw(dt, self._velocity), dt)
+        inertial = _compute_rate_of_change(momentum, before, dt)
+        slope = _compute_rate_of_change(inertial, self._inertial, dt)
         # A force of a step that was shorter has lasted for the time of that step only.
         lasts = min(dt, self._dt)
         change = lasts * min(math.hypot(*slope), math.dist(slope, self._slope))
@@ -125,13 +126,13 @@ class WaveError:
         self.is_supersonic = math.hypot(*way[:3]) >= scale.shear_speed * dt
 
 
-def _moving_momentum(stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float) -> Vector:
-    """Momentum of the tissue that moves with the tool, N s, along the three axes."""
+def _compute_tissue_momentum(stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float) -> Vector:
+    """Compute the momentum of the tissue that moves with the tool, N s, along the three axes."""
     x, y, z = (0.0 if own is within else dt * sum((b - a) * part for a, b, part in zip(own, within, way, strict=True))
                for own, within in zip(stiffness[:3], step_stiffness[:3], strict=True))
     return (x, y, z)
 
 
-def _change_rate(now: Vector, before: Vector, dt: float) -> Vector:
+def _compute_rate_of_change(now: Vector, before: Vector, dt: float) -> Vector:
     """Return the change of a vector per time."""
     return (now[0] - before[0]) / dt, (now[1] - before[1]) / dt, (now[2] - before[2]) / dt

@@ -24,14 +24,14 @@ import numpy as np
 import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.parameters import SHARED, NamedParameter
+from calibration.campaign.parameters import SHARED, CampaignParameter
 from calibration.campaign_fit import ESTIMATORS
 from calibration.fit.curves import TestCurves, compute_test_curves
 from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.sensor_noise import SensorNoise
 from calibration.tasks.executors import Workers, open_tasks
-from tissue_sim.material.parts import find_declaration
+from tissue_sim.material.parts import find_material_declaration
 
 #: Specimen of the reference study.
 SPECIMEN = ts.Specimen(0.040, 0.070)
@@ -103,7 +103,8 @@ def make_campaign(case: Case) -> Campaign:
     experiment = kind.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH)) \
         if case.method == "inverse_fem" else None
     test = Test("plates", kind, SPECIMEN, (), experiment=experiment)
-    named = {path: NamedParameter(path, find_declaration(path)[1], False, SHARED, ("plates",)) for path in START} \
+    named = {path: CampaignParameter(path, find_material_declaration(path)[1], False, SHARED, ("plates",))
+             for path in START} \
         if case.holds else {}
     settings = FitSettings((case.law,), bulk=ts.Bulk("bulk_ratio", 1e4), method=case.method, start=case.start,
                            starts=1, named=named)

@@ -15,7 +15,7 @@ import numpy as np
 import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.parameters import PER_SPECIMEN, NamedParameter
+from calibration.campaign.parameters import PER_SPECIMEN, CampaignParameter
 from calibration.fit.curves import compute_test_curves
 from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator, fit_law_analytically
 from calibration.fit.population import estimate_specimen_population
@@ -23,7 +23,7 @@ from calibration.fit.predictor import ForcePredictor, make_held_out_predictor
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.population import estimate_population
 from calibration.statistics.sensor_noise import SensorNoise
-from tissue_sim.material.material import law_declaration
+from tissue_sim.material.material import get_law_parameter_declaration
 
 MEAN = np.array([1400.0, 700.0])
 ERROR = np.array([60.0, 40.0])
@@ -84,7 +84,7 @@ def held_out_coverage(name: str, specimens: int, rng) -> np.ndarray:
         measured[test.name] = (MeasuredCurve(test.name, test, None, way, force + rng.normal(0.0, NOISE, 61), None,
                                              Path("synthetic.csv"), "", noise=SensorNoise(NOISE)),)
     everywhere = tuple(measured)
-    named = {path: NamedParameter(path, law_declaration(law, path), True, PER_SPECIMEN, everywhere)
+    named = {path: CampaignParameter(path, get_law_parameter_declaration(law, path), True, PER_SPECIMEN, everywhere)
              for path, deviation in zip(law.parameters, spread, strict=True) if deviation}
     campaign = Campaign(Path("synthetic.toml"), {test.specimen.name: test.specimen for test in tests}, tuple(tests),
                         FitSettings((name,), named=named), Noise(NOISE), "")

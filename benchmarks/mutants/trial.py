@@ -18,7 +18,7 @@ from pathlib import Path
 
 from benchmarks.mutants.drawing import Mutant
 from benchmarks.mutants.related_tests import ImportGraph, related_tests
-from tissue_sim.files import cache_folder
+from tissue_sim.files import get_cache_folder
 
 #: Results of a trial.
 KILLED_FAST = "killed by command two"
@@ -78,9 +78,9 @@ class Laboratory:
         self._settings = settings
         shutil.copytree(root, self.root, ignore=_LEFT_OUT)
         kernels = folder / "kernels"
-        if cache_folder().is_dir():
+        if get_cache_folder().is_dir():
             # Faulty kernels must not enter the cache of the user.
-            shutil.copytree(cache_folder(), kernels)
+            shutil.copytree(get_cache_folder(), kernels)
         data = os.environ.get("TISSUE_SIM_DATA", str(root.parent / "shared" / "data"))
         self._environment = {**os.environ, "PYTHONPATH": str(self.root), "TISSUE_SIM_CACHE": str(kernels),
                              "TISSUE_SIM_DATA": data, "MPLBACKEND": "Agg"}

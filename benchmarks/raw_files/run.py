@@ -157,7 +157,7 @@ def _judge(index: int, draft: Draft, traps: Sequence[Trap], names: list[str]) ->
 
     try:
         imported = calibration.import_files(names, None, _wishes(draft))
-        if not imported.complete:
+        if not imported.is_complete:
             said = "; ".join(filter(None, (*imported.questions, *imported.missing, imported.problem)))
             return result(QUESTION if to_the_point(said) else OTHER_QUESTION, said)
         Path("campaign.toml").write_text(imported.text, encoding="utf-8")

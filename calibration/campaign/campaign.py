@@ -11,24 +11,24 @@ from typing import Any, Literal
 import numpy as np
 
 from calibration.campaign.checks import (
-    check_available,
     check_bulk_ratio,
-    check_closed,
-    check_parameters,
-    check_unused,
-    find_recordings,
-    read_columns_key,
+    check_parameter_numbers,
+    find_recording_files,
+    read_column_map,
+    reject_keys_without_effect,
+    require_analytical_support,
+    require_closed_form_support,
     require_positive,
 )
 from calibration.campaign.experiments import read_experiment, read_rig, read_solver
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameters import (
     PER_SPECIMEN,
-    NamedParameter,
+    CampaignParameter,
     build_stated_material,
-    check_values,
-    declare_rig_and_experiment,
-    find_named,
+    check_stated_values,
+    list_rig_and_experiment_parameters,
+    resolve_parameter_names,
 )
 from calibration.campaign.schema import (
     BY_PARAMETER,
@@ -37,13 +37,13 @@ from calibration.campaign.schema import (
     FitTable,
     NoiseTable,
     TestTable,
-    decode_campaign,
+    decode_campaign_file,
 )
 from calibration.campaign.specimens import find_specimen, read_specimens
-from tissue_sim.errors import InputError, located, nearest
+from tissue_sim.errors import InputError, add_location_to_errors, suggest_known_word
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.recording.formats.column_options import validate_decimal_mark, validate_delimiter
@@ -58,7 +58,7 @@ MAX_STARTS = 1000
 
 def _freeze_mapping(values: Mapping | None = None) -> Mapping:
     """Return a read-only copy of a mapping; empty without one."""
-    return read_only(values or {})
+    return make_read_only_copy(values or {})
 
 
 @dataclass(frozen=True)
@@ -139,20 +139,20 @@ class FitSettings:
     starts: int = DEFAULT_STARTS
     method: str = "analytical"
     whole: bool = False
-    named: Mapping[str, NamedParameter] = field(default_factory=_freeze_mapping)
+    named: Mapping[str, CampaignParameter] = field(default_factory=_freeze_mapping)
     start: Mapping[str, float] = field(default_factory=_freeze_mapping)
     fixed: Mapping[str, float] = field(default_factory=_freeze_mapping)
     prior: Mapping[str, tuple[float, float]] = field(default_factory=_freeze_mapping)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=_freeze_mapping)
 
     @property
-    def others(self) -> tuple[str, ...]:
-        """Paths of the stated or fitted parameters that are not parameters of a law."""
+    def non_law_paths(self) -> tuple[str, ...]:
+        """Paths of the parameters in `start` or `fixed` that are not parameters of a law."""
         return tuple(path for path in (*self.start, *self.fixed) if path in self.named and not self.named[path].of_law)
 
     @property
-    def material(self) -> Material:
-        """Material with a placeholder law and the parts that the campaign names, to query its memory and layers."""
+    def placeholder_material(self) -> Material:
+        """Neo-Hookean material with the effects that the campaign names, to query memory and layers; not for forces."""
         return build_stated_material({**self.start, **self.fixed}, self.named)
 
 
@@ -219,9 +219,9 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
         InputError: the file is invalid; the error states the file and the dotted field.
     """
     path = Path(path)
-    table, data, defaults = decode_campaign(path)
+    table, data, defaults = decode_campaign_file(path)
     try:
-        with located(file=path):
+        with add_location_to_errors(file=path):
             if table.questions:
                 first = table.questions[0].partition("?")[0]
                 raise InputError(f"{first}? Import again with the flag that answers the question, or delete this key "
@@ -231,12 +231,12 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
                                if entry.shape == PRISM)
             return Campaign(path, _freeze_mapping(specimens), tests, _read_fit_settings(table.fit, table.noise, tests),
                             _read_noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(),
-                            _shared_density(tests), prisms)
+                            _find_common_density(tests), prisms)
     except InputError as error:
-        raise defaults.locate_error(error, path) from None
+        raise defaults.add_error_location(error, path) from None
 
 
-def _shared_density(tests: tuple[Test, ...]) -> float | None:
+def _find_common_density(tests: tuple[Test, ...]) -> float | None:
     """Return the density of all fitted specimens, kg/m3; None if unknown or if it differs between them."""
     fitted = {None if test.specimen is None else test.specimen.density for test in tests if not test.hold_out}
     return fitted.pop() if len(fitted) == 1 else None
@@ -244,9 +244,9 @@ def _shared_density(tests: tuple[Test, ...]) -> float | None:
 
 def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path,
                 planned: bool) -> tuple[Test, ...]:
-    """Return all tests of a campaign file, with their recordings and experiments."""
+    """Return all tests of a campaign file, with the paths of their recordings and with their experiments."""
     if not table.test:
-        raise InputError("a campaign needs at least one [[test]]", field="test")
+        raise InputError("test must contain at least one table; got none. Add a [[test]].", field="test")
     tests: dict[str, Test] = {}
     for i, entry in enumerate(table.test):
         field = f"test[{i}]"
@@ -255,10 +255,10 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder:
         if name in tests:
             raise InputError(f"names of tests must be unique; got {name!r} twice", field=f"{field}.name")
         if table.fit.method == "analytical":
-            check_available(entry, field)
+            require_analytical_support(entry, field)
         elif entry.protocol is not None and not planned:
-            raise InputError("a test with recordings uses their motion; leave the protocol out",
-                             field=f"{field}.protocol")
+            raise InputError("protocol must be absent in a test with recordings, which uses the recorded motion. Leave "
+                             "out the protocol.", field=f"{field}.protocol")
         require_positive(entry.speed_mm_s, f"{field}.speed_mm_s", " mm/s")
         require_positive(entry.max_strain, f"{field}.max_strain")
         kind = KINDS[entry.kind]
@@ -281,19 +281,20 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder:
         specimen = find_specimen(entry, specimens, table, field)
         tests[name] = Test(
             name, kind, specimen, () if entry.protocol is not None and not entry.recordings else
-            find_recordings(entry.recordings, folder, f"{field}.recordings"),
-            _reading_options(entry, read_columns_key(entry, field)), entry.max_strain, entry.hold_out, field,
+            find_recording_files(entry.recordings, folder, f"{field}.recordings"),
+            _make_reading_options(entry, read_column_map(entry, field)), entry.max_strain, entry.hold_out, field,
             read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field),
             entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol,
-            read_solver(entry, specimen, field), _read_leave_out(entry, f"{field}.leave_out"), entry.control)
+            read_solver(entry, specimen, field), _read_omitted_sample_numbers(entry, f"{field}.leave_out"),
+                           entry.control)
     if all(test.hold_out for test in tests.values()):
         raise InputError("at least one test must be fitted, but all are held out; set hold_out = false for one",
                          field="test[0].hold_out")
     return tuple(tests.values())
 
 
-def _read_leave_out(entry: TestTable, field: str) -> Mapping[str, tuple[int, ...]]:
-    """Return `Test.leave_out` for a test table."""
+def _read_omitted_sample_numbers(entry: TestTable, field: str) -> Mapping[str, tuple[int, ...]]:
+    """Return recording -> sample numbers, from 1, that a test table leaves out; see `Test.leave_out`."""
     stated = entry.leave_out
     if isinstance(stated, str):
         return _freeze_mapping()
@@ -301,13 +302,13 @@ def _read_leave_out(entry: TestTable, field: str) -> Mapping[str, tuple[int, ...
     for name, samples in by_name.items():
         for number in samples:
             if number < 1:
-                raise InputError(f"the numbers of samples must be at least 1; got {number}",
+                raise InputError(f"sample number must be at least 1; got {number}. Count the samples from 1.",
                                  field=f"{field}.{name}" if name else field)
     return _freeze_mapping({name: tuple(samples) for name, samples in by_name.items()})
 
 
-def _reading_options(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str, Any]:
-    """Return the options for `tissue_sim.read_recordings` that the test states."""
+def _make_reading_options(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """Return the keyword arguments of `tissue_sim.read_recordings` that a test table states, SI."""
     stated = {"columns": columns, "skip_lines": entry.skip_lines, "delimiter": entry.delimiter, "sheet": entry.sheet,
               "curve": entry.curve, "decimal": entry.decimal,
               "speed": None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3}
@@ -321,7 +322,7 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
         raise InputError(f"laws must list at least one law; known laws: {', '.join(LAWS)}", field="fit.laws")
     for i, name in enumerate(table.laws):
         if name not in LAWS:
-            raise InputError(f"unknown law {name!r}{nearest(name, LAWS)}", field=f"fit.laws[{i}]")
+            raise InputError(f"unknown law {name!r}{suggest_known_word(name, LAWS)}", field=f"fit.laws[{i}]")
         if name in table.laws[:i]:
             raise InputError(f"{name} is listed twice", field=f"fit.laws[{i}]")
     for key in ("bulk_ratio", "offset_bounds_mm", "offset_prior_mm", "zero_bounds_N", "zero_prior_N"):
@@ -331,13 +332,14 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
         raise InputError(f"strain_points must be at least 5; got {table.strain_points}", field="fit.strain_points")
     if table.starts is not None and not 1 <= table.starts <= MAX_STARTS:
         raise InputError(f"starts must be 1 to {MAX_STARTS}; got {table.starts}", field="fit.starts")
-    check_unused(table, noise)
-    check_parameters(table)
-    around = {test.name: declare_rig_and_experiment(None if test.specimen is None else test.experiment, test.rig)
+    reject_keys_without_effect(table, noise)
+    check_parameter_numbers(table)
+    around = {test.name: list_rig_and_experiment_parameters(None if test.specimen is None else test.experiment,
+                                                            test.rig)
               for test in tests}
-    named = find_named(table, around,
+    named = resolve_parameter_names(table, around,
                        {test.name: () if test.specimen is None else test.specimen.region_names for test in tests})
-    check_values(table, named)
+    check_stated_values(table, named)
     for name, parameter in named.items():
         bare = [test.name for test in tests
                 if test.specimen is None and not test.hold_out and test.name in parameter.tests]
@@ -345,7 +347,7 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
             raise InputError(f"the scope 'per_specimen' requires a specimen in each test; {', '.join(bare)} has none. "
                              "Add a [[specimen]], or use the scope 'per_test'", field=f"fit.scope.{name}")
     if table.method == "analytical":
-        check_closed(table, named)
+        require_closed_form_support(table, named)
     by_path = {parameter.path: parameter for parameter in named.values()}
     start, fixed, prior, bounds = (
         {named[name].path: tuple(factor * end for end in value) if isinstance(value, tuple) else factor * value

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from calibration.campaign.parameters import NamedParameter
+from calibration.campaign.parameters import CampaignParameter
 from calibration.campaign.schema import BY_PARAMETER, FitTable, NoiseTable, TestTable
-from tissue_sim.bounded import bounded
-from tissue_sim.errors import InputError, located
+from tissue_sim.bounded import run_in_sandbox
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import TOOLS, parse_shape_name
-from tissue_sim.files import exists, find_files
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.files import find_files, path_exists
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.recording.formats.column_options import normalize_column_mapping
 
@@ -43,8 +43,8 @@ def check_bulk_ratio(ratio: float | None) -> None:
                          field="fit.bulk_ratio")
 
 
-def check_available(entry: TestTable, field: str) -> None:
-    """Reject kinds of test, tools and keys that the analytical method does not support."""
+def require_analytical_support(entry: TestTable, field: str) -> None:
+    """Raise an `InputError` if a test table has a kind, tool or key that the analytical method does not support."""
     kind = KINDS[entry.kind]
     if kind.closed_form is None:
         known = ", ".join(name for name, other in KINDS.items() if other.closed_form is not None)
@@ -59,55 +59,58 @@ def check_available(entry: TestTable, field: str) -> None:
                              "'inverse_fem'", field=f"{field}.{key}")
 
 
-def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
-    """Return the column map for `tissue_sim.read_recording`; None if the test states no columns."""
+def read_column_map(entry: TestTable, field: str) -> Mapping[str, Any] | None:
+    """Check the key ``columns`` of a test table; return the columns of each channel, or None without the key."""
     if entry.columns is None:
         return None
     try:
         columns = normalize_column_mapping(entry.columns)
     except InputError as error:
-        raise error.located(field=field) from None
+        raise error.with_location(field=field) from None
     present = {*columns, "displacement"} if entry.speed_mm_s is not None and {"time", "force"} <= columns.keys() \
         else columns
     KINDS[entry.kind].require_channels(present, f"columns has {', '.join(columns)}", field=f"{field}.columns")
-    return read_only(columns)
+    return make_read_only_copy(columns)
 
 
-def find_recordings(patterns: list[str], folder: Path, field: str) -> tuple[Path, ...]:
-    """Return the sorted files that match the patterns, relative to the folder of the campaign.
+def find_recording_files(patterns: list[str], folder: Path, field: str) -> tuple[Path, ...]:
+    """Return the sorted files that match paths or patterns, which are relative to the folder of the campaign.
 
     Raises:
         InputError: no pattern, a pattern without matching file, or a file that is listed twice.
     """
     if not patterns:
-        raise InputError("a test needs at least one recording", field=field)
+        raise InputError("recordings must contain at least one path or pattern; got none. Add the files of the test.",
+                         field=field)
     found: list[Path] = []
     for i, pattern in enumerate(patterns):
         entry_field = f"{field}[{i}]"
         path = Path(pattern)
         base, relative = (Path(path.anchor), path.relative_to(path.anchor)) if path.is_absolute() else (folder, path)
         if not pattern.strip() or relative == Path():
-            raise InputError(f"a recording must be a path or a pattern such as 'run_*.csv'; got {pattern!r}",
+            raise InputError(f"recording must be a path or a pattern such as 'run_*.csv'; got {pattern!r}. "
+                             "Name a file.",
                              field=entry_field)
         # An existing file has priority over a pattern, because file names may contain brackets.
         plain = base / relative
-        matches = [plain] if exists(plain) else []
+        matches = [plain] if path_exists(plain) else []
         if not matches and set("*?[") & set(pattern):
             # The search is limited: a pattern may match the whole disk.
-            with located(field=entry_field):
-                matches = bounded(find_files, base, str(relative), file=base, size=0)
+            with add_location_to_errors(field=entry_field):
+                matches = run_in_sandbox(find_files, base, str(relative), file=base, size=0)
         if not matches:
-            raise InputError(f"no file matches {pattern!r} in {base}; paths are relative to the campaign file",
-                             field=entry_field)
+            raise InputError(f"recording must be an existing file; no file matches {pattern!r} in {base}. Paths are "
+                             "relative to the campaign file.", field=entry_field)
         for match in matches:
             if match.resolve() in {other.resolve() for other in found}:
-                raise InputError(f"{match.name} is listed twice; list each replicate once", field=entry_field)
+                raise InputError(f"recording must be listed once; {match.name} is listed twice. List each replicate "
+                                 "once.", field=entry_field)
             found.append(match)
     return tuple(sorted(found))
 
 
-def check_unused(table: FitTable, noise: NoiseTable) -> None:
-    """Reject keys that have no effect with the other settings."""
+def reject_keys_without_effect(table: FitTable, noise: NoiseTable) -> None:
+    """Raise an `InputError` for a key of ``[fit]`` or ``[noise]`` without effect with the other settings."""
     if table.method == "analytical":
         if table.starts is not None:
             raise InputError("the analytical method does not use starts; leave starts out", field="fit.starts")
@@ -130,8 +133,13 @@ def check_unused(table: FitTable, noise: NoiseTable) -> None:
                                  f"{getattr(noise, key)!r}. State one, or leave offset out", field=f"noise.{key}")
 
 
-def check_closed(table: FitTable, named: Mapping[str, NamedParameter]) -> None:
-    """Reject parameters and settings that the closed forms of the analytical method do not support."""
+def require_closed_form_support(table: FitTable, named: Mapping[str, CampaignParameter]) -> None:
+    """Raise an `InputError` for parameters and settings that the closed forms do not support.
+
+    Args:
+        table: table ``[fit]`` with ``method = "analytical"``.
+        named: parameters by their names in the file.
+    """
     others = [name for name in named if not named[name].of_law]
     if others and table.strain_points is not None:
         raise InputError(f"strain_points removes the time history that {others[0]} requires; leave strain_points out",
@@ -143,8 +151,8 @@ def check_closed(table: FitTable, named: Mapping[str, NamedParameter]) -> None:
                              "fit.method = 'inverse_fem'", field=f"fit.{key}.{name}")
 
 
-def check_parameters(table: FitTable) -> None:
-    """Reject numbers of start, fixed, prior and bounds that are invalid or contradict each other."""
+def check_parameter_numbers(table: FitTable) -> None:
+    """Raise an `InputError` for invalid or contradictory numbers in ``start``, ``fixed``, ``prior`` and ``bounds``."""
     for key in BY_PARAMETER:
         for name, value in getattr(table, key).items():
             if np.isnan(value).any() or (key != "bounds" and not np.isfinite(value).all()):

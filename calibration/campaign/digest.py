@@ -10,9 +10,9 @@ from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
 
 
-def compute_digest(campaign: Campaign, recordings: Sequence[MeasuredCurve],
+def compute_input_digest(campaign: Campaign, recordings: Sequence[MeasuredCurve],
                    changed: Mapping[str, float] | None = None) -> str:
-    """Return the SHA-256 digest of campaign, recordings, rigs, tool profiles, specimen meshes and program version.
+    """Return the SHA-256 digest, in hexadecimal, of all inputs of a campaign and of the program version.
 
     Args:
         campaign: campaign.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from calibration.campaign.schema import TestTable
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.contact_law import CONTACT_LAWS
 from tissue_sim.experiment.experiment import Experiment
@@ -21,7 +21,7 @@ from tissue_sim.experiment.tools.tool import (
     tool_sizes,
 )
 from tissue_sim.fem.solver import SOLVERS
-from tissue_sim.parameters import declared, from_keys
+from tissue_sim.parameters import list_field_declarations, make_from_file_keys
 from tissue_sim.rig.file import load_rig
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import Specimen
@@ -69,7 +69,8 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
     specimen = Specimen(1.0, 1.0) if specimen is None else specimen
     interfaces = {key: value for key in kind.face_interfaces
                   if (value := _read_friction(entry, kind, key, place)) is not None}
-    laws = [from_keys(CONTACT_LAWS.find(name, f"{place}.contact_laws.{name}"), content, f"{place}.contact_laws.{name}")
+    laws = [make_from_file_keys(CONTACT_LAWS.find(name, f"{place}.contact_laws.{name}"), content,
+                                f"{place}.contact_laws.{name}")
             for name, content in (entry.contact_laws or {}).items()]
     try:
         return kind.experiment(specimen=specimen, protocol=Protocol.ramp(1e-3 * specimen.height, 2),
@@ -94,7 +95,7 @@ def _read_approach(entry: TestTable, specimen: Specimen, place: str) -> Approach
         if entry.solver is None and specimen.is_round:
             raise InputError(f"{key} requires solver = 'solid', because the test is not axisymmetric; add solver",
                              field=f"{place}.{key}")
-    return from_keys(Approach, stated, place) if stated else None
+    return make_from_file_keys(Approach, stated, place) if stated else None
 
 
 def read_solver(entry: TestTable, specimen: Specimen | None, place: str) -> str:
@@ -106,7 +107,7 @@ def read_solver(entry: TestTable, specimen: Specimen | None, place: str) -> str:
     round_ = specimen is None or specimen.is_round
     name = entry.solver or (ROUND_SOLVER if round_ else SPACE_SOLVER)
     if name not in SOLVERS:
-        raise InputError(f"unknown solver {name!r}{nearest(name, SOLVERS)}", field=f"{place}.solver")
+        raise InputError(f"unknown solver {name!r}{suggest_known_word(name, SOLVERS)}", field=f"{place}.solver")
     if specimen is not None and not round_ and name == ROUND_SOLVER:
         raise InputError(f"the axisymmetric solver requires a cylinder; {specimen.name!r} is "
                          f"{add_article(specimen.shape)}. Leave solver out, or set solver = {SPACE_SOLVER!r}",
@@ -118,7 +119,7 @@ def _read_friction(entry: TestTable, kind: TestKind, key: str, place: str) -> st
     """Return the stated friction of a face, or None if the campaign states nothing."""
     face, value = kind.face_interfaces[key], getattr(entry, key)
     if isinstance(value, str) and value not in (*INTERFACES, *([AS_TOOL] if key == "friction_base" else [])):
-        raise InputError(f"unknown friction {value!r}{nearest(value, INTERFACES)}; or give a coefficient",
+        raise InputError(f"unknown friction {value!r}{suggest_known_word(value, INTERFACES)}; or give a coefficient",
                          field=f"{place}.{key}")
     if face.fixed and value is not None and (value or "frictionless") != face.usual:
         other = " or ".join(repr(name) for name, one in KINDS.items()
@@ -144,7 +145,8 @@ def _read_tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> To
     if not fits:
         other = " or ".join(repr(name) for name, one in KINDS.items() if one.allows_tool(TOOLS[shape]))
         raise InputError(f"{entry.kind} cannot use the tool {entry.tool!r}; use kind = {other}", field=f"{place}.tool")
-    usual = {} if entry.tool is not None else {name: getattr(kinds_tool, name) for name in declared(type(kinds_tool))}
+    usual = {} if entry.tool is not None else {name: getattr(kinds_tool, name)
+                                               for name in list_field_declarations(type(kinds_tool))}
     # Zero means that the tool has no such dimension.
     sizes = convert_tool_sizes_to_si({key: value for key, value in entry.tool_sizes.items() if value})
     return Tool(shape, profile_file=profile, **(usual | sizes))
@@ -161,4 +163,4 @@ def read_rig(entry: TestTable, folder: Path, place: str) -> Rig:
     try:
         return load_rig(folder / entry.rig).without_noise
     except InputError as error:
-        raise error.located(field=f"{place}.rig") from None
+        raise error.with_location(field=f"{place}.rig") from None

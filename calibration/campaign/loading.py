@@ -48,7 +48,7 @@ def select_elastic_samples(samples: np.ndarray, displacement: np.ndarray, screen
         if samples.size < MIN_POINTS:
             raise InputError(f"{path.name}: {control.sentence} ({samples.size} samples of loading)",
                              field="recordings")
-    loads = loading_indices(displacement[samples], both_sides=both_sides) if samples.size else samples
+    loads = find_loading_indices(displacement[samples], both_sides=both_sides) if samples.size else samples
     if loads.size < MIN_POINTS:
         raise InputError(f"{path.name} must have at least {MIN_POINTS} samples of loading; its largest strain is in "
                          f"sample {loads.size}, and later samples count as unloading. Sort the file by time",
@@ -56,8 +56,8 @@ def select_elastic_samples(samples: np.ndarray, displacement: np.ndarray, screen
     return samples[loads]
 
 
-def require_loading(displacement: np.ndarray, force: np.ndarray, screening: Screening, path: Path) -> None:
-    """Reject a recording without its loading from rest, for a material with memory.
+def require_recorded_loading(displacement: np.ndarray, force: np.ndarray, screening: Screening, path: Path) -> None:
+    """Raise an error if the loading from rest is missing in a recording of a material with memory.
 
     The force of a material with memory depends on the complete history; the rate of an unrecorded loading is unknown.
 
@@ -77,8 +77,8 @@ def require_loading(displacement: np.ndarray, force: np.ndarray, screening: Scre
                          "and the next sample is under load. Correct that sample in the file", field="recordings")
 
 
-def loading_indices(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
-    """Return the indices of the samples up to the largest displacement.
+def find_loading_indices(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
+    """Return the indices of the samples of the first loading, which ends at the largest displacement.
 
     A specimen loaded in both directions has a second loading from rest to the opposite extreme, which is included. The
     unloading between the two loadings is left out.
@@ -99,8 +99,15 @@ def loading_indices(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
     return np.append(np.arange(first + 1), np.arange(first + turned[-1] + 1, second + 1))
 
 
-def check_motion(displacement: np.ndarray, height: float, test: Test, path: Path) -> None:
-    """Reject a recording without motion or loading, and one that is deeper than the height of the specimen."""
+def check_displacement_range(displacement: np.ndarray, height: float, test: Test, path: Path) -> None:
+    """Raise an `InputError` for a constant displacement, or one that exceeds the height of the specimen.
+
+    Args:
+        displacement: displacement of the loading, m, positive under load, shape (n,).
+        height: height of the specimen, m.
+        test: test of the recording.
+        path: file of the recording, for messages.
+    """
     if np.ptp(displacement) == 0:
         raise InputError(f"{path.name} has a constant displacement in all {displacement.size} samples of loading; "
                          "check which column is read as displacement", field="recordings")

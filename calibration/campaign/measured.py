@@ -10,17 +10,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.loading import check_motion, require_loading, select_elastic_samples
+from calibration.campaign.loading import check_displacement_range, require_recorded_loading, select_elastic_samples
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.screened import (
-    add_load_control,
-    add_preload,
-    check_left_out,
-    clean_recording,
+    add_controlled_quantity,
+    add_load_at_zero,
+    check_recording_names_of_leave_out,
     list_screening_notes,
+    remove_unusable_samples,
 )
-from calibration.campaign.segmented import SegmentedRecording, list_notes_with_air, list_origin_notes, segment_recording
-from calibration.campaign.specimen_check import check_size
+from calibration.campaign.segmented import (
+    SegmentedRecording,
+    list_notes_and_air_warning,
+    list_notes_on_stated_origin,
+    segment_recording,
+)
+from calibration.campaign.specimen_check import check_specimen_metadata
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_time_stamps
 from calibration.statistics.statistics import estimate_white_noise, find_quantisation_step
 from tissue_sim.errors import InputError
@@ -85,7 +90,7 @@ class MeasuredCurve:
     screening: Screening = field(default_factory=Screening)
 
     @property
-    def clock(self) -> np.ndarray:
+    def sample_times(self) -> np.ndarray:
         """Time of the samples, s, shape (n,).
 
         Raises:
@@ -107,11 +112,11 @@ class MeasuredCurve:
 
 
 def depends_on_history(test: Test, material: Material) -> bool:
-    """Return whether the force depends on the motion history; if so, holds and unloading are fitted too."""
+    """Return whether the force of a test depends on the previous motion; if so, holds and unloading are fitted too."""
     return material.remembers or (test.experiment is not None and test.experiment.is_path_dependent)
 
 
-def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
+def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
     """Read and check all recordings of a campaign, including those of held-out tests.
 
     Returns:
@@ -130,19 +135,21 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         for path in test.recordings:
             try:
                 recordings = read_recordings(path, kind=test.kind.name, **test.reading)
-                curves += [_read_curve(*clean_recording(recording, name, test), name, path, test, campaign)
-                           for recording, name in zip(recordings, name_recordings(recordings, path, test), strict=True)]
+                curves += [_make_curve_from_recording(*remove_unusable_samples(recording, name, test), name, path,
+                                                      test, campaign)
+                           for recording, name in zip(recordings, make_recording_names(recordings, path, test),
+                                                      strict=True)]
             except InputError as error:
                 field = test.place if error.file is None else None
-                raise error.located(file=campaign.path, field=field) from None
-        check_left_out(test, [curve.name for curve in curves], campaign)
+                raise error.with_location(file=campaign.path, field=field) from None
+        check_recording_names_of_leave_out(test, [curve.name for curve in curves], campaign)
         for curve in curves:
             if curve.name in names:
                 raise InputError(f"names of recordings must be unique; got {curve.name!r} twice. Give their tests "
                                  "different names", file=campaign.path, field=f"{test.place}.recordings")
             names.add(curve.name)
         if not analytical:
-            _check_replicates(curves, test, campaign)
+            _require_equal_motions(curves, test, campaign)
             noise = estimate_shared_noise([(curve.force, curve.time, curve.segment) for curve in curves],
                                           deviation=_find_stated_noise(curves[0], campaign),
                                           correlation_time=campaign.noise.correlation_time)
@@ -155,7 +162,7 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
     return found
 
 
-def default_contact_deviation(curves: Sequence[MeasuredCurve]) -> float:
+def get_default_contact_deviation(curves: Sequence[MeasuredCurve]) -> float:
     """Return the default standard deviation of a contact offset, m.
 
     The value is `OffsetDefaults.contact_prior` or a fraction of the displacement of the shortest test, whichever is
@@ -166,13 +173,13 @@ def default_contact_deviation(curves: Sequence[MeasuredCurve]) -> float:
                for reach, stressed in ((float(np.abs(curve.displacement).max()), curve.stressed) for curve in curves))
 
 
-def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]]) -> Campaign:
-    """Return the campaign with default priors and bounds of contact offsets adapted to the size of its tests.
+def scale_offset_defaults(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]]) -> Campaign:
+    """Return the campaign with default priors and bounds of contact offsets scaled to the displacements of its tests.
 
     Priors and bounds that the campaign states stay unchanged.
     """
     curves = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
-    contact = default_contact_deviation(curves)
+    contact = get_default_contact_deviation(curves)
     # If the displacement was zeroed at a preload, contact occurred before the zero by this distance.
     preloads = [abs(curve.screening.preload.shift) for curve in curves if curve.screening.preload is not None]
     contact = max([contact, *preloads])
@@ -184,38 +191,41 @@ def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCu
     return replace(campaign, fit=fit)
 
 
-def name_recordings(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
-    """Return the names of the recordings in one file: the file name, or the recording names if there are several."""
+def make_recording_names(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
+    """Return the names ``test/recording`` of the recordings in one file.
+
+    A single recording is named after its file; several recordings have the names in the file.
+    """
     return [f"{test.name}/{path.stem if len(recordings) == 1 else recording.name}" for recording in recordings]
 
 
-def _read_curve(recording: Recording, screening: Screening, name: str, path: Path, test: Test,
+def _make_curve_from_recording(recording: Recording, screening: Screening, name: str, path: Path, test: Test,
                 campaign: Campaign) -> MeasuredCurve:
-    """Return one recording as a curve: cleaned, segmented and limited to the fitted samples."""
-    material, closed = campaign.fit.material, campaign.fit.method == "analytical" or test.experiment is None
-    check_size(recording, test, campaign, path)
+    """Return the fitted samples of a cleaned recording: segmented, from contact, and within ``max_strain``."""
+    material, closed = campaign.fit.placeholder_material, campaign.fit.method == "analytical" or test.experiment is None
+    check_specimen_metadata(recording, test, campaign, path)
     displacement, force, stressed = _read_force_and_displacement(recording, test, path)
-    _check_parts(test, material, stressed, closed, path)
+    _require_closed_form_support(test, material, stressed, closed, path)
     time = np.array(recording.time) if "time" in recording else None
     if time is None and test.rig.needs_time:
         raise InputError(f"{path.name} has no time, and the rig of the test requires time (latency, damping or drift); "
                          "state a time column, or speed_mm_s", field="recordings")
     remembering = depends_on_history(test, material) or (campaign.fit.whole and time is not None)
     height = 1.0 if test.specimen is None else test.specimen.height
-    screening = add_load_control(screening, displacement, force, time, test)
+    screening = add_controlled_quantity(screening, displacement, force, time, test)
     if remembering:
-        require_loading(displacement, force, screening, path)
+        require_recorded_loading(displacement, force, screening, path)
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
     whole = segment_recording(test, displacement, force, time, labels, stressed=stressed, remembering=remembering,
                               path=path)
     displacement, force, keep = whole.displacement, whole.force, whole.used
     if not whole.segmentation.has_air:
-        screening = add_preload(screening, displacement, force, campaign,
+        screening = add_load_at_zero(screening, displacement, force, campaign,
                                 can_pull=test.kind.can_pull, stressed=stressed)
     if labels is not None:
         inside = keep & ~np.isin(labels, ("approach",) if remembering else NOT_LOADING)
         keep = inside if inside.any() else keep
-    check_motion(displacement[keep], height, test, path)
+    check_displacement_range(displacement[keep], height, test, path)
     samples, later = np.flatnonzero(keep), 0
     if remembering:
         if time is None:
@@ -262,19 +272,20 @@ def _read_curve(recording: Recording, screening: Screening, name: str, path: Pat
     curve = MeasuredCurve(name, test, time, displacement[samples], force[samples], labels if remembering else None,
                           path, str(recording.metadata.get("sha256", "")), stressed, later,
                           whole=replace(whole, used=used),
-                          notes=list_notes_with_air(whole, int(samples.min()), stressed=stressed)
-                          | list_origin_notes(recording, test)
+                          notes=list_notes_and_air_warning(whole, int(samples.min()), stressed=stressed)
+                          | list_notes_on_stated_origin(recording, test)
                           | list_screening_notes(screening, recording, remembering=remembering),
                           screening=screening)
     if campaign.fit.method == "analytical":
-        curve = attach_noise(replace(curve, displacement=displacement[loading], force=force[loading]), campaign,
+        curve = add_noise_to_curve(replace(curve, displacement=displacement[loading], force=force[loading]), campaign,
                              curve)
     for array in (curve.displacement, curve.force):
         array.flags.writeable = False
     return curve
 
 
-def attach_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve | None = None) -> MeasuredCurve:
+def add_noise_to_curve(loading: MeasuredCurve, campaign: Campaign,
+                       window: MeasuredCurve | None = None) -> MeasuredCurve:
     """Return a curve with its stated or estimated noise, interpolated if the campaign states `strain_points`.
 
     Args:
@@ -293,12 +304,12 @@ def attach_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCur
     points = campaign.fit.strain_points
     if points is None:
         return replace(window, noise=noise)
-    grid, interpolation = _interpolate_evenly(loading.displacement, loading, campaign, points)
+    grid, interpolation = _make_even_interpolation(loading.displacement, loading, campaign, points)
     return replace(window, noise=noise, time=None, displacement=grid, force=interpolation @ loading.force,
                    interpolation=interpolation)
 
 
-def _interpolate_evenly(displacement: np.ndarray, curve: MeasuredCurve, campaign: Campaign,
+def _make_even_interpolation(displacement: np.ndarray, curve: MeasuredCurve, campaign: Campaign,
                         points: int) -> tuple[np.ndarray, csr_array]:
     """Return evenly spaced displacements up to the end of the window, and the matrix that interpolates onto them."""
     from scipy.sparse import csr_array
@@ -321,7 +332,7 @@ def _interpolate_evenly(displacement: np.ndarray, curve: MeasuredCurve, campaign
     return grid, csr_array((weights, indices), shape=(points, displacement.size))
 
 
-def _check_parts(test: Test, material: Material, stressed: bool, closed: bool, path: Path) -> None:
+def _require_closed_form_support(test: Test, material: Material, stressed: bool, closed: bool, path: Path) -> None:
     """Reject parts of the model that the closed form of a homogeneous test does not support.
 
     Args:
@@ -375,7 +386,7 @@ def _read_force_and_displacement(recording: Recording, test: Test, path: Path) -
             True)
 
 
-def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> None:
+def _require_equal_motions(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> None:
     """Reject recordings of one test that differ in speed or largest displacement."""
     first = curves[0]
     for other in curves[1:]:

@@ -10,22 +10,25 @@ from tissue_sim.experiment.tools.tool import parse_shape_name
 from tissue_sim.specimen import SPECIMENS
 
 
-def absolute_path(path: Path) -> str:
-    """Return the absolute path of a file."""
+def get_absolute_path(path: Path) -> str:
+    """Return the absolute path of a file as text, with symbolic links resolved."""
     return str(path.resolve())
 
 
-def rename_files(content: Mapping[str, Any], folder: Path, name: Callable[[Path], str]) -> dict[str, Any]:
-    """Return the content of a campaign with renamed files of specimen meshes, tool profiles and rigs.
+def replace_file_names(content: Mapping[str, Any], folder: Path, name: Callable[[Path], str]) -> dict[str, Any]:
+    """Return the content of a campaign with other paths of its specimen meshes, tool profiles and rigs.
+
+    Files on disk are not changed.
 
     Args:
         content: parsed content of the campaign file.
         folder: folder of the campaign file.
-        name: returns the new name of the file with this path.
+        name: returns the new path, as text, of the file with a given path.
     """
     of_specimens = {key for kind in SPECIMENS.values() for key in kind.paths}
 
-    def rename_value(key: str, value: Any) -> Any:
+    def replace_file_name(key: str, value: Any) -> Any:
+        """Return the value of a key of ``[[test]]`` with the new path if the value names a file."""
         path = folder / value if key == "rig" else parse_shape_name(value, folder)[1] if key == "tool" else None
         return value if path is None else name(path)
 
@@ -34,18 +37,20 @@ def rename_files(content: Mapping[str, Any], folder: Path, name: Callable[[Path]
         renamed["specimen"] = [{key: name(folder / value) if key in of_specimens else value
                                 for key, value in table.items()} for table in content["specimen"]]
     if "defaults" in content:
-        renamed["defaults"] = {key: rename_value(key, value) for key, value in content["defaults"].items()}
-    renamed["test"] = [{key: rename_value(key, value) for key, value in table.items()} for table in content["test"]]
+        renamed["defaults"] = {key: replace_file_name(key, value) for key, value in content["defaults"].items()}
+    renamed["test"] = [{key: replace_file_name(key, value) for key, value in table.items()}
+                       for table in content["test"]]
     return renamed
 
 
 def list_named_files(content: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Return the paths of meshes, tool profiles and rigs that a campaign names; see `rename_files`."""
+    """Return the paths of meshes, tool profiles and rigs that a campaign names; see `replace_file_names`."""
     found: list[Path] = []
 
     def collect_path(path: Path) -> str:
+        """Append a path to `found` and return the path unchanged."""
         found.append(path)
         return str(path)
 
-    rename_files(content, folder, collect_path)
+    replace_file_names(content, folder, collect_path)
     return found

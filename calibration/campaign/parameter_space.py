@@ -1,4 +1,4 @@
-"""Unknown parameters of a fit: names, bounds, priors, scopes, and the models built from parameter values."""
+"""Free and fixed parameters of a fit: names, bounds, priors, scopes, and the models built from parameter values."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from functools import cached_property
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TEST, SHARED, NamedParameter
+from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TEST, SHARED, CampaignParameter
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import find_law
-from tissue_sim.material.material import Bulk, Material, law_declaration
-from tissue_sim.material.parts import make_material
+from tissue_sim.material.material import Bulk, Material, get_law_parameter_declaration
+from tissue_sim.material.parts import make_material_from_numbers
 from tissue_sim.model import Model
-from tissue_sim.parameters import Declaration, symbol_at, with_values
+from tissue_sim.parameters import Declaration, make_parameter_symbol, with_values
 from tissue_sim.rig.rig import Rig
 
 #: Sum of the moduli in simulations whose forces are proportional to the moduli, Pa.
@@ -29,12 +29,12 @@ _MIN_SIZE = 0.1
 
 
 @dataclass(frozen=True)
-class Unknown:
-    """One free or fixed number of a fit.
+class FitParameter:
+    """One free or fixed scalar parameter of a fit.
 
     Attributes:
         name: path, followed by ``@`` and the specimen, test or recording if the parameter has several values.
-        path: path of the parameter, see `calibration.campaign.parameters.NamedParameter`.
+        path: path of the parameter, see `calibration.campaign.parameters.CampaignParameter`.
         declaration: unit, bounds and symbol of the parameter.
         of_law: whether it is a parameter of the law.
         of_material: whether it is a parameter of the material, including its law.
@@ -53,7 +53,7 @@ class Unknown:
     specimen: str | None = None
 
     def acts_in(self, test: str | None, recording: str | None) -> bool:
-        """Return whether the number applies to a recording of a test; None means any test or recording."""
+        """Return whether the parameter applies to a recording of a test; None means any test or recording."""
         return ((self.tests is None or test is None or test in self.tests)
                 and (self.recording is None or recording is None or recording == self.recording))
 
@@ -61,22 +61,22 @@ class Unknown:
     def symbol(self) -> str:
         """Symbol in reports, such as ``g1`` or ``gs@needle``."""
         _, at, mark = self.name.partition("@")
-        return symbol_at(self.path, self.declaration) + at + mark
+        return make_parameter_symbol(self.path, self.declaration) + at + mark
 
     @property
     def is_modulus(self) -> bool:
-        """Whether the number is a modulus; forces are proportional to a common factor of all moduli."""
+        """Whether the parameter is a modulus of the material (unit Pa); forces scale with all moduli together."""
         return self.of_material and self.declaration.unit == "Pa"
 
     @property
     def is_exponent(self) -> bool:
-        """Whether the number is a dimensionless parameter of the law."""
+        """Whether the parameter is a dimensionless parameter of the law, such as an exponent of Ogden's law."""
         return self.of_law and self.declaration.unit == "1"
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterSpace:
-    """Parameters of the fit of one law.
+    """Free and fixed parameters of the fit of one law, with bounds and priors.
 
     Attributes:
         law: name of the law.
@@ -92,7 +92,7 @@ class ParameterSpace:
     """
 
     law: str
-    unknowns: tuple[Unknown, ...]
+    unknowns: tuple[FitParameter, ...]
     free: tuple[str, ...]
     fixed: dict[str, float]
     start: dict[str, float]
@@ -103,7 +103,8 @@ class ParameterSpace:
     bulk: Bulk
 
     @classmethod
-    def of(cls, law: str, campaign: Campaign, recordings: Mapping[str, Sequence[str]] | None = None) -> ParameterSpace:
+    def from_campaign(cls, law: str, campaign: Campaign,
+                      recordings: Mapping[str, Sequence[str]] | None = None) -> ParameterSpace:
         """Create the parameter space of a law with the additional parameters that the campaign names.
 
         Args:
@@ -114,11 +115,11 @@ class ParameterSpace:
         settings, own = campaign.fit, find_law(law)
         all_tests = tuple(test.name for test in campaign.tests)
         parameters = [settings.named.get(name)
-                      or NamedParameter(name, law_declaration(own, name), True, SHARED, all_tests)
+                      or CampaignParameter(name, get_law_parameter_declaration(own, name), True, SHARED, all_tests)
                       for name in own.parameters]
-        parameters += [settings.named[path] for path in settings.others]
+        parameters += [settings.named[path] for path in settings.non_law_paths]
         unknowns = [unknown for named in parameters
-                    for unknown in _expand_scope(named, campaign.tests, recordings or {})]
+                    for unknown in _make_parameters_of_scope(named, campaign.tests, recordings or {})]
         fixed = {each.name: settings.fixed[each.path] for each in unknowns if each.path in settings.fixed}
         free = [each for each in unknowns if each.name not in fixed]
         bounds = np.array([settings.bounds.get(each.path, each.declaration.bounds) for each in free]).reshape(-1, 2)
@@ -138,40 +139,43 @@ class ParameterSpace:
         counts = Counter(each.symbol for each in self.unknowns)
         return {each.name: each.symbol if counts[each.symbol] == 1 else each.name for each in self.unknowns}
 
-    def in_symbols(self, names: Iterable[str]) -> str:
+    def format_symbols(self, names: Iterable[str]) -> str:
         """Return the symbols of these parameters as text, such as ``C10, g1``."""
         return ", ".join(self.symbols[name] for name in names)
 
     @cached_property
-    def of_material_alone(self) -> bool:
+    def has_only_shared_material_parameters(self) -> bool:
         """Whether all parameters belong to the material and are the same in all tests."""
         return all(each.of_material and each.tests is None and each.recording is None for each in self.unknowns)
 
     def find_own_recording(self, test: str, recording: str) -> str | None:
-        """Return the recording if a parameter has a separate value in the recording, otherwise None."""
+        """Return `recording` if any parameter has a separate value in this recording of the test, otherwise None."""
         return recording if any(each.recording == recording and each.acts_in(test, recording)
                                 for each in self.unknowns) else None
 
     def shapes_mesh(self, test: str) -> bool:
-        """Return whether a free parameter of a test changes the geometry of its mesh."""
-        return any(each.declaration.shapes_mesh and each.acts_in(test, None) for each in self.varied)
+        """Return whether any free parameter that acts in a test changes the geometry of its mesh."""
+        return any(each.declaration.shapes_mesh and each.acts_in(test, None) for each in self.free_parameters)
 
     def with_start_geometry(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return the values with the start geometry, for which the mesh is generated before its nodes are moved."""
+        """Return the values with parameters of the geometry replaced by their start values.
+
+        The mesh is generated for the start values; its nodes are then moved with the geometry.
+        """
         return {**values, **{each.name: self.start[each.name] for each in self.unknowns
                              if each.declaration.shapes_mesh and each.name in self.start}}
 
-    def held(self, values: Mapping[str, float]) -> ParameterSpace:
-        """Return the space with all parameters fixed; `values` are those of the free parameters by name."""
+    def with_all_fixed(self, values: Mapping[str, float]) -> ParameterSpace:
+        """Return the space with all parameters fixed; `values` are those of the free parameters by name, SI."""
         empty = np.zeros(0)
         return replace(self, free=(), fixed={**self.fixed, **values}, low=empty, high=empty, prior_mean=empty,
                        prior_deviation=empty)
 
-    def unknown(self, name: str) -> Unknown:
-        """Return the parameter with this name."""
+    def find_parameter(self, name: str) -> FitParameter:
+        """Return the parameter with a name; raise `StopIteration` for an unknown name."""
         return next(each for each in self.unknowns if each.name == name)
 
-    def with_specimen(self, specimen: str, tests: Sequence[str]) -> ParameterSpace:
+    def with_specimen_parameters(self, specimen: str, tests: Sequence[str]) -> ParameterSpace:
         """Return the space with additional parameters for a specimen without fitted tests.
 
         The space is returned unchanged if the specimen already has parameters or if no parameter differs between
@@ -196,17 +200,21 @@ class ParameterSpace:
                        prior_deviation=deviation)
 
     @cached_property
-    def varied(self) -> tuple[Unknown, ...]:
+    def free_parameters(self) -> tuple[FitParameter, ...]:
         """Free parameters in the order of `free`."""
-        return tuple(map(self.unknown, self.free))
+        return tuple(map(self.find_parameter, self.free))
 
     def values(self, theta: np.ndarray) -> dict[str, float]:
-        """Return the values of all parameters by name, SI, for the free values `theta`, shape (p,)."""
+        """Return the values of all parameters by name, SI.
+
+        Args:
+            theta: values of the free parameters in the order of `free`, SI, shape (p,).
+        """
         known = self.fixed | dict(zip(self.free, np.asarray(theta).tolist(), strict=True))
         return {name: known[name] for name in self.names}
 
-    def of_law(self, values: Mapping[str, float], test: str | None = None) -> dict[str, float]:
-        """Return the parameters of the law in a test by their names in the law.
+    def select_law_parameters(self, values: Mapping[str, float], test: str | None = None) -> dict[str, float]:
+        """Return the values of the parameters of the law in a test, SI, by their names in the law.
 
         Args:
             values: values of all parameters by name, SI.
@@ -215,7 +223,7 @@ class ParameterSpace:
         acting = self._find_acting_parameters(test, None)
         return {path: values[each.name] for path, each in acting.items() if each.of_law}
 
-    def material(self, values: Mapping[str, float], density: float | None = None, name: str = "", *,
+    def build_material(self, values: Mapping[str, float], density: float | None = None, name: str = "", *,
                  test: str | None = None, recording: str | None = None) -> Material:
         """Return the material with these values in a test and a recording.
 
@@ -233,11 +241,12 @@ class ParameterSpace:
         others = {path: values[each.name] for path, each in acting.items() if each.of_material and not each.of_law}
         own = {path: values[each.name] for path, each in acting.items() if each.of_law}
         if len(own) < len(find_law(self.law).parameters):
-            raise InputError(f"a parameter of the law has a separate value in {test} that no fitted test determines; "
-                             "set its scope to 'shared'", field="fit.scope")
-        return make_material(self.law, own, others, self.bulk, density=density, name=name)
+            raise InputError("scope of a parameter of the law must give each test a fitted value; got a separate value "
+                             f"in {test}, which no fitted test determines. Set the scope to 'shared'.",
+                             field="fit.scope")
+        return make_material_from_numbers(self.law, own, others, self.bulk, density=density, name=name)
 
-    def model(self, values: Mapping[str, float], experiment: Experiment, rig: Rig, *, test: str,
+    def build_model(self, values: Mapping[str, float], experiment: Experiment, rig: Rig, *, test: str,
               recording: str | None = None) -> Model:
         """Return the model of a test: material, experiment and rig with these parameter values.
 
@@ -251,21 +260,25 @@ class ParameterSpace:
         Raises:
             InputError: the values are invalid for the model.
         """
-        model = Model(experiment, self.material(values, test=test, recording=recording), rig)
+        model = Model(experiment, self.build_material(values, test=test, recording=recording), rig)
         others = {path: values[each.name] for path, each in self._find_acting_parameters(test, recording).items()
                   if not each.of_material}
         return with_values(model, others) if others else model
 
-    def _find_acting_parameters(self, test: str | None, recording: str | None) -> dict[str, Unknown]:
-        """Return the parameter of each path that applies to a recording of a test."""
-        acting: dict[str, Unknown] = {}
+    def _find_acting_parameters(self, test: str | None, recording: str | None) -> dict[str, FitParameter]:
+        """Return path -> parameter for the parameters that apply to a recording of a test; None: any."""
+        acting: dict[str, FitParameter] = {}
         for each in self.unknowns:
             if each.acts_in(test, recording):
                 acting.setdefault(each.path, each)
         return acting
 
     def normalise_moduli(self, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
-        """Return the values with moduli scaled to the sum `REFERENCE_MODULUS`, and the factor removed from them."""
+        """Scale all moduli to the sum `REFERENCE_MODULUS`, so that proportional simulations are reused.
+
+        Returns:
+            (values by name, SI, with scaled moduli; factor by which the moduli and the forces were divided).
+        """
         moduli = [each.name for each in self.unknowns if each.is_modulus]
         factor = sum(abs(values[name]) for name in moduli) / REFERENCE_MODULUS
         if not (np.isfinite(factor) and factor > 0):
@@ -273,36 +286,38 @@ class ParameterSpace:
         return {name: float(f"{value / factor:.{_DIGITS}e}") if name in moduli else value
                 for name, value in values.items()}, factor
 
-    def sizes(self, values: Mapping[str, float]) -> np.ndarray:
+    def typical_sizes(self, values: Mapping[str, float]) -> np.ndarray:
         """Return the typical size of each free parameter for scaling, SI, shape (p,).
 
         The size is the absolute value, but at least a tenth of the shear modulus for a modulus and a tenth of the file
         unit for other parameters.
         """
-        stiffness = abs(find_law(self.law).mu0(self.of_law(values)))
-        floor = [_MIN_SIZE * (stiffness if each.is_modulus else each.declaration.factor) for each in self.varied]
+        stiffness = abs(find_law(self.law).mu0(self.select_law_parameters(values)))
+        floor = [_MIN_SIZE * (stiffness if each.is_modulus else each.declaration.factor)
+                 for each in self.free_parameters]
         return np.maximum([abs(values[name]) for name in self.free], floor)
 
 
-def _expand_scope(named: NamedParameter, tests: Sequence[Test],
-                  recordings: Mapping[str, Sequence[str]]) -> list[Unknown]:
-    """Return the numbers of a named parameter: one, or one for each specimen, test or recording."""
-    def build_unknown(owner: str = "", where: tuple[str, ...] | None = None, recording: str | None = None,
-                      specimen: str | None = None) -> Unknown:
+def _make_parameters_of_scope(named: CampaignParameter, tests: Sequence[Test],
+                  recordings: Mapping[str, Sequence[str]]) -> list[FitParameter]:
+    """Return one fit parameter, or one for each specimen, test or recording, by the scope of `named`."""
+    def make_fit_parameter(owner: str = "", where: tuple[str, ...] | None = None, recording: str | None = None,
+                      specimen: str | None = None) -> FitParameter:
         name = f"{named.path}@{owner}" if owner else named.path
-        return Unknown(name, named.path, named.declaration, named.of_law, named.of_material, where, recording, specimen)
+        return FitParameter(name, named.path, named.declaration, named.of_law, named.of_material, where, recording,
+                            specimen)
 
     own = [test for test in tests if test.name in named.tests and not test.hold_out]
     if named.scope == PER_TEST:
-        return [build_unknown(test.name, (test.name,)) for test in own]
+        return [make_fit_parameter(test.name, (test.name,)) for test in own]
     if named.scope == PER_REPLICATE:
-        return [build_unknown(recording, (test.name,), recording)
+        return [make_fit_parameter(recording, (test.name,), recording)
                 for test in own for recording in recordings.get(test.name, ())]
     if named.scope == PER_SPECIMEN:
         specimens = dict.fromkeys(test.specimen.name for test in own if test.specimen is not None)
         tests_of = {specimen: tuple(test.name for test in tests
                                     if test.specimen is not None and test.specimen.name == specimen)
                     for specimen in specimens}
-        return [build_unknown(specimen, where, specimen=specimen) for specimen, where in tests_of.items()]
+        return [make_fit_parameter(specimen, where, specimen=specimen) for specimen, where in tests_of.items()]
     shared = named.scope if isinstance(named.scope, tuple) else None if named.of_material else named.tests
-    return [build_unknown(where=shared)]
+    return [make_fit_parameter(where=shared)]

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.campaign.schema import BY_PARAMETER, FitTable
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import LAWS
-from tissue_sim.material.material import Material, law_declaration
-from tissue_sim.material.parts import find_declaration, make_material, region_of
+from tissue_sim.material.material import Material, get_law_parameter_declaration
+from tissue_sim.material.parts import find_material_declaration, find_region_name, make_material_from_numbers
 from tissue_sim.parameters import Declaration, parameters
 from tissue_sim.rig.rig import Rig
 
@@ -36,8 +36,8 @@ _NOT_MATERIAL = ("experiment.", "rig.")
 
 
 @dataclass(frozen=True)
-class NamedParameter:
-    """A parameter that a campaign names.
+class CampaignParameter:
+    """Parameter that ``[fit]`` of a campaign names, with its scope.
 
     Attributes:
         path: path in `tissue_sim.parameters` without ``material.``, or the name of a parameter of the law.
@@ -59,34 +59,34 @@ class NamedParameter:
         return not self.path.startswith(_NOT_MATERIAL)
 
 
-def declare_rig_and_experiment(experiment: Experiment | None, rig: Rig) -> dict[str, Declaration]:
-    """Return the declarations of the parameters of experiment and rig by path; empty for a gripped specimen."""
+def list_rig_and_experiment_parameters(experiment: Experiment | None, rig: Rig) -> dict[str, Declaration]:
+    """Return path -> declaration of the parameters of an experiment and a rig; empty without an experiment."""
     if experiment is None:
         return {}
     return {f"{part}.{path}": each.declaration for part, whole in (("experiment", experiment), ("rig", rig))
             for path, each in parameters(whole).items()}
 
 
-def build_stated_material(values: Mapping[str, float], named: Mapping[str, NamedParameter]) -> Material:
-    """Return a material with a placeholder law and the parts that these values (SI) define.
+def build_stated_material(values: Mapping[str, float], named: Mapping[str, CampaignParameter]) -> Material:
+    """Return a neo-Hookean placeholder material with the effects that these values (SI) define.
 
-    The material answers whether it has memory or layers.
+    The material shows whether the tissue has memory or layers; its modulus has no meaning.
 
     Raises:
         InputError: a part is incomplete or its values are invalid.
     """
     others = {name: value for name, value in values.items()
               if name in named and named[name].of_material and not named[name].of_law}
-    return make_material("neo_hooke", {"C10": 1.0}, others)
+    return make_material_from_numbers("neo_hooke", {"C10": 1.0}, others)
 
 
-def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
-               regions: Mapping[str, Collection[str]]) -> dict[str, NamedParameter]:
-    """Resolve all parameter names in start, fixed, prior, bounds and scope.
+def resolve_parameter_names(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
+               regions: Mapping[str, Collection[str]]) -> dict[str, CampaignParameter]:
+    """Find the parameter for each name in start, fixed, prior, bounds and scope of ``[fit]``.
 
     Args:
         table: table ``[fit]`` of the campaign.
-        around: parameters of experiment and rig of each test, see `declare_rig_and_experiment`.
+        around: parameters of experiment and rig of each test, see `list_rig_and_experiment_parameters`.
         regions: names of the regions of the specimen of each test.
 
     Returns:
@@ -95,9 +95,9 @@ def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
     Raises:
         InputError: no model has the parameter, or its scope is ambiguous; the error states the field.
     """
-    laws = {parameter: law_declaration(LAWS[law], parameter) for law in table.laws
+    laws = {parameter: get_law_parameter_declaration(LAWS[law], parameter) for law in table.laws
             for parameter in LAWS[law].parameters}
-    named: dict[str, NamedParameter] = {}
+    named: dict[str, CampaignParameter] = {}
     for key in (*BY_PARAMETER, "scope"):
         for name in getattr(table, key):
             if name not in named:
@@ -105,48 +105,51 @@ def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
     paths: dict[str, str] = {}
     for name, parameter in named.items():
         if paths.setdefault(parameter.path, name) != name:
-            raise InputError(f"is the same parameter as {paths[parameter.path]!r}; keep one of the names",
-                             field=f"fit.start.{name}")
+            raise InputError(f"parameter must be named once; {name!r} is the same parameter as "
+                             f"{paths[parameter.path]!r}. Keep one of the names.", field=f"fit.start.{name}")
     return named
 
 
 def _resolve_name(name: str, field: str, laws: Mapping[str, Declaration],
                   around: Mapping[str, Mapping[str, Declaration]], regions: Mapping[str, Collection[str]],
-                  table: FitTable) -> NamedParameter:
+                  table: FitTable) -> CampaignParameter:
     """Return the parameter with a name in the campaign file, with its path, scope and tests."""
     scope = table.scope.get(name)
     everywhere = tuple(around)
     path = name.removeprefix("material.")
     if path in laws:
-        return NamedParameter(path, laws[path], True, _read_scope(name, scope, everywhere, SHARED), everywhere)
+        return CampaignParameter(path, laws[path], True, _read_scope(name, scope, everywhere, SHARED), everywhere)
     if path.startswith(_NOT_MATERIAL):
-        own = {test: found for test, known in around.items() if (found := _find_path(path, known)) is not None}
+        own = {test: found for test, known in around.items() if (found := _find_known_path(path, known)) is not None}
         if not own:
             known = sorted({path for each in around.values() for path in each})
-            raise InputError(f"no test has a parameter {name!r} that is a number{nearest(name, known)}", field=field)
+            raise InputError(f"no test has a parameter {name!r} that is a number{suggest_known_word(name, known)}",
+                             field=field)
         first = next(iter(own))
-        return NamedParameter(own[first], around[first][own[first]], False, _read_scope(name, scope, tuple(own), None),
+        return CampaignParameter(own[first], around[first][own[first]], False,
+                                 _read_scope(name, scope, tuple(own), None),
                               tuple(own))
     if "." not in path:
-        hint = nearest(name, laws) + '; write other parameters as paths in quotes, such as "viscoelastic.terms[0].g"'
+        hint = (suggest_known_word(name, laws)
+                + '; write other parameters as paths in quotes, such as "viscoelastic.terms[0].g"')
         raise InputError(f"none of the listed laws has a parameter {name!r}{hint}", field=field)
     try:
-        full, declaration = find_declaration(path)
+        full, declaration = find_material_declaration(path)
     except InputError as error:
         raise InputError(error.problem, field=field) from None
-    if (region := region_of(full)) is not None:
+    if (region := find_region_name(full)) is not None:
         having = tuple(test for test, found in regions.items() if region in found)
         if not having:
             known = list(dict.fromkeys(each for found in regions.values() for each in found))
-            hint = nearest(region, known) if known else "; the mesh of a specimen names its regions"
+            hint = suggest_known_word(region, known) if known else "; the mesh of a specimen names its regions"
             raise InputError(f"no specimen has a region {region!r}{hint}", field=field)
         # Tests of homogeneous specimens do not have the region: the shared value applies to the other tests only.
         where = _read_scope(name, scope, having, SHARED)
-        return NamedParameter(full, declaration, False, having if where == SHARED else where, having)
-    return NamedParameter(full, declaration, False, _read_scope(name, scope, everywhere, SHARED), everywhere)
+        return CampaignParameter(full, declaration, False, having if where == SHARED else where, having)
+    return CampaignParameter(full, declaration, False, _read_scope(name, scope, everywhere, SHARED), everywhere)
 
 
-def _find_path(path: str, known: Mapping[str, Declaration]) -> str | None:
+def _find_known_path(path: str, known: Mapping[str, Declaration]) -> str | None:
     """Return the known path that equals this path, or whose file key equals its last part; None without a match."""
     if path in known:
         return path
@@ -165,15 +168,17 @@ def _read_scope(name: str, stated: str | list[str] | None, tests: Sequence[str],
         return default or SHARED
     if isinstance(stated, str):
         if stated not in SCOPES:
-            raise InputError(f"unknown scope {stated!r}{nearest(stated, SCOPES)}", field=f"fit.scope.{name}")
+            raise InputError(f"scope must be one of {', '.join(map(repr, SCOPES))}, or a list of tests; got "
+                             f"{stated!r}{suggest_known_word(stated, SCOPES)}", field=f"fit.scope.{name}")
         return stated
     for test in stated:
         if test not in tests:
-            raise InputError(f"no test {test!r} has this parameter{nearest(test, tests)}", field=f"fit.scope.{name}")
+            raise InputError(f"no test {test!r} has this parameter{suggest_known_word(test, tests)}",
+                             field=f"fit.scope.{name}")
     return tuple(stated)
 
 
-def check_values(table: FitTable, named: Mapping[str, NamedParameter]) -> None:
+def check_stated_values(table: FitTable, named: Mapping[str, CampaignParameter]) -> None:
     """Check the stated values against their bounds, and the parts of the material for missing parameters.
 
     Raises:
@@ -214,7 +219,7 @@ def check_values(table: FitTable, named: Mapping[str, NamedParameter]) -> None:
 def _format_file_path(path: str) -> str:
     """Return a parameter path with the key used in files as its last part."""
     try:
-        full, declaration = find_declaration(path)
+        full, declaration = find_material_declaration(path)
     except InputError:
         return path
     return f"{full.rpartition('.')[0]}.{declaration.key}"

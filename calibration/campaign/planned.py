@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.measured import MeasuredCurve, read_measured
+from calibration.campaign.measured import MeasuredCurve, read_measured_curves
 from calibration.statistics.sensor_noise import SensorNoise
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
@@ -52,9 +52,9 @@ def create_planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, re
                                labels, Path(), "", noise=noise) for number in range(replicates))
 
 
-def read_planned(campaign: Campaign, replicates: int = PLANNED.replicates,
+def read_or_plan_curves(campaign: Campaign, replicates: int = PLANNED.replicates,
                  samples: int = PLANNED.samples) -> dict[str, tuple[MeasuredCurve, ...]]:
-    """Return the recordings of a planned campaign: real recordings if a test has them, planned ones otherwise.
+    """Read the recordings of tests that have recordings, and create recordings of the planned tests.
 
     Args:
         campaign: campaign loaded with ``planned=True``.
@@ -66,7 +66,7 @@ def read_planned(campaign: Campaign, replicates: int = PLANNED.replicates,
 
     Raises:
         InputError: an invalid protocol or one deeper than the specimen, no stated noise, no replicate or too few
-            samples, or an error of `read_measured`.
+            samples, or an error of `read_measured_curves`.
     """
     for name, count, least in (("replicates", replicates, 1), ("samples", samples, PLANNED.min_samples)):
         if count < least:
@@ -75,7 +75,7 @@ def read_planned(campaign: Campaign, replicates: int = PLANNED.replicates,
     if planned and campaign.noise.force is None:
         raise InputError("the noise of a planned test cannot be estimated; state the standard deviation of the force "
                          "sensor", file=campaign.path, field="noise.force_N")
-    found = read_measured(replace(campaign, tests=tuple(test for test in campaign.tests if test.recordings)))
+    found = read_measured_curves(replace(campaign, tests=tuple(test for test in campaign.tests if test.recordings)))
     for test in planned:
         if test.experiment is None:
             raise InputError(f"a planned test must have a tool; {test.kind.name} is a gripped test",
@@ -90,6 +90,6 @@ def read_planned(campaign: Campaign, replicates: int = PLANNED.replicates,
     return {test.name: found[test.name] for test in campaign.tests}
 
 
-def replace_forces(curves: Sequence[MeasuredCurve], forces: Sequence[np.ndarray]) -> tuple[MeasuredCurve, ...]:
-    """Return the recordings with these forces, N, each of shape (n,)."""
+def with_forces(curves: Sequence[MeasuredCurve], forces: Sequence[np.ndarray]) -> tuple[MeasuredCurve, ...]:
+    """Return copies of the recordings with other forces, N, one array of shape (n,) for each recording."""
     return tuple(replace(curve, force=force) for curve, force in zip(curves, forces, strict=True))

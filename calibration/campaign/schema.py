@@ -10,7 +10,7 @@ from typing import Any, Literal, cast
 
 import msgspec
 
-from tissue_sim.decode import decode, read_toml
+from tissue_sim.decode import decode_struct, read_toml
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import tool_sizes
@@ -35,7 +35,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SpecimenTable(_Table, frozen=True, kw_only=True):
-    """Table ``[[specimen]]`` without the keys of the shapes, which `build_table_type` adds."""
+    """Table ``[[specimen]]`` without the keys of the shapes, which `build_campaign_table_type` adds."""
 
     name: str | None = None
     shape: str = "cylinder"
@@ -56,7 +56,7 @@ class SpecimenTable(_Table, frozen=True, kw_only=True):
 
 
 class TestTable(_Table, frozen=True, kw_only=True):
-    """Table ``[[test]]`` without the sizes of tools, which `build_table_type` adds."""
+    """Table ``[[test]]`` without the sizes of tools, which `build_campaign_table_type` adds."""
 
     name: str | None = None
     specimen: str | None = None
@@ -143,8 +143,8 @@ class CampaignTable(_Table, frozen=True, kw_only=True):
     questions: list[str] = []
 
 
-def build_table_type() -> type[CampaignTable]:
-    """Return the type of a campaign file with all registered kinds of test, shapes and sizes, including plug-ins."""
+def build_campaign_table_type() -> type[CampaignTable]:
+    """Make the class of a campaign file, whose keys include the kinds, shapes and sizes that plug-ins register."""
     options: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
     sizes = [(key, float | None, None) for key in tool_sizes()]
     test = msgspec.defstruct("TestTable", [("kind", Literal[tuple(KINDS)]), *sizes], bases=(TestTable,), **options)
@@ -160,8 +160,8 @@ def build_table_type() -> type[CampaignTable]:
 
 
 @dataclass(frozen=True)
-class Defaults:
-    """Table ``[defaults]`` with the keys that apply to all tests that do not state them.
+class TestDefaults:
+    """Keys of the table ``[defaults]``, which apply to all tests that do not state them.
 
     Attributes:
         keys: keys in ``[defaults]``.
@@ -171,8 +171,11 @@ class Defaults:
     keys: frozenset[str]
     own: tuple[frozenset[str], ...]
 
-    def locate_error(self, error: InputError, path: Path) -> InputError:
-        """Return the error with the file, and with the field in ``[defaults]`` if a default caused the error."""
+    def add_error_location(self, error: InputError, path: Path) -> InputError:
+        """Return the error with the campaign file, and with the field ``defaults.KEY`` if a default caused the error.
+
+        An error in ``test[2].speed_mm_s`` becomes ``defaults.speed_mm_s`` if test 2 does not state this key itself.
+        """
         match = _FIELD_IN_TEST.match(error.field or "")
         field = error.field
         if match and match["key"] in self.keys and match["key"] not in self.own[int(match["number"])]:
@@ -181,7 +184,7 @@ class Defaults:
                           field=field)
 
 
-def _apply_defaults(content: dict[str, Any], path: Path) -> Defaults:
+def _copy_defaults_into_tests(content: dict[str, Any], path: Path) -> TestDefaults:
     """Copy the keys of ``[defaults]`` into the tests of `content` and remove the table.
 
     Default columns do not apply to a test that states a format, and a default format does not apply to a test that
@@ -189,17 +192,18 @@ def _apply_defaults(content: dict[str, Any], path: Path) -> Defaults:
     """
     defaults = content.pop("defaults", {})
     if not isinstance(defaults, dict):
-        raise InputError("expected a table, written [defaults]", file=path, field="defaults")
+        raise InputError(f"defaults must be a table; got {type(defaults).__name__}. Write [defaults].", file=path,
+                         field="defaults")
     tests = [test for test in content.get("test", []) if isinstance(test, dict)]
     own = tuple(frozenset(test) for test in tests)
     for test in tests:
         excludes = {"format": "columns", "columns": "format"}
         skipped = {excludes[key] for key in excludes if key in test}
         test.update({key: value for key, value in defaults.items() if key not in test and key not in skipped})
-    return Defaults(frozenset(defaults), own)
+    return TestDefaults(frozenset(defaults), own)
 
 
-def decode_campaign(path: Path) -> tuple[CampaignTable, bytes, Defaults]:
+def decode_campaign_file(path: Path) -> tuple[CampaignTable, bytes, TestDefaults]:
     """Read a campaign file and check the types of all keys.
 
     Returns:
@@ -212,19 +216,24 @@ def decode_campaign(path: Path) -> tuple[CampaignTable, bytes, Defaults]:
     content = read_toml(path, "a campaign (TOML)")
     for key in ("specimen", "test"):
         if not isinstance(content.get(key, []), list):
-            raise InputError(f"expected a list of tables, written [[{key}]]", file=path, field=key)
-    defaults = _apply_defaults(content, path)
+            raise InputError(f"{key} must be a list of tables; got {type(content[key]).__name__}. Write [[{key}]].",
+                             file=path, field=key)
+    defaults = _copy_defaults_into_tests(content, path)
     try:
-        _check_by_parameter(content.get("fit"))
-        return decode(content, build_table_type(), words=_WORDS), read_bytes(path, "a campaign (TOML)"), defaults
+        _check_parameter_tables(content.get("fit"))
+        return decode_struct(content, build_campaign_table_type(),
+                      words=_WORDS), read_bytes(path, "a campaign (TOML)"), defaults
     except InputError as error:
         # TOML has no null; optional keys are left out.
         problem = error.problem.replace(" or null", "")
-        raise defaults.locate_error(InputError(problem, field=error.field), path) from None
+        raise defaults.add_error_location(InputError(problem, field=error.field), path) from None
 
 
-def _check_by_parameter(fit: Any) -> None:
-    """Check the types in tables whose keys are parameters, because the decoder does not name these keys in errors."""
+def _check_parameter_tables(fit: Any) -> None:
+    """Check the types of the values in ``fit.start``, ``fit.fixed``, ``fit.prior`` and ``fit.bounds``.
+
+    Their keys are parameters, which the decoder does not name in its errors.
+    """
     for key, expected in BY_PARAMETER.items():
         table = fit.get(key) if isinstance(fit, dict) else None
         for name, value in table.items() if isinstance(table, dict) else ():
@@ -232,4 +241,5 @@ def _check_by_parameter(fit: Any) -> None:
             length = 2 if expected.startswith("[") else 1
             if not (isinstance(numbers, list) and len(numbers) == length
                     and all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers)):
-                raise InputError(f"expected {expected}, got {value!r}", field=f"fit.{key}.{name}")
+                raise InputError(f"{name} must be {expected}; got {value!r}. Correct the value.",
+                                 field=f"fit.{key}.{name}")

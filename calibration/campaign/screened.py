@@ -19,7 +19,7 @@ from tissue_sim.recording.screening import Preload, Screening
 _COVERS = 0.5
 
 
-def clean_recording(recording: Recording, name: str, test: Test) -> tuple[Recording, Screening]:
+def remove_unusable_samples(recording: Recording, name: str, test: Test) -> tuple[Recording, Screening]:
     """Remove the samples that the test leaves out and the detected outliers.
 
     Args:
@@ -43,8 +43,8 @@ def clean_recording(recording: Recording, name: str, test: Test) -> tuple[Record
         raise InputError(f"{own}: {error.problem}", file=error.file, field=error.field) from None
 
 
-def check_left_out(test: Test, names: Sequence[str], campaign: Campaign) -> None:
-    """Check that `leave_out` of a test names recordings of the test.
+def check_recording_names_of_leave_out(test: Test, names: Sequence[str], campaign: Campaign) -> None:
+    """Check that the recordings named in `leave_out` of a test belong to the test.
 
     Args:
         test: the test.
@@ -65,9 +65,10 @@ def check_left_out(test: Test, names: Sequence[str], campaign: Campaign) -> None
                              file=campaign.path, field=f"{field}.{name}")
 
 
-def add_load_control(screening: Screening, motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, test: Test
+def add_controlled_quantity(screening: Screening, motion: np.ndarray, load: np.ndarray, time: np.ndarray | None,
+                            test: Test
                      ) -> Screening:
-    """Return the findings with the control mode (displacement or force), detected or stated by the test.
+    """Return the findings with the controlled quantity (displacement or force), detected or stated by the test.
 
     Args:
         screening: findings so far.
@@ -80,9 +81,9 @@ def add_load_control(screening: Screening, motion: np.ndarray, load: np.ndarray,
     return replace(screening, control=control if test.control == "find" else replace(control, equal_samples=0))
 
 
-def add_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, campaign: Campaign, *,
+def add_load_at_zero(screening: Screening, motion: np.ndarray, load: np.ndarray, campaign: Campaign, *,
                 can_pull: bool, stressed: bool) -> Screening:
-    """Return the findings with the load at zero displacement, for a recording that starts in contact.
+    """Return the findings with a nonzero load at zero displacement, if a recording starts in contact under load.
 
     Args:
         screening: findings so far.
@@ -96,7 +97,7 @@ def add_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, camp
     if found is None:
         return screening
     fit = campaign.fit
-    # A default prior is widened to the preload, see `calibration.campaign.measured.scale_offsets`.
+    # A default prior is widened to the preload, see `calibration.campaign.measured.scale_offset_defaults`.
     covers = fit.offset == "fit" and not stressed and (found.load > 0 or can_pull) and (
         "offset_prior" in fit.offset_usual or fit.offset_prior >= _COVERS * abs(found.shift))
     # An inverse fit has a contact offset in each recording, unless the campaign states a deviation of zero.

@@ -109,7 +109,7 @@ def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, t
     return SegmentedRecording(time, displacement, force, found, used, notes, recorded, shift)
 
 
-def list_notes_with_air(recording: SegmentedRecording, first: int, *, stressed: bool) -> dict[str, str]:
+def list_notes_and_air_warning(recording: SegmentedRecording, first: int, *, stressed: bool) -> dict[str, str]:
     """Return the notes of a recording, with a warning if the first fitted sample lies before contact.
 
     Args:
@@ -131,7 +131,7 @@ def list_notes_with_air(recording: SegmentedRecording, first: int, *, stressed: 
     return notes
 
 
-def list_origin_notes(recording: Recording, test: Test) -> dict[str, str]:
+def list_notes_on_stated_origin(recording: Recording, test: Test) -> dict[str, str]:
     """Return notes if the metadata of a recording state another kind of test or another tool than the campaign."""
     notes = {}
     if kind := describe_kind_mismatch(recording, test.kind.name):

@@ -15,8 +15,8 @@ from tissue_sim.specimen.specimen import add_article
 SIZE_TOLERANCE = 0.02
 
 
-def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
-    """Reject a recording whose metadata state another shape or size of the specimen than the campaign.
+def check_specimen_metadata(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
+    """Check that the metadata of a recording state the shape and sizes of the specimen in the campaign.
 
     Metadata with ``radius_mm`` and without a shape mean a cylinder (older files). The shape is not compared if the test
     depends on the cross-section only.
@@ -32,10 +32,12 @@ def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path)
     any_shape = (test.kind.has_gripped_ends or campaign.fit.method == "analytical"
                  or test.specimen.name in campaign.prisms)
     if not any_shape and isinstance(recorded, str) and recorded not in (shape, PRISM):
-        raise InputError(f"the campaign states {add_article(shape)} and {path.name} states {add_article(recorded)}; "
-                         "correct the wrong one", file=campaign.path, field=f"{field}.shape")
+        raise InputError(f"shape must agree with the recordings; the campaign states {add_article(shape)} and "
+                         f"{path.name} states {add_article(recorded)}. Correct the wrong statement.",
+                         file=campaign.path, field=f"{field}.shape")
     for key, size in test.specimen.sizes.items():
         stated = metadata.get(key)
         if isinstance(stated, int | float) and abs(stated - size) > SIZE_TOLERANCE * size:
-            raise InputError(f"the campaign states {size:g} mm and {path.name} states {stated:g} mm; correct the "
-                             "wrong one", file=campaign.path, field=f"{field}.{key}")
+            raise InputError(f"{key} must agree with the recordings within {100 * SIZE_TOLERANCE:g} %; the campaign "
+                             f"states {size:g} mm and {path.name} states {stated:g} mm. Correct the wrong statement.",
+                             file=campaign.path, field=f"{field}.{key}")

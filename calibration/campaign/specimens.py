@@ -8,9 +8,9 @@ from pathlib import Path
 
 from calibration.campaign.checks import require_positive
 from calibration.campaign.schema import PRISM, CampaignTable, SpecimenTable, TestTable
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.parameters import declared
+from tissue_sim.parameters import list_field_declarations
 from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen
 from tissue_sim.specimen.specimen import add_article, get_shape_keys, make_specimen_from_keys
 
@@ -66,7 +66,7 @@ def _read_specimen(entry: SpecimenTable, name: str, folder: Path, field: str) ->
         given |= {key: str(folder / entry.texts[key]) for key in SPECIMENS[shape].paths if key in entry.texts}
     if not SPECIMENS[shape].is_round:
         # The longest side sets the element size: a wrong unit would create millions of elements.
-        for declaration in declared(SPECIMENS[shape]).values():
+        for declaration in list_field_declarations(SPECIMENS[shape]).values():
             size = given.get(declaration.key)
             low, high = (end / declaration.factor for end in declaration.bounds)
             if isinstance(size, int | float) and not low <= size <= high:
@@ -76,7 +76,7 @@ def _read_specimen(entry: SpecimenTable, name: str, folder: Path, field: str) ->
         return make_specimen_from_keys(shape, given, name=name, density=entry.density_kg_m3, height_is=entry.height_is,
                                        gravity=STANDARD_GRAVITY if entry.gravity else 0.0)
     except InputError as error:
-        raise error.located(field=field) from None
+        raise error.with_location(field=field) from None
 
 
 def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: CampaignTable,
@@ -93,7 +93,7 @@ def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: Ca
         InputError: the specimen does not exist or does not suit the kind of test and the method.
     """
     if entry.specimen is not None and entry.specimen not in specimens:
-        hint = nearest(entry.specimen, specimens) if specimens else "; the file has no [[specimen]]"
+        hint = suggest_known_word(entry.specimen, specimens) if specimens else "; the file has no [[specimen]]"
         raise InputError(f"no specimen is named {entry.specimen!r}{hint}", field=f"{field}.specimen")
     if entry.specimen is None and len(specimens) > 1:
         raise InputError(f"specimen must name one of {', '.join(specimens)}", field=f"{field}.specimen")

@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.measured import MeasuredCurve, scale_offsets
+from calibration.campaign.measured import MeasuredCurve, scale_offset_defaults
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.campaign.planned import replace_forces
+from calibration.campaign.planned import with_forces
 from calibration.diagnosis.diagnosis import CandidateStatement
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.proposals import score_effects
@@ -89,7 +89,7 @@ def simulate_noise_free_evidence(campaign: Campaign, measured: Mapping[str, tupl
     Raises:
         InputError: a parameter has no starting value, or the simulation fails at the starting values.
     """
-    campaign = scale_offsets(campaign, measured)
+    campaign = scale_offset_defaults(campaign, measured)
     law = campaign.fit.laws[0]
     problem = build_generalised_problem(law, campaign, measured, solves)
     space = problem.space
@@ -101,7 +101,7 @@ def simulate_noise_free_evidence(campaign: Campaign, measured: Mapping[str, tupl
     try:
         for test in problem.tests:
             answer = test.solve(space, theta, solves)
-            known[test.name] = replace_forces(test.measured, [test.evaluate_force(answer, number, 0.0)[0]
+            known[test.name] = with_forces(test.measured, [test.evaluate_force(answer, number, 0.0)[0]
                                                                for number in range(len(test.measured))])
     except InfeasibleError as failure:
         raise InputError(f"the tests cannot be simulated with this start ({failure}); state another start or a smaller "
@@ -163,7 +163,7 @@ def compute_experiment_design(campaign: Campaign, measured: Mapping[str, tuple[M
 
 def _summarise_planned_test(name: str, curves: Sequence[MeasuredCurve]) -> PlannedTestSummary:
     """Summarise the recordings of a planned test."""
-    clocks = [curve.clock[-1] - curve.clock[0] for curve in curves if curve.time is not None]
+    clocks = [curve.sample_times[-1] - curve.sample_times[0] for curve in curves if curve.time is not None]
     return PlannedTestSummary(
         name=name, recordings=len(curves), samples=max(curve.force.size for curve in curves),
         depth_mm=1e3 * max(float(curve.displacement.max()) for curve in curves),

@@ -52,7 +52,7 @@ def estimate_simulation_seconds(problem: GeneralisedProblem) -> dict[str, float]
             experiment = replace(test.experiment, protocol=test.motions[0].tool_protocol)
             try:
                 values = problem.space.values(generate_starting_values(problem.space, 1)[0])
-                material = problem.space.material(values, test=test.name)
+                material = problem.space.build_material(values, test=test.name)
                 curve = simulate_curve(Model(experiment, material, Rig()), None, [],
                                        get_solver_meshes(test.solver).fast, test.solver)
             except InputError:

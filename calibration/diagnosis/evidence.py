@@ -170,7 +170,7 @@ class FitEvidence:
             curve = self._replicate_residuals[name][0]
             inside = slice(each.first, each.last + 1)
             if each.waves and curve.time is not None:
-                words.append(f"{name} (a wave of {np.ptp(curve.clock[inside]) / each.waves:.2g} s)")
+                words.append(f"{name} (a wave of {np.ptp(curve.sample_times[inside]) / each.waves:.2g} s)")
             elif each.last - each.first + 1 < curve.force.size and not each.waves:
                 place = float(np.mean(curve.displacement[inside]))
                 words.append(f"{name} (most at {f'strain {place:.2g}' if curve.stressed else f'{1e3 * place:.2g} mm'})")
@@ -190,7 +190,7 @@ class FitEvidence:
         for curve in self.problem.measured:
             correlation = 0.0
             if curve.noise.correlation_time:
-                step = float(np.median(np.diff(curve.clock))) if curve.time is not None else 1.0
+                step = float(np.median(np.diff(curve.sample_times))) if curve.time is not None else 1.0
                 correlation = float(np.exp(-step / curve.noise.correlation_time))
             total += curve.force.size * (1.0 - correlation) / (1.0 + correlation)
         return max(total, 2.0)

@@ -30,11 +30,11 @@ def add_effect_to_problem(problem: GeneralisedProblem, campaign: Campaign, candi
     Raises:
         NotTestableError: no test has the parameters of the effect.
     """
-    changed = candidate.add_to(campaign, values, free=free)
+    changed = candidate.add_to_campaign(campaign, values, free=free)
     names = {test.name: [curve.name for curve in test.measured] for test in problem.tests}
-    space = ParameterSpace.of(changed.fit.laws[0], changed, names)
+    space = ParameterSpace.from_campaign(changed.fit.laws[0], changed, names)
     by_name = {test.name: test for test in changed.tests}
-    layered = bool(changed.fit.material.layers)
+    layered = bool(changed.fit.placeholder_material.layers)
 
     def extend_test_with_effect(test: ForwardTest) -> ForwardTest:
         if not isinstance(test, SimulatedTest):
@@ -57,7 +57,7 @@ def select_free_values(space: ParameterSpace, values: Mapping[str, float], sizes
         values: name -> value of the parameters without the effect, SI.
         sizes: path -> value of the parameters of the effect, SI.
     """
-    return np.array([values[each.name] if each.name in values else sizes[each.path] for each in space.varied])
+    return np.array([values[each.name] if each.name in values else sizes[each.path] for each in space.free_parameters])
 
 
 def simulate_force_change_of_effect(problem: GeneralisedProblem, evaluation: ProblemEvaluation, campaign: Campaign,
@@ -84,13 +84,13 @@ def simulate_force_change_of_effect(problem: GeneralisedProblem, evaluation: Pro
 
     def fix_parameters(of: GeneralisedProblem) -> GeneralisedProblem:
         # Fixed parameters avoid the computation of derivatives.
-        space = of.space.held(dict(zip(problem.space.free, evaluation.theta, strict=True)))
+        space = of.space.with_all_fixed(dict(zip(problem.space.free, evaluation.theta, strict=True)))
         return GeneralisedProblem(space, tuple(of.tests[t] for t in touched), of.solves, of.jitter,
                                   tuple(of.mesh_error[t] for t in touched))
 
     try:
-        absent = {path: candidate.absent_value(campaign, path) for path in candidate.sizes}
-        sizes = candidate.scaled_sizes(absent, factor)
+        absent = {path: candidate.find_value_without_effect(campaign, path) for path in candidate.sizes}
+        sizes = candidate.scale_trial_values(absent, factor)
         with_it = fix_parameters(add_effect_to_problem(problem, campaign, candidate, sizes, free=False)[0])
         # Both forces must be computed on one mesh and by one method, so that their difference is due to the effect.
         without = _match_full_motion_simulation(fix_parameters(problem),

@@ -24,7 +24,7 @@ from calibration.forward.forms import build_forward_test, compute_mesh_uncertain
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
-from tissue_sim.parameters import declared, with_values
+from tissue_sim.parameters import list_field_declarations, with_values
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def vary_existing_tests(before: FitEvidence) -> list[PlannedRamp]:
             found.append(_make_planned_ramp(f"{test.name} with a tool of {1e3 * smaller * radius:.3g} mm radius",
                                             replace(test, experiment=replace(experiment, tool=tool)), depth, speed,
                                             hold=held))
-        elif "height" in declared(type(experiment.specimen)):
+        elif "height" in list_field_declarations(type(experiment.specimen)):
             lower = with_values(experiment.specimen, {"height": smaller * height})
             shorter = replace(test, specimen=lower, experiment=replace(experiment, specimen=lower))
             found.append(_make_planned_ramp(f"{test.name} on a specimen of half the height, to "
@@ -190,12 +190,13 @@ def _predict_planned_test(test: Test, curves: tuple[MeasuredCurve, ...], before:
     """
     candidate = _add_planned_test(rival.proposal.candidate, test)
     campaign: Campaign = replace(before.campaign, tests=(*before.campaign.tests, test))
-    changed = candidate.add_to(campaign, free=True)
+    changed = candidate.add_to_campaign(campaign, free=True)
     asked = changed.tests[-1]
     problem = rival.problem
     forward = build_forward_test(asked, curves, changed.fit, problem.jitter.contact)
     names = {each.name: [curve.name for curve in each.measured] for each in problem.tests}
-    space = type(problem.space).of(changed.fit.laws[0], changed, {**names, asked.name: [c.name for c in curves]})
+    space = type(problem.space).from_campaign(changed.fit.laws[0], changed,
+                                              {**names, asked.name: [c.name for c in curves]})
     error = compute_mesh_uncertainty(forward, ACCURATE_MESH_ERRORS)
     planned = GeneralisedProblem(space, (forward,), problem.solves, problem.jitter, (error,))
     theta = np.array([problem.space.values(rival.theta)[name] for name in space.free])

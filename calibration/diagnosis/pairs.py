@@ -76,7 +76,8 @@ def find_pairs(evidence: FitEvidence, good: Sequence[EffectRefit], proposals: Ca
         others = recompute_all_scores(proposals, with_first, [first.candidate_name])
         # Two effects with a common parameter cannot be combined.
         likely = [name for name, each in others.significant_candidates.items() if each.p <= limits.pair_level
-                  and not each.candidate.paths & first.proposal.candidate.paths][:_SETTINGS.second_effects]
+                  and not each.candidate.parameter_paths & first.proposal.candidate.parameter_paths
+                  ][:_SETTINGS.second_effects]
         fits = fit_best_scored_effects(with_first, others, context,
                                        f"fits with {first.proposal.candidate.effect.title}", likely) if likely else []
         found += [EffectPair(first, second, with_first) for second in fits if second.gain >= limits.min_pair_gain

@@ -78,7 +78,7 @@ class ScoredCandidate:
 
     def get_parameter_sizes(self, factor: float | None = None) -> dict[str, float]:
         """Return path -> value, SI, at a multiple of the trial size; None: at the size from the score."""
-        return self.candidate.scaled_sizes(self.absent, self.estimated_size_factor if factor is None else factor)
+        return self.candidate.scale_trial_values(self.absent, self.estimated_size_factor if factor is None else factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +143,7 @@ def score_effects(evidence: FitEvidence, context: RunContext, words: str = "effe
     candidates: list[Candidate] = []
     for name, kind in CATALOGUE.items() if only is None else [(only, CATALOGUE[only])]:
         effects[name] = effect = kind()
-        if effect.scales_all_forces and any(each.is_modulus for each in evidence.problem.space.varied):
+        if effect.scales_all_forces and any(each.is_modulus for each in evidence.problem.space.free_parameters):
             untestable[name] = "forces cannot separate it from the moduli"
             continue
         try:
@@ -215,7 +215,7 @@ def _score_candidates(asked: Sequence[tuple[Candidate, np.ndarray, EffectDirecti
     directions = [direction for *_, direction in testable]
     scores = [direction.compute_score(evidence.whitened_residual) for direction in directions]
     return tuple(ScoredCandidate(candidate, change, direction, score, float(p), {
-        path: candidate.absent_value(evidence.campaign, path) for path in candidate.sizes})
+        path: candidate.find_value_without_effect(evidence.campaign, path) for path in candidate.sizes})
         for (candidate, change, direction), score, p in zip(
             testable, scores, compute_familywise_p_values(directions, scores), strict=True))
 
@@ -266,7 +266,7 @@ def _has_one_sided_size(candidate: Candidate, evidence: FitEvidence) -> bool:
     if len(candidate.sizes) != 1:
         return False
     (path, size), = candidate.sizes.items()
-    absent = candidate.absent_value(evidence.campaign, path)
+    absent = candidate.find_value_without_effect(evidence.campaign, path)
     prepared = candidate.with_prepared_tests(evidence.campaign)
-    low, high = candidate.bounds.get(path, candidate.declaration(prepared, path).bounds)
+    low, high = candidate.bounds.get(path, candidate.find_parameter_declaration(prepared, path).bounds)
     return (low >= absent - 1e-12 * abs(absent)) if size > absent else (high <= absent + 1e-12 * abs(absent))

@@ -113,7 +113,8 @@ class EffectRefit:
     @property
     def reached_parameter_bounds(self) -> dict[str, float]:
         """Name -> bound, SI, for parameters of the effect on a bound other than their absent value."""
-        absent = {name: self.proposal.absent.get(self.problem.space.unknown(name).path) for name in self.effect_values}
+        absent = {name: self.proposal.absent.get(self.problem.space.find_parameter(name).path)
+                  for name in self.effect_values}
         met = {name: find_reached_bound(self.problem.space, self.theta, name, value) for name, value in absent.items()}
         return {name: bound for name, bound in met.items() if bound is not None}
 
@@ -121,7 +122,7 @@ class EffectRefit:
     def is_size_at_bound(self) -> bool:
         """Whether a size of the effect ended on a bound, so that its value is not plausible."""
         sizes = self.proposal.candidate.sizes
-        return any(self.problem.space.unknown(name).path in sizes for name in self.reached_parameter_bounds)
+        return any(self.problem.space.find_parameter(name).path in sizes for name in self.reached_parameter_bounds)
 
     @property
     def is_effect_absent(self) -> bool:
@@ -129,7 +130,7 @@ class EffectRefit:
         values = self.effect_values
         return all(abs(values[name] - self.proposal.absent[path]) <= 1e-6 * abs(size - self.proposal.absent[path])
                    for path, size in self.proposal.candidate.sizes.items()
-                   for name in values if self.problem.space.unknown(name).path == path)
+                   for name in values if self.problem.space.find_parameter(name).path == path)
 
     def make_evidence(self, before: FitEvidence) -> FitEvidence:
         """Return the evidence with the effect; jitter and mesh corrections are those of `before`."""
@@ -273,7 +274,7 @@ def fit_effect(problem: GeneralisedProblem, campaign: Campaign, proposal: Scored
     prepared = candidate.with_prepared_tests(campaign)
     start = {}
     for path, size in proposal.get_parameter_sizes().items():
-        low, high = candidate.bounds.get(path, candidate.declaration(prepared, path).bounds)
+        low, high = candidate.bounds.get(path, candidate.find_parameter_declaration(prepared, path).bounds)
         absent, trial = proposal.absent[path], candidate.sizes[path]
         if proposal.direction.degrees_of_freedom > 1 or not np.isfinite(size):
             size = trial

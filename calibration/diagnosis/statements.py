@@ -47,7 +47,8 @@ def list_effect_parameters(candidate: Candidate, evidence: FitEvidence) -> list[
         if each.path not in mine:
             continue
         error = float(errors.get(each.name, 0.0))
-        absent = candidate.absent_value(evidence.campaign, each.path) if each.path in candidate.sizes else None
+        absent = candidate.find_value_without_effect(evidence.campaign,
+                                                     each.path) if each.path in candidate.sizes else None
         numbers.append(EffectParameter(path=each.name, symbol=space.symbols[each.name], unit=each.declaration.unit,
                                        value=evidence.parameter_values[each.name], absent=absent,
                                        bound=find_reached_bound(space, evidence.estimate.theta, each.name, absent),
@@ -81,11 +82,11 @@ def _make_testable_statement(name: str, proposal: ScoredCandidate, proposals: Ca
     smallest = clearest.get_parameter_sizes(before.limits.detectable_score / clearest.direction.reach)
     after = fitted.make_evidence(before) if fitted is not None and finite else None
     prepared = clearest.candidate.with_prepared_tests(before.campaign)
-    symbols = clearest.candidate.symbols(before.campaign)
+    symbols = clearest.candidate.list_symbols(before.campaign)
     return CandidateStatement(
         name=name, effect=effect.name, category=effect.category, title=effect.title, testable=True, seen_from=smallest,
         symbols={path: symbols[path] for path in smallest}, absent=clearest.absent,
-        units={path: clearest.candidate.declaration(prepared, path).unit for path in smallest},
+        units={path: clearest.candidate.find_parameter_declaration(prepared, path).unit for path in smallest},
         twins=proposals.find_indistinguishable_candidates(name), separated_by=effect.separated_by,
         score=proposal.signed_score, p=proposal.p, estimate=proposal.get_parameter_sizes(),
         refitted=fitted is not None, delta_BIC=float(fitted.gain) if fitted is not None and finite else None,

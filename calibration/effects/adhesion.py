@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
+from calibration.effects.effect import Candidate, Effect, Situation, get_experiment
 from tissue_sim.experiment.adhesion import Adhesion as Pull
 from tissue_sim.model import Model
 
@@ -39,20 +39,21 @@ class Adhesion(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return a candidate per trial range in the tests whose tool lifts off."""
-        free = require_tests(situation.simulated_tests(lambda test: experiment_of(test).friction != "bonded"
-                                                 and experiment_of(test).adhesion is None),
+        free = require_tests(situation.simulated_tests(lambda test: get_experiment(test).friction != "bonded"
+                                                 and get_experiment(test).adhesion is None),
                              "no face can lift off, because all faces are bonded")
         tests = require_tests([test for test in free if self._lifts_off(situation, test)],
                               "no tool returns past the first contact, and adhesion shows only there")
         deepest = max(map(situation.largest_displacement, tests))
         trial_force = self.trial_fraction * min(map(situation.largest_force, tests))
 
-        def add_adhesion(length: float):
+        def make_prepare_function(length: float):
+            """Return a function that adds to a test an adhesion without force and with this range, m."""
             return lambda test: replace(test, experiment=replace(test.experiment, adhesion=Pull(0.0, length)))
 
         found = []
         for length in (fraction * deepest for fraction in self.trial_ranges):
-            prepare = add_adhesion(length)
+            prepare = make_prepare_function(length)
             found += rig_parameter_candidates(self, situation, _FORCE, [prepare(test) for test in tests],
                                               lambda _: trial_force, two_sided=False, prepare=prepare,
                                               shape={_LENGTH: length})
@@ -71,7 +72,7 @@ class Adhesion(Effect):
         A plate separates as a whole, above the undeformed surface. A tip separates from its rim inwards, below the
         surface.
         """
-        limit = self.plate_separation if experiment_of(test).tool.is_plate else self.tip_separation
+        limit = self.plate_separation if get_experiment(test).tool.is_plate else self.tip_separation
         for curve in situation.measured[test.name]:
             deepest = int(np.argmax(curve.displacement))
             if curve.displacement[deepest:].min() < limit * curve.displacement[deepest]:

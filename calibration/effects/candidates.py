@@ -17,7 +17,7 @@ MAX_TRIAL_DEVIATIONS = 20.0
 
 
 def require_tests(tests: Sequence[Test], reason: str) -> Sequence[Test]:
-    """Return the tests unchanged if there is at least one.
+    """Return the tests unchanged; raise an error if there is none.
 
     Args:
         tests: tests that can show an effect.
@@ -31,7 +31,7 @@ def require_tests(tests: Sequence[Test], reason: str) -> Sequence[Test]:
     return tests
 
 
-def make_candidates_per_test(effect: Effect, tests: Sequence[Test], sizes: Callable[[Test], Mapping[str, float]],
+def make_candidate_per_test(effect: Effect, tests: Sequence[Test], sizes: Callable[[Test], Mapping[str, float]],
                              **options: Any) -> list[Candidate]:
     """Return one candidate per test, each of which acts in its test only.
 
@@ -58,7 +58,7 @@ def read_stated_value(test: Test, path: str) -> float:
 def rig_parameter_candidates(effect: Effect, situation: Situation, path: str, tests: Sequence[Test],
                              size: Callable[[Sequence[Test]], float], *, each: bool = False, two_sided: bool = True,
                              **options: Any) -> list[Candidate]:
-    """Return the candidates of an effect that has one parameter of the experiment or the rig.
+    """Make the candidates of an effect that has one parameter of the experiment or the rig.
 
     Deviations are counted from the stated value, so that a known rig error is kept and its remaining error is tried.
 
@@ -75,7 +75,7 @@ def rig_parameter_candidates(effect: Effect, situation: Situation, path: str, te
     Raises:
         NotTestableError: the campaign fits or fixes the parameter already.
     """
-    situation.require_new(path)
+    situation.require_unused_parameter(path)
     groups: dict[object, list[Test]] = {}
     for test in tests:
         groups.setdefault(test.name if each else read_stated_value(test, path), []).append(test)
@@ -92,7 +92,7 @@ def rig_parameter_candidates(effect: Effect, situation: Situation, path: str, te
     return found
 
 
-def _call_with_former_keyword(*args: Any, both_ways: bool = True, **options: Any) -> list[Candidate]:
+def _call_with_former_keyword_both_ways(*args: Any, both_ways: bool = True, **options: Any) -> list[Candidate]:
     """Call `rig_parameter_candidates` with its former keyword ``both_ways`` for ``two_sided``."""
     return rig_parameter_candidates(*args, two_sided=both_ways, **options)
 
@@ -102,5 +102,5 @@ def __getattr__(name: str) -> Any:
     if name == "beside_material":
         warnings.warn("calibration.effects.candidates.beside_material is deprecated; use rig_parameter_candidates, "
                       "whose both_ways is named two_sided", DeprecationWarning, stacklevel=2)
-        return _call_with_former_keyword
+        return _call_with_former_keyword_both_ways
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -6,14 +6,14 @@ from calibration.effects.effect import Effect
 from tissue_sim.registry import Registry
 
 
-def _class_path(name: str) -> str:
-    """Return the import path ``module:class`` of an effect: module and class are named after the effect."""
+def _make_class_path(name: str) -> str:
+    """Return the import path ``module:class`` of an effect, such as ``calibration.effects.step_loss:StepLoss``."""
     return f"calibration.effects.{name}:{''.join(part.capitalize() for part in name.split('_'))}"
 
 
 #: Name -> class, ordered by category: tissue, contact, geometry, rig, population.
 CATALOGUE: Registry[type[Effect]] = Registry(
-    "effect", "tissue_sim.diagnosis_effects", {name: _class_path(name) for name in (
+    "effect", "tissue_sim.diagnosis_effects", {name: _make_class_path(name) for name in (
         "strain_stiffening", "i2_term", "compressibility", "viscoelasticity", "poroelasticity", "softening", "layer",
         "puncture", "session_scale",
         "plate_friction", "partial_slip", "adhesion",

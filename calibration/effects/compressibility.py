@@ -19,7 +19,7 @@ class Compressibility(Effect):
         """Return the candidate with the trial ratio K / mu, or with a tenth of the stated ratio if this is smaller."""
         fit, mu = situation.campaign.fit, situation.shear_modulus
         for path in (path for path in fit.named if path.startswith("bulk.")):
-            situation.require_new(path)
+            situation.require_unused_parameter(path)
         if not situation.simulated_tests():
             raise NotTestableError("all tests are computed by closed forms of an incompressible tissue")
         bulk = fit.bulk if fit.bulk.value is not None else Bulk("bulk_ratio", BULK_RATIOS[1])
@@ -28,9 +28,10 @@ class Compressibility(Effect):
             raise NotTestableError("the stated bulk modulus is already close to the smallest that the solver accepts")
         path, absent = f"bulk.{bulk.kind}", float(bulk.value or 0.0)
 
-        def in_stated_unit(ratio: float) -> float:
+        def convert_to_stated_unit(ratio: float) -> float:
             return {"bulk_ratio": ratio, "K_Pa": ratio * mu, "D1_per_Pa": 2.0 / (ratio * mu)}[bulk.kind]
 
-        low, high = sorted((absent, in_stated_unit(BULK_RATIOS[0])))
-        return [Candidate(self, {path: in_stated_unit(trial_ratio)}, absent={path: absent}, bounds={path: (low, high)},
+        low, high = sorted((absent, convert_to_stated_unit(BULK_RATIOS[0])))
+        return [Candidate(self, {path: convert_to_stated_unit(trial_ratio)}, absent={path: absent},
+                          bounds={path: (low, high)},
                           inverse=bulk.kind != "D1_per_Pa")]

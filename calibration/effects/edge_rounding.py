@@ -1,8 +1,8 @@
 """Edge radius of a needle above the stated one."""
 
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
-from tissue_sim.parameters import declared
+from calibration.effects.effect import Candidate, Effect, Situation, get_experiment
+from tissue_sim.parameters import list_field_declarations
 
 
 class EdgeRounding(Effect):
@@ -19,7 +19,8 @@ class EdgeRounding(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidates in the tests whose needle has an edge radius."""
         needles = require_tests(situation.simulated_tests(
-            lambda test: "edge_radius" in declared(type(experiment_of(test).tool))), "no test has a tool with an edge")
+            lambda test: "edge_radius" in list_field_declarations(type(get_experiment(test).tool))),
+                                "no test has a tool with an edge")
         return rig_parameter_candidates(
             self, situation, "experiment.tool.edge_radius", needles,
-            lambda tests: self.trial_fraction * experiment_of(tests[0]).tool.require_radius(), two_sided=False)
+            lambda tests: self.trial_fraction * get_experiment(tests[0]).tool.require_radius(), two_sided=False)

@@ -15,17 +15,19 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 from calibration.campaign.campaign import Campaign, FitSettings, Test
-from calibration.campaign.parameters import SHARED, NamedParameter, declare_rig_and_experiment
+from calibration.campaign.parameters import SHARED, CampaignParameter, list_rig_and_experiment_parameters
 from calibration.effects.situation import NotTestableError as NotTestableError
 from calibration.effects.situation import Situation as Situation
-from calibration.effects.situation import experiment_of as experiment_of
-from tissue_sim.frozen_mapping import read_only
+from calibration.effects.situation import get_experiment as get_experiment
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.laws import find_law
-from tissue_sim.material.material import law_declaration
-from tissue_sim.material.parts import find_declaration, with_parts
+from tissue_sim.material.material import get_law_parameter_declaration
+from tissue_sim.material.parts import find_material_declaration, with_material_parameters
 from tissue_sim.model import Model
-from tissue_sim.parameters import Declaration, parameters, symbol_at, with_values
-from tissue_sim.public_names import OldName, adopt_old_names
+from tissue_sim.parameters import Declaration, make_parameter_symbol, parameters, with_values
+from tissue_sim.public_names import OldName, adopt_old_names, make_getattr_for_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"experiment_of": "get_experiment"})
 
 #: Part of the model that an effect belongs to.
 Category = Literal["tissue", "contact", "geometry", "rig", "population"]
@@ -71,8 +73,8 @@ class Candidate:
     inverse: bool = False
     jump: str = ""
 
-    def scaled_sizes(self, absent: Mapping[str, float], factor: float) -> dict[str, float]:
-        """Return the values at which the change of the force is about `factor` times that of the trial values.
+    def scale_trial_values(self, absent: Mapping[str, float], factor: float) -> dict[str, float]:
+        """Return the parameter values at which the effect changes the force by `factor` times the trial change.
 
         Args:
             absent: path -> value at which the effect is absent, SI.
@@ -98,12 +100,12 @@ class Candidate:
         return f"{self.effect.title} in {self.mark}" if self.mark else self.effect.title
 
     @property
-    def paths(self) -> frozenset[str]:
+    def parameter_paths(self) -> frozenset[str]:
         """Paths of all parameters of the candidate."""
         return frozenset({**self.sizes, **self.shape})
 
-    def declaration(self, campaign: Campaign, path: str) -> Declaration:
-        """Return the declaration of a parameter: symbol, unit, bounds.
+    def find_parameter_declaration(self, campaign: Campaign, path: str) -> Declaration:
+        """Return the declaration (symbol, unit, bounds) of a parameter of the candidate.
 
         Args:
             campaign: campaign whose tests have the parameter.
@@ -115,15 +117,15 @@ class Candidate:
         if not path.startswith(("experiment.", "rig.")):
             law = None if self.law is None else find_law(self.law)
             if law is not None and path in law.parameters:
-                return law_declaration(law, path)
-            return find_declaration(path)[1]
+                return get_law_parameter_declaration(law, path)
+            return find_material_declaration(path)[1]
         for test in campaign.tests:
-            found = declare_rig_and_experiment(test.experiment, test.rig).get(path)
+            found = list_rig_and_experiment_parameters(test.experiment, test.rig).get(path)
             if found is not None and (self.tests is None or test.name in self.tests):
                 return found
         raise NotTestableError(f"no test has the parameter {path}")
 
-    def absent_value(self, campaign: Campaign, path: str) -> float:
+    def find_value_without_effect(self, campaign: Campaign, path: str) -> float:
         """Return the value of a parameter at which the effect is absent, SI.
 
         Raises:
@@ -131,26 +133,29 @@ class Candidate:
         """
         if path in self.absent:
             return self.absent[path]
-        stated = self.declaration(self.with_prepared_tests(campaign), path).absent
+        stated = self.find_parameter_declaration(self.with_prepared_tests(campaign), path).absent
         if stated is None:
             raise TypeError(f"{self.effect.name}: absent must give the value of {path} without the effect; got no "
                             "value. Declare it at the parameter or in Candidate.absent.")
         return stated
 
     def changes_mesh(self, campaign: Campaign) -> bool:
-        """Return whether a shape parameter changes the mesh even while the effect is absent."""
+        """Return whether a parameter of `shape` changes the mesh, even while the effect is absent."""
         campaign = self.with_prepared_tests(campaign)
-        return any(self.declaration(campaign, path).shapes_mesh for path in self.shape)
+        return any(self.find_parameter_declaration(campaign, path).shapes_mesh for path in self.shape)
 
     def with_prepared_tests(self, campaign: Campaign) -> Campaign:
-        """Return the campaign after `prepare` has added the parts which the parameters belong to."""
+        """Return the campaign with `prepare` applied to the tests in which the effect acts.
+
+        `prepare` adds the component that has the parameters, such as an adhesion without force.
+        """
         if self.prepare is None:
             return campaign
-        names = self.acting_tests(campaign)
+        names = self.find_acting_tests(campaign)
         return replace(campaign, tests=tuple(
             self.prepare(test) if names is None or test.name in names else test for test in campaign.tests))
 
-    def acting_tests(self, campaign: Campaign) -> tuple[str, ...] | None:
+    def find_acting_tests(self, campaign: Campaign) -> tuple[str, ...] | None:
         """Return the names of the tests in which the effect acts; None: all tests that have the parameters.
 
         An effect of a rig or specimen also acts in held-out tests that state the same values, because they share this
@@ -162,11 +167,12 @@ class Candidate:
         first = next(test for test in campaign.tests if test.name == self.tests[0])
         shared = [test.name for test in campaign.tests if test.hold_out and test.name not in self.tests
                   and test.experiment is not None and all(
-                      _stated_value_or_none(test, path) == _stated_value_or_none(first, path) for path in self.sizes)]
+                      _read_stated_value_or_none(test, path) == _read_stated_value_or_none(first, path)
+                                                          for path in self.sizes)]
         return (*self.tests, *shared)
 
-    def add_to(self, campaign: Campaign, values: Mapping[str, float] | None = None, *, free: bool) -> Campaign:
-        """Return the campaign with the parameters of the candidate.
+    def add_to_campaign(self, campaign: Campaign, values: Mapping[str, float] | None = None, *, free: bool) -> Campaign:
+        """Return the campaign with the parameters of the candidate as free or fixed parameters of its fit.
 
         Args:
             campaign: campaign without the effect.
@@ -176,41 +182,46 @@ class Candidate:
         Raises:
             NotTestableError: no test has the parameters.
         """
-        tests = self.acting_tests(campaign)
+        tests = self.find_acting_tests(campaign)
         campaign = self.with_prepared_tests(campaign)
         values = {**self.sizes, **self.shape, **(values or {})}
         settings, everywhere = campaign.fit, tuple(test.name for test in campaign.tests)
         named, bounds = dict(settings.named), dict(settings.bounds)
         wider = {} if self.law is None else dict.fromkeys(find_law(self.law).parameters, 0.0)
         for path in values:
-            declaration = self.declaration(campaign, path)
+            declaration = self.find_parameter_declaration(campaign, path)
             of_law = path in wider
             names = everywhere if not path.startswith(("experiment.", "rig.")) else tuple(
-                test.name for test in campaign.tests if path in declare_rig_and_experiment(test.experiment, test.rig))
+                test.name for test in campaign.tests if path in list_rig_and_experiment_parameters(test.experiment,
+                                                                                                   test.rig))
             if tests is not None:
                 names = tuple(name for name in tests if name in names)
             scope = self.scope if self.tests is None or self.scope != SHARED else names
-            named[path] = NamedParameter(path, declaration, of_law, scope, names)
+            named[path] = CampaignParameter(path, declaration, of_law, scope, names)
             if path in self.bounds:
                 bounds[path] = self.bounds[path]
         # Parameters of the wider law that belong neither to the candidate nor to the fitted law stay 0.
         held = {name: 0.0 for name in wider if name not in find_law(settings.laws[0]).parameters and name not in values}
         for name in held:
-            named[name] = NamedParameter(name, law_declaration(find_law(str(self.law)), name), True, SHARED, everywhere)
+            named[name] = CampaignParameter(name, get_law_parameter_declaration(find_law(str(self.law)), name), True,
+                                            SHARED,
+                                            everywhere)
         start, fixed = dict(settings.start), {**settings.fixed, **held}
         for path, value in values.items():
             target, other = (start, fixed) if free and path != self.jump else (fixed, start)
             target[path] = value
             other.pop(path, None)
         laws = settings.laws if self.law is None else (self.law,)
-        changed: FitSettings = replace(settings, laws=laws, named=read_only(named), start=read_only(start),
-                                       fixed=read_only(fixed), bounds=read_only(bounds))
+        changed: FitSettings = replace(settings, laws=laws, named=make_read_only_copy(named),
+                                       start=make_read_only_copy(start),
+                                       fixed=make_read_only_copy(fixed), bounds=make_read_only_copy(bounds))
         return replace(campaign, fit=changed)
 
-    def symbols(self, campaign: Campaign) -> dict[str, str]:
+    def list_symbols(self, campaign: Campaign) -> dict[str, str]:
         """Return path -> symbol for all parameters of the candidate."""
         campaign = self.with_prepared_tests(campaign)
-        return {path: symbol_at(path, self.declaration(campaign, path)) for path in {**self.sizes, **self.shape}}
+        return {path: make_parameter_symbol(path, self.find_parameter_declaration(campaign, path))
+                for path in {**self.sizes, **self.shape}}
 
 
 class Effect(ABC):
@@ -258,14 +269,14 @@ class Effect(ABC):
         """
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
-        """Return the model with the effect; missing parts of the model are created.
+        """Return the model with the effect; components that the model lacks are created.
 
         Args:
             model: model without the effect.
-            values: path -> value, SI; for a missing part all of its parameters.
+            values: path -> value, SI; for a missing component all of its parameters.
 
         Raises:
-            InputError: a path does not exist in the model, or a part refuses its values.
+            InputError: a path does not exist in the model, or the values are invalid.
         """
         around = {path: value for path, value in values.items() if path.startswith(("experiment.", "rig."))}
         within = {path.removeprefix("material."): value for path, value in values.items() if path not in around}
@@ -273,11 +284,11 @@ class Effect(ABC):
             wider = {**dict.fromkeys(find_law(self.law).parameters, 0.0), **model.material.parameters}
             model = replace(model, material=replace(model.material, law=self.law, parameters=wider))
         if within:
-            model = replace(model, material=with_parts(model.material, within))
+            model = replace(model, material=with_material_parameters(model.material, within))
         return with_values(model, around) if around else model
 
 
-def _stated_value_or_none(test: Test, path: str) -> float | None:
+def _read_stated_value_or_none(test: Test, path: str) -> float | None:
     """Return the value that a test with a tool states for a parameter, SI; None if the test lacks the parameter."""
     part, _, inside = path.partition(".")
     stated = parameters(getattr(test, part)).get(inside)

@@ -34,13 +34,13 @@ class Inertia(Effect):
         fastest = situation.fastest_speed(tests)
         # Acceleration from rest to the largest speed v within 1 % of the displacement d: a = v^2 / (2 * 0.01 d).
         acceleration = fastest**2 / (0.02 * min(map(situation.largest_displacement, tests)))
-        quietest = min(curve.noise.deviation for curve in situation.curves(tests))
+        quietest = min(curve.noise.deviation for curve in situation.fitted_curves(tests))
         if self.trial_mass * acceleration < self.detectable_fraction * quietest:
             raise NotTestableError(
                 f"the tests are quasi-static: at {fastest * 1e3:.3g} mm/s a tool of {self.trial_mass:g} kg changes the "
                 f"force by {self.trial_mass * acceleration:.1g} N, and the noise is {quietest:.1g} N")
-        return rig_parameter_candidates(self, situation, _PATH, [_set_massless_tool(test) for test in tests],
-                                        lambda _: self.trial_mass, two_sided=False, prepare=_set_massless_tool)
+        return rig_parameter_candidates(self, situation, _PATH, [_with_massless_tool(test) for test in tests],
+                                        lambda _: self.trial_mass, two_sided=False, prepare=_with_massless_tool)
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
         """Return the model with the mass; a rig without this fault gets it."""
@@ -49,11 +49,11 @@ class Inertia(Effect):
         return super().apply(model, values)
 
 
-def _set_massless_tool(test: Test) -> Test:
-    """Return a test whose rig has a tool with mass 0."""
+def _with_massless_tool(test: Test) -> Test:
+    """Return the test with a fault `tissue_sim.rig.inertia.Inertia` of mass 0 in its rig."""
     return replace(test, rig=_add_inertia_fault(test.rig))
 
 
 def _add_inertia_fault(rig: Any) -> Any:
-    """Return a rig with the additional fault `tissue_sim.rig.inertia.Inertia` of mass 0."""
+    """Return the rig with the additional fault `tissue_sim.rig.inertia.Inertia` of mass 0."""
     return replace(rig, faults=[*rig.faults.values(), Mass(0.0)])

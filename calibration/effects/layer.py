@@ -3,7 +3,7 @@
 import numpy as np
 
 from calibration.effects.candidates import require_tests
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, experiment_of
+from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, get_experiment
 
 
 class Layer(Effect):
@@ -26,11 +26,11 @@ class Layer(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate per trial thickness."""
-        if situation.campaign.fit.material.layers:
+        if situation.campaign.fit.placeholder_material.layers:
             raise NotTestableError("the fitted material includes layers already, so this effect is not tested")
-        needles = require_tests(situation.simulated_tests(lambda test: not experiment_of(test).tool.is_plate),
+        needles = require_tests(situation.simulated_tests(lambda test: not get_experiment(test).tool.is_plate),
                                 "no test has a needle, and plates show only the mean stiffness of all layers")
-        height = min(experiment_of(test).specimen.height for test in situation.simulated_tests())
+        height = min(get_experiment(test).specimen.height for test in situation.simulated_tests())
         radius = min(map(situation.contact_radius, needles))
         thickest = self.max_thickness_fraction * height
         thicknesses = np.minimum(radius * np.array(self.trial_thicknesses), thickest)

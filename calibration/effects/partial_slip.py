@@ -2,7 +2,7 @@
 
 from calibration.campaign.campaign import Test
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
+from calibration.effects.effect import Candidate, Effect, Situation, get_experiment
 from tissue_sim.errors import InputError
 
 
@@ -19,19 +19,19 @@ class PartialSlip(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate per test with bonded faces."""
-        tests = require_tests(situation.simulated_tests(_can_slip),
+        tests = require_tests(situation.simulated_tests(_can_faces_slip),
                               "no test has bonded faces that can slip; tissue that slides round the sharp edge of a "
                               "needle cannot be simulated")
         return rig_parameter_candidates(self, situation, "experiment.slip", tests, lambda _: self.trial_fraction,
                                         each=True, two_sided=False)
 
 
-def _can_slip(test: Test) -> bool:
+def _can_faces_slip(test: Test) -> bool:
     """Return whether a test has bonded faces and the same test with frictionless faces can be simulated."""
-    if experiment_of(test).friction != "bonded":
+    if get_experiment(test).friction != "bonded":
         return False
     try:
-        experiment_of(test).with_free_faces()
+        get_experiment(test).with_free_faces()
     except InputError:
         return False
     return True

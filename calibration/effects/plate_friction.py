@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from calibration.campaign.campaign import Test
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
+from calibration.effects.effect import Candidate, Effect, Situation, get_experiment
 from tissue_sim.experiment.interfaces import AS_TOOL
 
 
@@ -22,14 +22,14 @@ class PlateFriction(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidates in the tests between frictionless plates."""
-        tests = require_tests(situation.simulated_tests(lambda test: experiment_of(test).tool.is_plate
-                                                  and experiment_of(test).friction == "frictionless"),
+        tests = require_tests(situation.simulated_tests(lambda test: get_experiment(test).tool.is_plate
+                                                  and get_experiment(test).friction == "frictionless"),
                               "no test is done between frictionless plates")
         return rig_parameter_candidates(self, situation, "experiment.friction", tests, lambda _: self.trial_coefficient,
-                                        two_sided=False, prepare=_set_base_friction_of_tool)
+                                        two_sided=False, prepare=_with_base_friction_of_tool)
 
 
-def _set_base_friction_of_tool(test: Test) -> Test:
+def _with_base_friction_of_tool(test: Test) -> Test:
     """Return a test whose base has the friction of the tool."""
     if test.experiment is None:
         return test

@@ -20,7 +20,7 @@ class Population(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidate with one factor for each specimen except the first."""
         path = "effects.stiffness_scale.ratio"
-        situation.require_new(path)
+        situation.require_unused_parameter(path)
         tests = situation.simulated_tests(lambda test: test.specimen is not None)
         specimens = list(dict.fromkeys(test.specimen.name for test in tests if test.specimen is not None))
         if len(specimens) < 2:

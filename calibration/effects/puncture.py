@@ -1,7 +1,7 @@
 """Puncture of the tissue by a needle."""
 
 from calibration.effects.candidates import require_tests
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, experiment_of
+from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, get_experiment
 
 
 class Puncture(Effect):
@@ -21,9 +21,9 @@ class Puncture(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate per trial depth."""
-        if situation.campaign.fit.material.puncture is not None:
+        if situation.campaign.fit.placeholder_material.puncture is not None:
             raise NotTestableError("the fitted material includes a puncture already, so this effect is not tested")
-        needles = require_tests(situation.simulated_tests(lambda test: not experiment_of(test).tool.is_plate),
+        needles = require_tests(situation.simulated_tests(lambda test: not get_experiment(test).tool.is_plate),
                                 "no test has a needle")
         deepest = max(map(situation.largest_displacement, needles))
         drop, depth = "puncture.drop", "puncture.depth"

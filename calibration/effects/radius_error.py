@@ -2,7 +2,7 @@
 
 from calibration.effects.candidates import require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
-from calibration.effects.specimen_size import specimen_size_candidates
+from calibration.effects.specimen_size import make_specimen_size_candidates
 
 
 class RadiusError(Effect):
@@ -21,4 +21,4 @@ class RadiusError(Effect):
         """Return one candidate per specimen with a stated radius."""
         tests = require_tests(situation.simulated_tests(lambda test: test.specimen is not None),
                               "no test has a specimen with stated dimensions")
-        return specimen_size_candidates(self, situation, "experiment.specimen.radius", tests, self.trial_error)
+        return make_specimen_size_candidates(self, situation, "experiment.specimen.radius", tests, self.trial_error)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from calibration.campaign.campaign import Test
 from calibration.effects.candidates import require_tests
-from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
+from calibration.effects.effect import Candidate, Effect, Situation, get_experiment
 from tissue_sim.model import Model
 from tissue_sim.specimen import STANDARD_GRAVITY
 
@@ -30,11 +30,11 @@ class SelfWeight(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidate with standard gravity in the tests without gravity."""
-        situation.require_new(_GRAVITY)
-        tests = require_tests(situation.simulated_tests(lambda test: not experiment_of(test).specimen.gravity),
+        situation.require_unused_parameter(_GRAVITY)
+        tests = require_tests(situation.simulated_tests(lambda test: not get_experiment(test).specimen.gravity),
                               "the specimens have self-weight already")
         return [Candidate(self, {_GRAVITY: STANDARD_GRAVITY}, bounds={_GRAVITY: (0.0, 1.5 * STANDARD_GRAVITY)},
-                          tests=tuple(test.name for test in tests), prepare=_add_density)]
+                          tests=tuple(test.name for test in tests), prepare=_with_density)]
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
         """Return the model with gravity; a specimen without a density gets that of the material or of water."""
@@ -44,9 +44,9 @@ class SelfWeight(Effect):
         return super().apply(replace(model, experiment=replace(model.experiment, specimen=specimen)), values)
 
 
-def _add_density(test: Test) -> Test:
+def _with_density(test: Test) -> Test:
     """Return a test whose specimen has a density, `DEFAULT_DENSITY` unless stated."""
-    if test.experiment is None or experiment_of(test).specimen.density is not None:
+    if test.experiment is None or get_experiment(test).specimen.density is not None:
         return test
-    specimen = replace(experiment_of(test).specimen, density=DEFAULT_DENSITY)
+    specimen = replace(get_experiment(test).specimen, density=DEFAULT_DENSITY)
     return replace(test, experiment=replace(test.experiment, specimen=specimen))

@@ -17,7 +17,7 @@ class SensorDrift(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidates with a drift of the zero."""
-        _, longest = situation.step_and_duration
+        _, longest = situation.sampling_interval_and_duration
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         return rig_parameter_candidates(
             self, situation, "rig.sensor_drift", tests,

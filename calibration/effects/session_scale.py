@@ -1,6 +1,6 @@
 """Change of stiffness between sessions, for example by temperature."""
 
-from calibration.effects.candidates import make_candidates_per_test, require_tests
+from calibration.effects.candidates import make_candidate_per_test, require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
 
 
@@ -21,8 +21,8 @@ class SessionScale(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate per test except the first."""
         path = "effects.stiffness_scale.ratio"
-        situation.require_new(path)
+        situation.require_unused_parameter(path)
         others = require_tests(situation.simulated_tests()[1:],
                                "only one test has a tool, so its stiffness has no reference")
-        return make_candidates_per_test(self, others, lambda _: {path: 1.0 + self.trial_change},
+        return make_candidate_per_test(self, others, lambda _: {path: 1.0 + self.trial_change},
                                         bounds={path: (1.0 / self.max_factor, self.max_factor)})

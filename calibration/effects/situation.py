@@ -11,14 +11,16 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import OldName, make_getattr_for_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"experiment_of": "get_experiment"})
 
 #: Smallest decrease of the displacement that counts as unloading, as a fraction of the largest displacement.
 UNLOADING_FRACTION = 0.05
 
 
 class NotTestableError(Exception):
-    """Raised if no test of a campaign can show an effect; the message gives the reason as the end of a sentence."""
+    """No test of a campaign can show an effect; the message gives the reason without a capital letter or full stop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +39,7 @@ class Situation:
 
     @cached_property
     def tests(self) -> tuple[Test, ...]:
-        """Fitted tests: all tests that are not held out."""
+        """Tests of the campaign that are fitted, which are all tests that are not held out."""
         return tuple(test for test in self.campaign.tests if not test.hold_out)
 
     def simulated_tests(self, condition: Callable[[Test], bool] = lambda _: True) -> tuple[Test, ...]:
@@ -50,13 +52,16 @@ class Situation:
                      and not self.measured[test.name][0].stressed and condition(test))
 
     simulated = OldName("simulated_tests")
+    curves = OldName("fitted_curves")
+    step_and_duration = OldName("sampling_interval_and_duration")
+    require_new = OldName("require_unused_parameter")
     depth = OldName("largest_displacement")
     force = OldName("largest_force")
     strain = OldName("largest_strain")
     modulus = OldName("shear_modulus")
 
-    def curves(self, tests: Iterable[Test] | None = None) -> list[MeasuredCurve]:
-        """Return the recordings of some tests, or of all fitted tests for None."""
+    def fitted_curves(self, tests: Iterable[Test] | None = None) -> list[MeasuredCurve]:
+        """Return the recordings of `tests` in one list; None: of all fitted tests."""
         return [curve for test in (self.tests if tests is None else tests) for curve in self.measured[test.name]]
 
     def largest_displacement(self, test: Test) -> float:
@@ -70,10 +75,10 @@ class Situation:
     @cached_property
     def has_time(self) -> bool:
         """Whether every recording has a time channel that advances."""
-        return all(curve.time is not None and np.ptp(curve.time) > 0 for curve in self.curves())
+        return all(curve.time is not None and np.ptp(curve.time) > 0 for curve in self.fitted_curves())
 
     @cached_property
-    def step_and_duration(self) -> tuple[float, float]:
+    def sampling_interval_and_duration(self) -> tuple[float, float]:
         """Median sampling interval and duration of the longest recording, s.
 
         Raises:
@@ -81,7 +86,7 @@ class Situation:
         """
         if not self.has_time:
             raise NotTestableError("the recordings have no time")
-        clocks = [curve.clock for curve in self.curves()]
+        clocks = [curve.sample_times for curve in self.fitted_curves()]
         return float(np.median([np.median(np.diff(clock)) for clock in clocks])), \
             max(float(clock[-1] - clock[0]) for clock in clocks)
 
@@ -109,7 +114,7 @@ class Situation:
 
     def contact_radius(self, test: Test) -> float:
         """Return an estimate of the contact radius of a tool at the largest displacement of a test, m."""
-        experiment = experiment_of(test)
+        experiment = get_experiment(test)
         return experiment.tool.contact_radius(self.largest_displacement(test), experiment.specimen.margin())
 
     def largest_strain(self, test: Test) -> float:
@@ -117,7 +122,7 @@ class Situation:
 
         The estimate is the displacement divided by the specimen's height (plates) or by the contact diameter (needles).
         """
-        experiment = experiment_of(test)
+        experiment = get_experiment(test)
         size = experiment.specimen.height if experiment.tool.is_plate else 2.0 * self.contact_radius(test)
         return self.largest_displacement(test) / size
 
@@ -132,13 +137,13 @@ class Situation:
         Raises:
             NotTestableError: the recordings have no time.
         """
-        speeds = [curve.speed for curve in self.curves(tests) if self.has_time and curve.speed]
+        speeds = [curve.speed for curve in self.fitted_curves(tests) if self.has_time and curve.speed]
         if not speeds:
             raise NotTestableError("the recordings have no time")
         return max(speeds)
 
-    def require_new(self, path: str) -> None:
-        """Check that the campaign neither fits nor fixes a parameter.
+    def require_unused_parameter(self, path: str) -> None:
+        """Raise an error if the campaign already fits or fixes a parameter.
 
         Args:
             path: path of the parameter in the model.
@@ -157,13 +162,13 @@ class Situation:
         Args:
             per_decade: number of times per decade.
         """
-        step, longest = self.step_and_duration
+        step, longest = self.sampling_interval_and_duration
         shortest = min(3.0 * step, 0.1 * longest)
         count = max(2, int(np.ceil(per_decade * np.log10(longest / shortest))) + 1)
         return np.geomspace(shortest, longest, count).tolist()
 
 
-def experiment_of(test: Test) -> Experiment:
-    """Return the experiment of a test that has a tool."""
+def get_experiment(test: Test) -> Experiment:
+    """Return the experiment of a test with a tool; a test without a tool raises an `AssertionError`."""
     assert test.experiment is not None, test.name
     return test.experiment

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from calibration.campaign.campaign import Test
-from calibration.campaign.parameters import declare_rig_and_experiment
+from calibration.campaign.parameters import list_rig_and_experiment_parameters
 from calibration.effects.candidates import read_stated_value, require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
 
@@ -11,9 +11,9 @@ from calibration.effects.effect import Candidate, Effect, Situation
 _MAX_ERROR = 0.2
 
 
-def specimen_size_candidates(effect: Effect, situation: Situation, path: str, tests: Sequence[Test],
+def make_specimen_size_candidates(effect: Effect, situation: Situation, path: str, tests: Sequence[Test],
                              error: float) -> list[Candidate]:
-    """Return one candidate per specimen for the error of one dimension.
+    """Make one candidate for each specimen: a relative error of one of its dimensions.
 
     Args:
         effect: effect of the candidates.
@@ -25,9 +25,10 @@ def specimen_size_candidates(effect: Effect, situation: Situation, path: str, te
     Raises:
         NotTestableError: the campaign fits or fixes the dimension already, or no specimen has it.
     """
-    situation.require_new(path)
+    situation.require_unused_parameter(path)
     size_name = path.rpartition(".")[2]
-    tests = require_tests([test for test in tests if path in declare_rig_and_experiment(test.experiment, test.rig)],
+    tests = require_tests([test for test in tests
+                           if path in list_rig_and_experiment_parameters(test.experiment, test.rig)],
                           f"no specimen has a {size_name}")
     groups: dict[str, list[Test]] = {}
     for test in tests:

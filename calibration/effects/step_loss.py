@@ -22,12 +22,12 @@ class StepLoss(Effect):
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         loss, depth, found = "rig.step_loss", "rig.step_loss_depth", []
 
-        def trial_loss(group):
+        def compute_trial_loss(group):
             return self.trial_fraction * situation.largest_displacement(group[0])
 
         for fraction in self.trial_depths:
             for test in tests:
                 found += rig_parameter_candidates(
-                    self, situation, loss, [test], trial_loss, each=True, two_sided=False,
+                    self, situation, loss, [test], compute_trial_loss, each=True, two_sided=False,
                     shape={depth: fraction * situation.largest_displacement(test)}, jump=depth)
         return found

@@ -22,13 +22,13 @@ class Viscoelasticity(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate per relaxation time."""
-        series = situation.campaign.fit.material.viscoelastic
+        series = situation.campaign.fit.placeholder_material.viscoelastic
         number = 0 if series is None else len(series.terms)
         if number >= self.max_instances:
             raise NotTestableError(f"the fitted material includes {number} Prony terms already, so this effect is not "
                                    "tested")
         g, tau = (f"viscoelastic.terms[{number}].{name}" for name in ("g", "tau"))
-        step, longest = situation.step_and_duration
+        step, longest = situation.sampling_interval_and_duration
         return [Candidate(self, {g: self.trial_fraction}, shape={tau: time},
                           bounds={g: (0.0, self.max_fraction), tau: (0.3 * step, 10.0 * longest)})
                 for time in situation.relaxation_times()]

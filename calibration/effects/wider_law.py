@@ -9,8 +9,8 @@ from tissue_sim.laws import InvariantLaw, find_law
 WIDER = "biderman"
 
 
-def require_special_case(name: str) -> set[str]:
-    """Return the parameters of a law that is a special case of Biderman's law.
+def require_special_case_of_biderman(name: str) -> set[str]:
+    """Check that a law is a special case of Biderman's law, and return the names of its parameters.
 
     Args:
         name: name of the fitted law.
@@ -30,8 +30,8 @@ def require_special_case(name: str) -> set[str]:
                            "fit a reduced polynomial or Mooney-Rivlin")
 
 
-def lowest_missing_power(name: str) -> tuple[str, int]:
-    """Return the lowest power of I1 - 3 that a law lacks.
+def find_lowest_missing_power(name: str) -> tuple[str, int]:
+    """Find the lowest power of I1 - 3 that the strain energy of a law lacks.
 
     Args:
         name: name of the fitted law.
@@ -42,7 +42,7 @@ def lowest_missing_power(name: str) -> tuple[str, int]:
     Raises:
         NotTestableError: the law has all powers of Biderman's law, or it is not a special case of Biderman's law.
     """
-    known = require_special_case(name)
+    known = require_special_case_of_biderman(name)
     for order in (2, 3):
         if f"C{order}0" not in known:
             return f"C{order}0", order

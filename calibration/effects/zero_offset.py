@@ -20,10 +20,10 @@ class ZeroOffset(Effect):
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         path = "rig.zero_offset"
 
-        def trial_offset(group):
+        def compute_trial_offset(group):
             return self.trial_fraction * min(map(situation.largest_force, group))
 
-        shared = rig_parameter_candidates(self, situation, path, tests, trial_offset)
+        shared = rig_parameter_candidates(self, situation, path, tests, compute_trial_offset)
         if len(tests) < 2:
             return shared
-        return [*shared, *rig_parameter_candidates(self, situation, path, tests, trial_offset, each=True)]
+        return [*shared, *rig_parameter_candidates(self, situation, path, tests, compute_trial_offset, each=True)]

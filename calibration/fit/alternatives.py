@@ -60,7 +60,7 @@ def list_sign_flipped_starts(space: ParameterSpace, theta: np.ndarray) -> list[n
     Returns:
         Unknowns inside their bounds, each of shape (k,); empty for a law without free exponents.
     """
-    varied = space.varied
+    varied = space.free_parameters
     paths = list(dict.fromkeys(each.path for each in varied if each.is_exponent))
     found = []
     for signs in product((1.0, -1.0), repeat=len(paths)):
@@ -85,7 +85,7 @@ def select_minimum_to_report(space: ParameterSpace, minima: Sequence[tuple[float
         space: parameter space.
         minima: sum of squares in units of the variance of the residuals, and unknowns, best first.
     """
-    exponents = [place for place, each in enumerate(space.varied) if each.is_exponent]
+    exponents = [place for place, each in enumerate(space.free_parameters) if each.is_exponent]
     equal = [i for i, (error, _) in enumerate(minima) if error - minima[0][0] < SETTINGS.equal_rise]
     return max(equal, key=lambda i: (int(np.sum(minima[i][1][exponents] > 0)), -i))
 

@@ -29,7 +29,7 @@ from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
 from calibration.statistics.statistics import compute_correlation_matrix, compute_information_criteria
 from calibration.statistics.uncertainty import ParameterUncertainty
-from tissue_sim.laws import Stability, check_stability, find_law
+from tissue_sim.laws import StabilityRange, check_stability, find_law
 from tissue_sim.laws.stability import STRETCH_RANGE
 
 
@@ -53,14 +53,15 @@ def build_fit_record(estimator: Estimator, estimate: Estimate, spread: Parameter
     values = space.values(theta)
     free = slice(0, len(space.free))
     specimens = estimate_specimen_population(space, theta, spread.covariance[free, free], spread.standard_errors[free])
-    moduli = space.of_law(specimens.make_representative_values(space, values))
+    moduli = space.select_law_parameters(specimens.make_representative_values(space, values))
     reached = {test.name: test.compute_stretch_range(space, theta) for test in problem.tests}
     stretches = (min(one.principal[0] for one in reached.values()), max(one.principal[1] for one in reached.values()))
     stability = check_stability(law, law.as_array(moduli), (min(STRETCH_RANGE[0], stretches[0]),
                                                             max(STRETCH_RANGE[1], stretches[1])))
     mu0 = law.mu0(moduli)
     units = {each.name: each.declaration.unit for each in space.unknowns}
-    alternatives = find_alternative_minima(law, space.of_law(values), [(minimum, space.of_law(minimum.parameters))
+    alternatives = find_alternative_minima(law, space.select_law_parameters(values),
+                                     [(minimum, space.select_law_parameters(minimum.parameters))
                                                    for minimum in estimate.minima], stretches)
     determination = _assess_shear_modulus_precision(estimate, spread, mu0, campaign)
     clauses, status, unusable = evaluate_usability_clauses(UsabilityEvidence(estimate, stability, reached, mu0,
@@ -97,7 +98,7 @@ def build_fit_record(estimator: Estimator, estimate: Estimate, spread: Parameter
         "population": specimens.population, "material_of": list(specimens.material_of),
         "left_out_specimens": dict(specimens.left_out),
         "material_file": f"{law.name}.material.json" if mu0 > 0 and not specimens.missing_population_reason else None}
-    lost = [*law.at_limit(moduli), *_describe_unmeasured_instability(stability, reached, stretches),
+    lost = [*law.describe_parameters_at_limit(moduli), *_describe_unmeasured_instability(stability, reached, stretches),
             *describe_differing_specimens(estimate), *specimens.list_specimen_warnings(unusable)]
     found = EstimateFindings(estimate, spread, descents, values, loose, status, unusable, lost)
     fit = Fit(**shared | estimator.derive_fit_fields(found))
@@ -114,8 +115,9 @@ def _assess_shear_modulus_precision(estimate: Estimate, spread: ParameterUncerta
     if not mu0 > 0 or any(each.of_law and each.specimen is not None for each in space.unknowns):
         return None
     law = find_law(space.law)
-    stated = {each.name for each in space.varied if each.path in campaign.fit.bounds}
-    return assess_modulus_precision(estimate, spread, lambda theta: law.mu0(space.of_law(space.values(theta))), stated)
+    stated = {each.name for each in space.free_parameters if each.path in campaign.fit.bounds}
+    return assess_modulus_precision(
+        estimate, spread, lambda theta: law.mu0(space.select_law_parameters(space.values(theta))), stated)
 
 
 def _classify_derivative_methods(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
@@ -126,7 +128,7 @@ def _classify_derivative_methods(estimate: Estimate, theta: np.ndarray) -> dict[
     return {name: "difference" if name in names else "exact" for name in problem.space.free}
 
 
-def _describe_unmeasured_instability(stability: Stability, reached: Mapping[str, StretchRange],
+def _describe_unmeasured_instability(stability: StabilityRange, reached: Mapping[str, StretchRange],
                                      stretches: tuple[float, float]) -> list[str]:
     """Return a warning if the law is unstable in other modes of loading within the measured stretches."""
     measured = {one.mode for one in reached.values()}

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.measured import MeasuredCurve, default_contact_deviation
+from calibration.campaign.measured import MeasuredCurve, get_default_contact_deviation
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import GeneralisedProblem
@@ -28,7 +28,7 @@ def build_generalised_problem(law: str, campaign: Campaign, measured: Mapping[st
         solves: cache of simulations.
     """
     names = {test: [curve.name for curve in curves] for test, curves in measured.items()}
-    space = ParameterSpace.of(law, campaign, names)
+    space = ParameterSpace.from_campaign(law, campaign, names)
     fitted = [test for test in campaign.tests if not test.hold_out]
     jitter = make_initial_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
     tests = tuple(build_forward_test(test, measured[test.name], campaign.fit, jitter.contact) for test in fitted)
@@ -46,7 +46,7 @@ def make_initial_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> 
         noisiest = max(curve.noise.deviation for curve in curves)
         contact, zero = fit.offset_prior, fit.zero_prior or OFFSET_DEFAULTS.zero_prior * noisiest
     if contact is None:
-        contact, freedom = default_contact_deviation(curves), 0
+        contact, freedom = get_default_contact_deviation(curves), 0
     if zero is None:
         zero, freedom = OFFSET_DEFAULTS.first_zero * largest, 0
     return ReplicateJitter(contact, zero, freedom)

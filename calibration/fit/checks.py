@@ -35,10 +35,11 @@ def simulate_and_check_start(problem: GeneralisedProblem, campaign: Campaign, nu
                          "parameters", file=campaign.path, field=f"fit.laws[{number}]")
     theta = generate_starting_values(space, 1)[0]
     values = space.values(theta)
-    stated = [name for name in space.of_law(values) if name in campaign.fit.start or name in campaign.fit.fixed]
+    stated = [name for name in space.select_law_parameters(values) if name in campaign.fit.start
+              or name in campaign.fit.fixed]
     key = "start" if any(name in campaign.fit.start for name in stated) else "fixed"
     try:
-        space.material(values)
+        space.build_material(values)
     except InputError as error:
         raise InputError(f"the values must give a valid material of {law.name}; got: {error.problem}. Change them",
                          file=campaign.path, field=f"fit.{key}") from None
@@ -51,7 +52,7 @@ def simulate_and_check_start(problem: GeneralisedProblem, campaign: Campaign, nu
             raise InputError(f"the simulation of the tests with these parameter values fails ({error}). State other "
                              "values, or reduce max_strain", file=campaign.path, field=f"fit.{key}") from None
         return
-    seen = np.linalg.norm(evaluation.rates, axis=0) * space.sizes(values)
+    seen = np.linalg.norm(evaluation.rates, axis=0) * space.typical_sizes(values)
     for name, size in zip(space.free, seen, strict=True):
         if size < UNSEEN and not np.isfinite(space.prior_deviation[space.free.index(name)]):
             field = f"fit.start.{name}" if name in campaign.fit.start else f"fit.laws[{number}]"
@@ -64,7 +65,7 @@ def simulate_and_check_start(problem: GeneralisedProblem, campaign: Campaign, nu
 def _require_stable_law(problem: GeneralisedProblem, theta: np.ndarray, campaign: Campaign, key: str) -> None:
     """Raise an `InputError` if stated values make the law unstable within the data of a homogeneous test."""
     law, space = find_law(problem.space.law), problem.space
-    own = law.as_array(space.of_law(space.values(theta)))
+    own = law.as_array(space.select_law_parameters(space.values(theta)))
     for test in problem.tests:
         if not test.is_homogeneous or not test.closed_form.rest:
             continue

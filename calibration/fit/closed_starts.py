@@ -77,11 +77,11 @@ def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     For each combination of exponents, linear least squares gives the moduli.
     """
     space = problem.space
-    of_law = [each.of_law for each in space.varied]
-    moduli = [i for i, each in enumerate(space.varied) if each.of_law and each.is_modulus]
-    exponents = [i for i, each in enumerate(space.varied) if each.is_exponent]
+    of_law = [each.of_law for each in space.free_parameters]
+    moduli = [i for i, each in enumerate(space.free_parameters) if each.of_law and each.is_modulus]
+    exponents = [i for i, each in enumerate(space.free_parameters) if each.is_exponent]
     # The exponents of all specimens have the same starting values.
-    paths = [space.varied[i].path for i in exponents]
+    paths = [space.free_parameters[i].path for i in exponents]
     kinds = list(dict.fromkeys(paths))
     # The stress is linear in the moduli without self-weight and slightly nonlinear with it: further linear solves
     # follow.
@@ -146,7 +146,7 @@ class _RelaxationModel:
             tau: relaxation times, s, shape (terms,).
         """
         with np.errstate(all="ignore"):
-            parts = [(sign, *history.parts(self.law, values, tau)) for sign, history in self.histories]
+            parts = [(sign, *history.compute_stress_parts(self.law, values, tau)) for sign, history in self.histories]
         return np.concatenate([sign * np.column_stack([elastic, relaxing]) for sign, elastic, relaxing in parts])
 
     def solve_moduli_and_ratios(self, exponents: np.ndarray, grid: np.ndarray) -> tuple[float, np.ndarray,

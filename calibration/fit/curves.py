@@ -148,8 +148,8 @@ def _build_model_path(test: ForwardTest) -> MeasuredCurve:
     time: np.ndarray | None = None
     reached = np.concatenate([curve.displacement for curve in test.measured])
     if test.is_path_dependent:
-        even = np.linspace(first.clock[0], first.clock[-1], 4 * _SETTINGS.points)
-        time, displacement = even, np.interp(even, first.clock, first.displacement)
+        even = np.linspace(first.sample_times[0], first.sample_times[-1], 4 * _SETTINGS.points)
+        time, displacement = even, np.interp(even, first.sample_times, first.displacement)
         segment = np.full(displacement.size, "")
     else:
         # A gripped specimen may be loaded in both directions.
@@ -157,6 +157,6 @@ def _build_model_path(test: ForwardTest) -> MeasuredCurve:
         displacement = np.linspace(start, max(0.0, float(reached.max())), _SETTINGS.points)
         if first.time is not None:
             order = np.argsort(first.displacement, kind="stable")
-            time = np.interp(displacement, first.displacement[order], first.clock[order])
+            time = np.interp(displacement, first.displacement[order], first.sample_times[order])
     return replace(first, time=time, displacement=displacement, force=np.zeros_like(displacement), segment=segment,
                    interpolation=None)

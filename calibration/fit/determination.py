@@ -74,7 +74,7 @@ def assess_modulus_precision(estimate: Estimate, spread: ParameterUncertainty, m
     space = estimate.problem.space
     count = len(space.free)
     theta = estimate.theta[:count]
-    sizes = space.sizes(space.values(theta))
+    sizes = space.typical_sizes(space.values(theta))
     slope = np.zeros(estimate.theta.size)
     slope[:count] = _differentiate_shear_modulus(modulus, theta, sizes) / abs(modulus(theta))
     residual, jacobian = estimate.evaluation.projected_residual_and_jacobian

@@ -97,7 +97,7 @@ def iterate_mesh_correction_and_jitter(problem: GeneralisedProblem, theta: np.nd
         history += descent.history
         if not np.isfinite(descent.error):
             break
-        moved = np.abs(descent.theta - theta) / problem.space.sizes(problem.space.values(theta))
+        moved = np.abs(descent.theta - theta) / problem.space.typical_sizes(problem.space.values(theta))
         theta = descent.theta
         # The correction is nearly proportional to the parameters, so the next change is about this one times the
         # relative difference of the meshes.

@@ -143,7 +143,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         elif regions:
             parts.append("no smooth misfit remains in any test")
         if found.loose:
-            parts.append(f"the tests do not determine {space.in_symbols(found.loose)}")
+            parts.append(f"the tests do not determine {space.format_symbols(found.loose)}")
         return {
             "R2": compute_r_squared(problem.data, residual), "RMSE_N": None if stressed else root,
             "RMSE_Pa": root if len(stressed) == len(problem.measured) else None, "on_bound": on_bound,

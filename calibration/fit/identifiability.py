@@ -112,7 +112,7 @@ def suggest_further_tests(problem: GeneralisedProblem, theta: np.ndarray,
     mechanical = [curve.noise.deviation for curve in problem.measured if curve.test.specimen is not None]
     noise, jitter = (_SETTINGS.noise, _SETTINGS.jitter) if not mechanical else (
         float(np.median(mechanical)), (problem.jitter.contact, problem.jitter.zero))
-    about = problem.space.varied[free[np.argmax(np.abs(axis))]]
+    about = problem.space.free_parameters[free[np.argmax(np.abs(axis))]]
     acting = [test for test in problem.tests if about.acts_in(test.name, None)] or list(problem.tests)
     of = next((test for test in acting if test.specimen is not None), acting[0])
     for words, experiment in _build_candidate_tests(problem, theta, of):
@@ -138,7 +138,7 @@ def _build_candidate_tests(problem: GeneralisedProblem, theta: np.ndarray,
     if specimen.is_prism and not (specimen.is_round or isinstance(of, SimulatedTest)):
         # A closed form depends on the cross-section only, so a cylinder with the same area is equivalent.
         specimen = Cylinder(float(np.sqrt(specimen.area / np.pi)), specimen.height)
-    ageing = problem.space.material(problem.space.values(theta), test=of.name).remembers
+    ageing = problem.space.build_material(problem.space.values(theta), test=of.name).remembers
     found = []
     for strain in (_SETTINGS.strain, min(_SETTINGS.depth_factor * _SETTINGS.strain, 0.3)):
         depth = strain * specimen.vertical_thickness()
@@ -184,11 +184,11 @@ def _compute_test_information(problem: GeneralisedProblem, theta: np.ndarray, ex
     """
     space = problem.space
     try:
-        own = [i for i, each in enumerate(space.varied) if each.of_material and each.recording is None
+        own = [i for i, each in enumerate(space.free_parameters) if each.of_material and each.recording is None
                and each.acts_in(test, None)]
         solver = ROUND_SOLVER if experiment.specimen.is_round else SPACE_SOLVER
-        answer = sensitivities(Model(experiment, space.material(space.values(theta), test=test)),
-                               [space.varied[i].path for i in own], solver=solver,
+        answer = sensitivities(Model(experiment, space.build_material(space.values(theta), test=test)),
+                               [space.free_parameters[i].path for i in own], solver=solver,
                                resolution=get_solver_meshes(solver).fast)
     except (ConvergenceError, InputError):
         return None

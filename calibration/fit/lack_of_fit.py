@@ -73,9 +73,9 @@ def compute_lack_of_fit(problem: LeastSquaresProblem, gap: np.ndarray, number: i
 
 def find_moving_samples(curve: MeasuredCurve) -> np.ndarray:
     """Return which samples are not in a hold, bool, shape (n,)."""
-    if curve.time is None or np.ptp(curve.clock) == 0 or bool(np.any(np.diff(curve.clock) < 0)):
+    if curve.time is None or np.ptp(curve.sample_times) == 0 or bool(np.any(np.diff(curve.sample_times) < 0)):
         return np.ones(curve.force.size, bool)
-    moving = label_motion(curve.clock, curve.displacement) != "hold"
+    moving = label_motion(curve.sample_times, curve.displacement) != "hold"
     return moving if moving.any() else np.ones(curve.force.size, bool)
 
 
@@ -83,7 +83,7 @@ def _compute_mean_recording_misfit(parts: list[tuple[MeasuredCurve, np.ndarray, 
                                    timed: bool) -> tuple[float, float]:
     """Return the mean square lack of fit of the mean recording, N^2, and the variance of its force, N^2."""
     gaps, forces = [], []
-    courses = [curve.clock[moving] - curve.clock[0] if timed else curve.displacement[moving]
+    courses = [curve.sample_times[moving] - curve.sample_times[0] if timed else curve.displacement[moving]
                for curve, _, moving in parts]
     grid = np.linspace(max(course.min() for course in courses), min(course.max() for course in courses),
                        _SETTINGS.points)

@@ -89,7 +89,7 @@ class OrdinaryLeastSquaresEstimator(Estimator):
 
     def _build_parameter_space(self, law: str) -> ParameterSpace:
         """Return the parameter space of a law."""
-        return ParameterSpace.of(law, self.campaign, {name: [curve.name for curve in curves]
+        return ParameterSpace.from_campaign(law, self.campaign, {name: [curve.name for curve in curves]
                                                       for name, curves in self.measured.items()})
 
     def _build_closed_form_test(self, test: Test) -> ClosedFormTest:
@@ -156,7 +156,7 @@ class OrdinaryLeastSquaresEstimator(Estimator):
         elif spread.basis == "residuals" and not found.estimate.problem.is_history_dependent:
             parts.append("standard errors follow the residuals, as if these were independent")
         if found.loose:
-            parts.append(f"the data do not determine {found.estimate.problem.space.in_symbols(found.loose)}")
+            parts.append(f"the data do not determine {found.estimate.problem.space.format_symbols(found.loose)}")
         return parts
 
     def get_replicate_jitter(self, estimate: Estimate) -> ReplicateJitter | None:

@@ -85,8 +85,8 @@ class OrdinaryProblem(LeastSquaresProblem):
     @property
     def sampling_interval_and_duration(self) -> tuple[float, float]:
         """Median sampling interval and duration of the longest recording, s."""
-        steps = np.concatenate([np.diff(curve.clock) for curve in self.measured])
-        return float(np.median(steps[steps > 0])), max(float(np.ptp(curve.clock)) for curve in self.measured)
+        steps = np.concatenate([np.diff(curve.sample_times) for curve in self.measured])
+        return float(np.median(steps[steps > 0])), max(float(np.ptp(curve.sample_times)) for curve in self.measured)
 
     @property
     def is_history_dependent(self) -> bool:

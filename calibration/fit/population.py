@@ -89,8 +89,9 @@ class IndividualSpecimens:
         if self.population is not None:
             known = dict(zip(self.population.order, self.population.mean, strict=True))
         else:
-            known = {each.path: values[each.name] for each in space.varied if each.specimen in self.material_of}
-        return {**values, **{each.name: known[each.path] for each in space.varied
+            known = {each.path: values[each.name] for each in space.free_parameters
+                     if each.specimen in self.material_of}
+        return {**values, **{each.name: known[each.path] for each in space.free_parameters
                              if each.specimen is not None and each.path in known}}
 
 
@@ -104,7 +105,7 @@ def estimate_specimen_population(space: ParameterSpace, theta: np.ndarray, covar
         covariance: covariance of the free parameters, shape (p, p).
         errors: standard errors, shape (p,); not finite for undetermined parameters and those on a bound.
     """
-    index_of = {(each.path, each.specimen): index for index, each in enumerate(space.varied)
+    index_of = {(each.path, each.specimen): index for index, each in enumerate(space.free_parameters)
                 if each.specimen is not None and each.of_material}
     order = list(dict.fromkeys(path for path, _ in index_of))
     rows = {specimen: [index_of[path, specimen] for path in order] for _, specimen in index_of}
@@ -126,7 +127,8 @@ def estimate_specimen_population(space: ParameterSpace, theta: np.ndarray, covar
     alone = np.array([covariance[np.ix_(row, row)] - moved @ moved.T for row, moved in zip(table, common, strict=True)])
     found = estimate_population(order, determined, theta[table], alone, common)
     # Parameters of single tests or recordings do not belong to a further specimen.
-    everywhere = [k for k, index in enumerate(others) if space.varied[index].name == space.varied[index].path]
+    everywhere = [k for k, index in enumerate(others)
+                  if space.free_parameters[index].name == space.free_parameters[index].path]
     cross = (found.mean_moves @ unit.T @ shared)[:, everywhere]
     together = np.block([[found.mean_covariance, cross], [cross.T, shared[np.ix_(everywhere, everywhere)]]])
     names = ("mean", "mean_errors", "mean_intervals", "mean_covariance", "between", "spread", "spread_intervals",
@@ -151,7 +153,7 @@ def _list_undetermined_reasons(space: ParameterSpace, theta: np.ndarray, errors:
     for index in row:
         if np.isfinite(errors[index]) and errors[index] > 0:
             continue
-        unit, ends = space.varied[index].declaration.unit, (space.low[index], space.high[index])
+        unit, ends = space.free_parameters[index].declaration.unit, (space.low[index], space.high[index])
         bound = min(ends, key=lambda end: abs(end - theta[index]))
         why = f"on its bound {bound:.4g}{'' if unit == '1' else f' {unit}'}" if np.isnan(errors[index]) else \
             "not determined by its tests"
@@ -171,7 +173,7 @@ def describe_differing_specimens(estimate: Estimate) -> list[str]:
     squared projection of the residual on the derivatives of each specimen, orthogonal to the fitted space.
     """
     problem, evaluation, space = estimate.problem, estimate.evaluation, estimate.problem.space
-    shared = [index for index, each in enumerate(space.varied) if each.of_law and each.tests is None]
+    shared = [index for index, each in enumerate(space.free_parameters) if each.of_law and each.tests is None]
     specimens = [None if curve.test.specimen is None else curve.test.specimen.name for curve in problem.measured]
     if not shared or None in specimens or len(set(specimens)) < POPULATION.min_specimens:
         return []
@@ -187,6 +189,6 @@ def describe_differing_specimens(estimate: Estimate) -> list[str]:
     decrease, total = float(np.sum((found.T @ residual)**2)), float(residual @ residual)
     if decrease < _SETTINGS.min_fraction * total or special.chdtrc(found.shape[1], decrease) > _SETTINGS.max_p:
         return []
-    names = space.in_symbols([space.free[index] for index in shared])
+    names = space.format_symbols([space.free[index] for index in shared])
     return [f"the specimens differ: individual values of {names} would explain {decrease / total:.0%} of the residual "
             "sum of squares; give these parameters the scope 'per_specimen' in [fit.scope]"]

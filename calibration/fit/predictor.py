@@ -70,8 +70,9 @@ def make_population_mean_predictor(space: ParameterSpace, theta: np.ndarray, pop
         specimen: name of the specimen.
     """
     order, known = population.order, population.covariance
-    own = [index for index, each in enumerate(space.varied) if each.specimen == specimen and each.path in order]
-    of_mean = [order.index(space.varied[index].path) for index in own]
+    own = [index for index, each in enumerate(space.free_parameters) if each.specimen == specimen
+           and each.path in order]
+    of_mean = [order.index(space.free_parameters[index].path) for index in own]
     indices = [*own, *(space.free.index(name) for name in known.order[len(order):])]
     rows = [*of_mean, *range(len(order), len(known.order))]
     theta, covariance, sampled = theta.copy(), *np.zeros((2, theta.size, theta.size))
@@ -103,7 +104,7 @@ def make_held_out_predictor(test: Test, predictor: ForcePredictor, population: P
     space, theta = predictor.space, predictor.theta
     if test.specimen is None:
         return predictor
-    further = space.with_specimen(test.specimen.name, [test.name])
+    further = space.with_specimen_parameters(test.specimen.name, [test.name])
     added = len(further.free) - len(space.free)
     if not added:
         return ForcePredictor(further, theta, predictor.covariance)
@@ -125,13 +126,14 @@ def make_left_out_test_predictor(predictor: ForcePredictor, spread: ParameterUnc
         The predictor, with the population mean if all undetermined parameters belong to one specimen; otherwise None.
     """
     space = predictor.space
-    owners = {space.unknown(name).specimen if space.unknown(name).of_material else None for name in undetermined}
+    owners = {space.find_parameter(name).specimen if space.find_parameter(name).of_material else None
+              for name in undetermined}
     if not owners:
         return predictor
     owner = owners.pop()
     if owner is None or owners:
         return None
-    errors = np.where([each.specimen == owner for each in space.varied], np.inf,
+    errors = np.where([each.specimen == owner for each in space.free_parameters], np.inf,
                       spread.standard_errors[: len(space.free)])
     population = estimate_specimen_population(space, predictor.theta, predictor.covariance, errors).population
     return None if population is None else make_population_mean_predictor(space, predictor.theta, population, owner)

@@ -153,7 +153,7 @@ class LeastSquaresProblem(ABC):
 
     def compute_unknown_scales(self, theta: np.ndarray) -> np.ndarray:
         """Return the scale of each unknown, SI, shape (k,)."""
-        return self.space.sizes(self.space.values(theta))
+        return self.space.typical_sizes(self.space.values(theta))
 
     def make_descent_variables(self, theta: np.ndarray) -> Variables:
         """Return the variables of a descent from `theta`: the unknowns in units of their scales there."""
@@ -250,7 +250,7 @@ class GeneralisedProblem(LeastSquaresProblem):
     def _compute_weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return whitened residuals (noise, jitter, mesh); see `LeastSquaresProblem._compute_weighted_residuals`."""
         try:
-            self.space.material(self.space.values(theta))
+            self.space.build_material(self.space.values(theta))
         except InputError as error:
             raise InfeasibleError(str(error)) from None
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]

@@ -26,14 +26,14 @@ def generate_starting_values(space: ParameterSpace, count: int) -> list[np.ndarr
     Returns:
         Free parameters inside their bounds, SI, each of shape (p,).
     """
-    exponents = [each.name for each in space.varied if each.is_exponent]
+    exponents = [each.name for each in space.free_parameters if each.is_exponent]
     grids = [grid for grid in combinations_with_replacement(EXPONENTS, len(exponents))
              if len(set(grid)) == len(grid)] or [()]
     # Exponents of different signs come before those of equal signs.
     grids.sort(key=lambda grid: (len({np.sign(e) for e in grid}) < min(len(grid), 2), sum(EXPONENTS.index(e)
                                                                                          for e in grid)))
     found: list[np.ndarray] = []
-    moduli = [each.name for each in space.varied if each.is_modulus]
+    moduli = [each.name for each in space.free_parameters if each.is_modulus]
     for turns, grid in enumerate(cycle(grids)):
         factors = [1.0] * len(space.free)
         if turns >= len(grids) and len(space.free) > 1:

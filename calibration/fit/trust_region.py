@@ -275,10 +275,11 @@ def find_distinct_minima(ends: Iterable[tuple[DescentResult, int]],
 def _scale_moduli_by_best_factor(problem: LeastSquaresProblem, theta: np.ndarray) -> np.ndarray:
     """Return the unknowns with all moduli multiplied by the best common factor; unchanged if this is impossible."""
     space = problem.space
-    moduli = np.array([each.is_modulus for each in space.varied])
-    fixed = any(space.unknown(name).is_modulus for name in space.fixed)
-    if fixed or not moduli.any() or not space.of_material_alone or not all(test.is_force_proportional_to_moduli
-                                                                           for test in problem.tests):
+    moduli = np.array([each.is_modulus for each in space.free_parameters])
+    fixed = any(space.find_parameter(name).is_modulus for name in space.fixed)
+    if (fixed or not moduli.any() or not space.has_only_shared_material_parameters
+            or not all(test.is_force_proportional_to_moduli
+                                                                           for test in problem.tests)):
         return theta
     # Offsets and zeros stay 0: far from the minimum they would compensate a wrong factor.
     residual, rates = cast(GeneralisedProblem, problem).linearise_without_nuisances(theta)

@@ -27,7 +27,7 @@ from calibration.fit.replicates import find_replicate_disagreements
 from calibration.fit.usability_records import AlternativeMinimum, UsabilityClause
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
-from tissue_sim.laws import Stability
+from tissue_sim.laws import StabilityRange
 
 #: Status of a usable fit.
 USABLE = "converged"
@@ -53,7 +53,7 @@ class UsabilityEvidence:
     """
 
     estimate: Estimate
-    stability: Stability
+    stability: StabilityRange
     reached: Mapping[str, StretchRange]
     mu0: float
     specimens: IndividualSpecimens
@@ -128,7 +128,7 @@ def _evaluate_stability_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     return _build_clause("stable", "unstable", f"not stable {' and '.join(lost)}, where there are data" if lost else "")
 
 
-def describe_instability(stability: Stability, mode: str, stretches: tuple[float, float]) -> str:
+def describe_instability(stability: StabilityRange, mode: str, stretches: tuple[float, float]) -> str:
     """Describe where one mode of loading loses Drucker stability inside these stretches; empty if it is stable."""
     (low, high), (lower, upper) = stretches, stability.limits[mode]
     if lower == upper == 1.0:
@@ -142,7 +142,7 @@ def _evaluate_screening_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check that the screening of the recordings found nothing that makes the moduli of this fit wrong."""
     problem = evidence.estimate.problem
     space = problem.space
-    remembers = space.material(space.values(evidence.estimate.theta[: len(space.free)])).remembers \
+    remembers = space.build_material(space.values(evidence.estimate.theta[: len(space.free)])).remembers \
         if evidence.mu0 > 0 else False
     found: dict[str, list[str]] = {}
     contacts = read_contact_offsets(evidence.estimate)

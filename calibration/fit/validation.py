@@ -59,7 +59,7 @@ def predict_left_out_test(problem: LeastSquaresProblem, theta: np.ndarray, numbe
     predictor = make_left_out_test_predictor(ForcePredictor.from_estimate(problem.space, descent.theta, spread), spread,
                                              unknown)
     answer = make_failed_prediction(problem, test, names, "the other tests do not determine "
-                                    f"{problem.space.in_symbols(unknown)}") if predictor is None else \
+                                    f"{problem.space.format_symbols(unknown)}") if predictor is None else \
         predict_test(problem, test, predictor, names, scatter)
     return LeftOutPrediction(answer, *spent())
 
@@ -69,7 +69,7 @@ def _find_undetermined_parameters(space: ParameterSpace, spread: ParameterUncert
     """Return the names of parameters that act in a test and that the other tests do not determine."""
     loose = set(find_undetermined_parameters(space, spread))
     # A parameter without data may stay on its bound, where it has no standard error; it is undetermined too.
-    return [each.name for index, each in enumerate(space.varied) if each.acts_in(test, None) and (
+    return [each.name for index, each in enumerate(space.free_parameters) if each.acts_in(test, None) and (
         each.name in loose or not (np.isfinite(space.prior_deviation[index])
                                    or any(each.acts_in(other, None) for other in others)))]
 

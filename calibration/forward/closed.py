@@ -18,7 +18,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.laws import Law, find_law
 from tissue_sim.material.material import Material
-from tissue_sim.parameters import split_path
+from tissue_sim.parameters import split_parameter_path
 from tissue_sim.specimen import Specimen
 
 
@@ -105,12 +105,12 @@ class ClosedFormTest:
                                 recording: str | None) -> ClosedFormParameters:
         """Return the parameter values of one recording; None: of recordings without own parameters."""
         law = find_law(space.law)
-        free = [(law.parameters.index(each.path), column) for column, each in enumerate(space.varied)
+        free = [(law.parameters.index(each.path), column) for column, each in enumerate(space.free_parameters)
                 if each.of_law and each.acts_in(self.name, recording)]
         material = None
         if set(space.names) != set(law.parameters):
             try:
-                material = space.material(values, test=self.name, recording=recording)
+                material = space.build_material(values, test=self.name, recording=recording)
             except InputError as error:
                 raise InfeasibleError(f"{self.name}: {error}") from None
         numbers = values if material is None else material.parameters
@@ -211,7 +211,8 @@ class ClosedFormTest:
             Name of the parameter -> derivative, shape (n,).
         """
         prony = material.viscoelastic
-        if prony is None or not self._has_homogeneous_history or not answer.space.of_material_alone or (
+        if prony is None or not self._has_homogeneous_history or (
+                not answer.space.has_only_shared_material_parameters) or (
                 material.effects or material.softening is not None or material.poroelasticity is not None) or (
                 material.instantaneous_factor != 1.0):
             return {}
@@ -220,10 +221,11 @@ class ClosedFormTest:
         step = DIFFERENCES.relative * prony.tau
         rates = {}
         with np.errstate(all="ignore"):
-            elastic, relaxing = history.parts(law, answer.values, np.concatenate([prony.tau, prony.tau + step,
+            elastic, relaxing = history.compute_stress_parts(law, answer.values,
+                                                             np.concatenate([prony.tau, prony.tau + step,
                                                                                   prony.tau - step]))
-            for unknown in answer.space.varied:
-                name, path = unknown.name, split_path(unknown.path)
+            for unknown in answer.space.free_parameters:
+                name, path = unknown.name, split_parameter_path(unknown.path)
                 if unknown.of_law and law.units[unknown.path] != "1":
                     alone = [float(other == unknown.path) if law.units[other] != "1" else value
                              for other, value in zip(law.parameters, answer.values.tolist(), strict=True)]
@@ -241,10 +243,10 @@ class ClosedFormTest:
         The difference is one-sided if the material is invalid on one side, and NaN if it is invalid on both sides.
         """
         space, values, name = answer.space, answer.named, answer.space.free[index]
-        size, ends = float(space.sizes(values)[index]), []
+        size, ends = float(space.typical_sizes(values)[index]), []
         for step in (DIFFERENCES.relative * size, -DIFFERENCES.relative * size):
             try:
-                material = space.material(values | {name: values[name] + step}, test=self.name,
+                material = space.build_material(values | {name: values[name] + step}, test=self.name,
                                           recording=answer.recording)
                 ends.append((self._compute_force_with_memory(material, recording, offset), step))
             except InputError:
@@ -259,7 +261,8 @@ class ClosedFormTest:
         with np.errstate(all="ignore"):
             if not self._has_homogeneous_history or material.effects:
                 strain = self.convert_displacement_to_strain(measured.displacement - offset)
-                return factor * self.closed_form.history(material, measured.clock, strain, self.equivalent_radius)
+                return factor * self.closed_form.history(material, measured.sample_times, strain,
+                                                         self.equivalent_radius)
             return factor * self.build_deformation_history(recording, offset).nominal_stress(
                 material.energy_law, material.values, material.relaxation(self.equivalent_radius), material.softening,
                 material.instantaneous_factor)
@@ -275,7 +278,7 @@ class ClosedFormTest:
             return self._histories[recording]
         measured = self.measured[recording]
         mode: Literal["uniaxial", "simple_shear"] = "uniaxial" if self.closed_form.rest else "simple_shear"
-        found = HomogeneousHistory(mode, measured.clock,
+        found = HomogeneousHistory(mode, measured.sample_times,
                                    self.convert_displacement_to_strain(measured.displacement - offset),
                                    self.largest_step)
         if offset == 0.0:
@@ -298,6 +301,7 @@ class ClosedFormTest:
         strain = np.concatenate([self.convert_displacement_to_strain(curve.displacement) for curve in self.measured])
         low, high, closed_form = float(strain.min()), float(strain.max()), self.closed_form
         if not closed_form.rest:
-            return StretchRange(closed_form.mode, *closed_form.extremes(low, high), closed_form.extremes(low, high))
+            return StretchRange(closed_form.mode, *closed_form.find_extreme_stretches(low, high),
+                                closed_form.find_extreme_stretches(low, high))
         low, high = min(low, 1.0), 1.0 if not self.kind.has_gripped_ends else max(high, 1.0)
-        return StretchRange(closed_form.mode, low, high, closed_form.extremes(low, high))
+        return StretchRange(closed_form.mode, low, high, closed_form.find_extreme_stretches(low, high))

@@ -52,8 +52,8 @@ class ColumnTest(ClosedFormTest):
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the stretches between the base in the deepest state and the unloaded top."""
-        law, values = find_law(space.law), space.of_law(space.values(theta), self.name)
+        law, values = find_law(space.law), space.select_law_parameters(space.values(theta), self.name)
         displacement = np.concatenate([curve.displacement for curve in self.measured])
         base = Column(self.specimen).base_stretch(law, displacement, law.as_array(values))
         low = float(np.nanmin(base))
-        return StretchRange(self.closed_form.mode, low, 1.0, self.closed_form.extremes(low, 1.0))
+        return StretchRange(self.closed_form.mode, low, 1.0, self.closed_form.find_extreme_stretches(low, 1.0))

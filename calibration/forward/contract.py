@@ -27,7 +27,7 @@ class StretchRange:
     """Range of the principal stretches in a test, including the undeformed state.
 
     Attributes:
-        mode: mode of loading, a key of `Stability.limits`; None if the deformation is not homogeneous.
+        mode: mode of loading, a key of `StabilityRange.limits`; None if the deformation is not homogeneous.
         low: smallest stretch along the load.
         high: largest stretch along the load.
         principal: smallest and largest principal stretch in any direction.

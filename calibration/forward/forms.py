@@ -51,7 +51,7 @@ def build_forward_test(test: Test, curves: Sequence[MeasuredCurve], settings: Fi
         settings: settings of the fit.
         contact: standard deviation of the contact offset, m.
     """
-    material = settings.material
+    material = settings.placeholder_material
     curves = tuple(curves)
     if test.experiment is None or curves[0].stressed:
         return build_closed_form_test(test, curves)
@@ -63,7 +63,7 @@ def build_forward_test(test: Test, curves: Sequence[MeasuredCurve], settings: Fi
         motions: list[TimedMotion] = []
         motion_of = []
         for curve in curves:
-            motion = TimedMotion.from_recording(curve.clock, curve.displacement)
+            motion = TimedMotion.from_recording(curve.sample_times, curve.displacement)
             same = [i for i, other in enumerate(motions) if other.is_equal_within_tolerance(motion)]
             if not same:
                 motions.append(motion)

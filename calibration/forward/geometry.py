@@ -20,7 +20,7 @@ def check_test_geometries(campaign: Campaign) -> None:
         if test.experiment is None or test.solver == ROUND_SOLVER:
             continue
         try:
-            SOLVERS.find(test.solver, "solver")(Model(test.experiment, campaign.fit.material),
+            SOLVERS.find(test.solver, "solver")(Model(test.experiment, campaign.fit.placeholder_material),
                                                 resolution=get_solver_meshes(test.solver).fast)
         except InputError as error:
             raise InputError(error.problem, file=campaign.path, field=f"test[{number}]") from None

@@ -5,7 +5,7 @@ One simulation then serves all sets of moduli with the same ratios.
 
 from __future__ import annotations
 
-from calibration.campaign.parameter_space import Unknown
+from calibration.campaign.parameter_space import FitParameter
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.rig.rig import Rig
 
@@ -25,7 +25,7 @@ def is_force_proportional_to_moduli(experiment: Experiment, rig: Rig) -> bool:
     return not (experiment.specimen.specific_weight or experiment.acting_laws or rig.compliance)
 
 
-def keeps_force_proportional_to_moduli(unknown: Unknown, *, rigid: bool) -> bool:
+def keeps_force_proportional_to_moduli(unknown: FitParameter, *, rigid: bool) -> bool:
     """Return whether forces stay proportional to the moduli for every value of a parameter.
 
     Args:

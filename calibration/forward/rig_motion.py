@@ -19,7 +19,7 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import STUDY_SPEED
 from tissue_sim.model import Model
 from tissue_sim.rig.rig import Rig
-from tissue_sim.tilt import split_into_strips
+from tissue_sim.tilt import split_tilted_face_into_strips
 
 #: Steps to the largest reported depth, equal to those of a timed motion; a deeper tool continues the same spacing.
 STEPS = MOTION_STEPS.timed_steps
@@ -143,7 +143,7 @@ class ForcePositionCurve:
 
 def _divide_tilted_face(tilt: float) -> list[tuple[float, float]]:
     """Return lag, m, and fraction of the face for the strips of a tilted face; one strip without tilt."""
-    return split_into_strips(tilt) if tilt else [(0.0, 1.0)]
+    return split_tilted_face_into_strips(tilt) if tilt else [(0.0, 1.0)]
 
 
 def _compute_strip_position(position: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:

@@ -91,7 +91,8 @@ class SimulatedTest(SimulatedMotions):
             curves, differences = self._simulate_position_curve(space, values, solves, models)
             effects = [ReadoutEffects(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
                        for model in models]
-        differences |= {each.name for each in space.varied if self._parameter_affects_readings_only(each, values)
+        differences |= {each.name for each in space.free_parameters
+                        if self._parameter_affects_readings_only(each, values)
                         or any(one.has_effect_parameter(each.path) for one in effects)}
         return SimulatedSolution(curves, [RigReadout(model.rig) for model in models], effects, space, values,
                                  frozenset(differences))
@@ -160,7 +161,7 @@ class SimulatedTest(SimulatedMotions):
                     loading.depth, np.column_stack([force + self._interpolate_correction(loading), rates]),
                     holds=not tool_separates_on_retraction(model.experiment))
             neighbours = {}
-            for column, each in enumerate(space.varied, start=1):
+            for column, each in enumerate(space.free_parameters, start=1):
                 if is_rig_motion_parameter(each.path) and each.acts_in(self.name, measured.name) \
                         and not self._parameter_affects_readings_only(each, values):
                     step = compute_difference_step(values[each.name])
@@ -174,7 +175,7 @@ class SimulatedTest(SimulatedMotions):
     def _make_aligned_curve(self, recording: int, curve: ForcePositionCurve, model: Model) -> AlignedCurve:
         """Return the force at the samples of a recording for the rig and the tilt of a model."""
         motion, measured = self._timed_motions[self.motion_of[recording]], self.measured[recording]
-        tilt, time = model.experiment.tilt, measured.clock - measured.clock[0] + motion.sampled_from
+        tilt, time = model.experiment.tilt, measured.sample_times - measured.sample_times[0] + motion.sampled_from
         # Path-dependent faults (backlash, lost steps) act on the straight parts of the motion: noise of the
         # displacement would appear as many reversals.
         straight = np.interp(time, motion.time, motion.displacement)
@@ -272,12 +273,13 @@ class SimulatedTest(SimulatedMotions):
         simulated = values[:, 0]
         if rig.latency:
             columns = np.column_stack([values, rate])
-            late = np.column_stack([np.interp(measured.clock - rig.latency, measured.clock, column)
+            late = np.column_stack([np.interp(measured.sample_times - rig.latency, measured.sample_times, column)
                                     for column in columns.T])
             values, rate = late[:, :-1], late[:, -1]
         force = readout.convert_to_readings(measured, simulated)
         rates, rate = readout.convert_derivatives_to_readings(measured, simulated, force, values[:, 1:], rate)
-        for column, unknown in enumerate(() if answer.space.of_material_alone else answer.space.varied):
+        for column, unknown in enumerate(() if answer.space.has_only_shared_material_parameters
+                                         else answer.space.free_parameters):
             if unknown.acts_in(self.name, measured.name) and (
                     self._parameter_affects_readings_only(unknown, answer.values)):
                 path, value = unknown.path.removeprefix("rig."), answer.values[unknown.name]
@@ -305,7 +307,7 @@ class SimulatedTest(SimulatedMotions):
         depth = compute_depth_in_tissue(answer.curves[recording], measured, offset)
         factor = effects.compute_force_factor(measured, depth)
         scaled = factor[:, None] * values
-        for column, each in enumerate(space.varied, start=1):
+        for column, each in enumerate(space.free_parameters, start=1):
             if each.acts_in(self.name, measured.name) and effects.has_effect_parameter(each.path):
                 step = compute_difference_step(answer.values[each.name])
                 changed = self._build_model(space, answer.values | {each.name: answer.values[each.name] + step},
@@ -338,7 +340,7 @@ class SimulatedTest(SimulatedMotions):
         """
         motion, measured = self.motions[self.motion_of[recording]], self.measured[recording]
         if isinstance(motion, TimedMotion):
-            return measured.clock - measured.clock[0] + motion.sampled_from
+            return measured.sample_times - measured.sample_times[0] + motion.sampled_from
         return measured.time
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
@@ -349,7 +351,7 @@ class SimulatedTest(SimulatedMotions):
         points = max(3, self.motions[0].tool_protocol.time.size // 2)
         experiment = replace(self.experiment, protocol=Protocol.ramp(deepest, points))
         try:
-            model = replace(space.model(space.values(theta), experiment, self.rig, test=self.name), rig=Rig())
+            model = replace(space.build_model(space.values(theta), experiment, self.rig, test=self.name), rig=Rig())
         except InputError:
             model = None
         return compute_simulated_range(model, self.solver, deepest / self.specimen.height)

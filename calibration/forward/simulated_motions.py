@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.parameter_space import ParameterSpace, Unknown
+from calibration.campaign.parameter_space import FitParameter, ParameterSpace
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.meshes import MeshError, get_solver_meshes
 from calibration.forward.motion import MonotonicLoading, TimedMotion
@@ -80,11 +80,12 @@ class SimulatedMotions:
             InfeasibleError: the values give no valid model.
         """
         try:
-            return space.model(values, self._build_experiment(motion), self.rig, test=self.name, recording=recording)
+            return space.build_model(values, self._build_experiment(motion), self.rig, test=self.name,
+                                     recording=recording)
         except InputError as error:
             raise InfeasibleError(f"test {self.name}: {error}") from None
 
-    def _parameter_affects_readings_only(self, unknown: Unknown, values: dict[str, float]) -> bool:
+    def _parameter_affects_readings_only(self, unknown: FitParameter, values: dict[str, float]) -> bool:
         """Return whether a parameter belongs to the rig of this test and does not change the motion of the tool."""
         acts = unknown.path.startswith("rig.") and any(unknown.acts_in(self.name, each.name) for each in self.measured)
         return acts and parameter_affects_readings_only(self.rig, unknown.path.removeprefix("rig."),
@@ -133,7 +134,7 @@ class SimulatedMotions:
         model = effects.remove_effects_from_model(model)
         topology = topology and effects.remove_effects_from_model(topology)
         acting = {} if resolution != "fast" else {
-            column: each.path for column, each in enumerate(space.varied)
+            column: each.path for column, each in enumerate(space.free_parameters)
             if each.acts_in(self.name, recording) and not self._parameter_affects_readings_only(each, values)
             and not effects.has_effect_parameter(each.path) and not (rigid and is_rig_motion_parameter(each.path))}
         meshes, paths = get_solver_meshes(self.solver), list(acting.values())
@@ -149,7 +150,7 @@ class SimulatedMotions:
         force = factor * np.array(curve.force)
         rates = np.zeros((force.size, 0 if resolution != "fast" else len(space.free)))
         if acting:
-            scale = [1.0 if proportional and space.varied[column].is_modulus else factor for column in acting]
+            scale = [1.0 if proportional and space.free_parameters[column].is_modulus else factor for column in acting]
             rates[:, list(acting)] = np.array(curve.rates).reshape(force.size, len(acting)) * scale
         inexact = {space.free[column] for column, exact in zip(acting, curve.exact, strict=False) if not exact}
         return force, rates, inexact

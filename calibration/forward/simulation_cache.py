@@ -23,8 +23,8 @@ from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.model import Model
-from tissue_sim.parameters import declared
-from tissue_sim.registry import modules_of_additions
+from tissue_sim.parameters import list_field_declarations
+from tissue_sim.registry import list_modules_of_additions
 from tissue_sim.simulation import simulate
 from tissue_sim.specimen import Specimen
 
@@ -140,7 +140,7 @@ def hash_content(*parts: Any) -> str:
     The hash (SHA-256, 40 hexadecimal digits) covers all numbers to the last digit, the source of the package
     `tissue_sim`, and the source of registered additions (laws, effects, ...).
     """
-    added = [[name, _hash_module_source(module)] for name, module in modules_of_additions().items()]
+    added = [[name, _hash_module_source(module)] for name, module in list_modules_of_additions().items()]
     content = msgspec.json.encode([_hash_solver_source(), added, _convert_to_plain_data(parts)])
     return hashlib.sha256(content).hexdigest()[:40]
 
@@ -164,7 +164,8 @@ def _convert_to_plain_data(value: Any) -> Any:
     """Convert immutable data to nested lists, dictionaries and strings that determine a simulation."""
     if isinstance(value, Tool):
         # The geometry determines the contact; the path of the tool's file does not.
-        return [value.shape, _convert_to_plain_data({name: getattr(value, name) for name in declared(type(value))}),
+        return [value.shape, _convert_to_plain_data({name: getattr(value, name)
+                                                for name in list_field_declarations(type(value))}),
                 _convert_to_plain_data(value.profile)]
     if isinstance(value, Specimen) and value.paths:
         # The same holds for a specimen from a file: the digest of the file replaces its path.

@@ -17,7 +17,7 @@ def compute_homogeneous_range(closed_form: ClosedForm, low: float) -> StretchRan
         closed_form: closed form of the test.
         low: smallest stretch along the load.
     """
-    return StretchRange(closed_form.mode, low, 1.0, closed_form.extremes(low, 1.0))
+    return StretchRange(closed_form.mode, low, 1.0, closed_form.find_extreme_stretches(low, 1.0))
 
 
 def compute_simulated_range(model: Model | None, solver: str, strain: float) -> StretchRange:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from tissue_sim.files import ZIP_MAGIC, first_bytes, read_bytes
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.files import ZIP_MAGIC, read_bytes, read_first_bytes
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.formats.guesses import FileInterpretation, KindGuess, TableGroup
 
@@ -15,11 +15,14 @@ _SUFFIXES = (".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series", "
 _HEADS = (b"Force-Distance Curve", b"# afmformats")
 
 
-def is_afm(path: Path) -> bool:
-    """Return whether a file has force curves, by its suffix, its first bytes, or as an archive of another kind."""
+def is_afm_file(path: Path) -> bool:
+    """Return whether a file contains force curves of an AFM.
+
+    AFM files are recognised by their suffix or their first bytes; a zip archive that is no spreadsheet counts as AFM.
+    """
     if path.suffix.lower() in _SUFFIXES:
         return True
-    head = first_bytes(path, 64)
+    head = read_first_bytes(path, 64)
     if head.startswith(_HEADS):
         return True
     if not head.startswith(ZIP_MAGIC):
@@ -35,7 +38,7 @@ def is_afm(path: Path) -> bool:
 
 
 def interpret_afm_file(path: Path) -> FileInterpretation:
-    """Interpret a file of force curves of an AFM.
+    """Interpret a file of force curves of an AFM as replicates of a needle indentation.
 
     Raises:
         InputError: as `tissue_sim.recording.formats.afm.read_afm`.
@@ -43,5 +46,5 @@ def interpret_afm_file(path: Path) -> FileInterpretation:
     read_bytes(path, "force curves of an AFM")
     recordings = read_recordings(path, format="afm")
     kind = KindGuess("needle_indentation", "force curves of an AFM press a tip into the specimen")
-    reading = TableGroup("", (), (), read_only({"format": "afm"}), recordings, kind, 1)
+    reading = TableGroup("", (), (), make_read_only_copy({"format": "afm"}), recordings, kind, 1)
     return FileInterpretation(path, "afm", "afm", None, None, None, (reading,))

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from calibration.importing.imported import ImportedTest, list_assumptions_of_tests
-from tissue_sim.errors import shortened
+from tissue_sim.errors import shorten_text
 
 #: Headings of the columns of the table.
 HEADINGS = ("assumption", "value", "evidence", "against", "or", "flag")
 
 
 @dataclass(frozen=True)
-class TableSettings:
+class AssumptionTableSettings:
     """Sizes of the table of assumptions.
 
     Attributes:
@@ -28,11 +28,11 @@ class TableSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = TableSettings()
+_SETTINGS = AssumptionTableSettings()
 
 
 class AssumptionRow(NamedTuple):
-    """One assumption in words. `files` names the files that share it; empty: all."""
+    """Row of the table: one assumption as texts. `files` names the files that share the assumption; empty: all."""
 
     files: str
     subject: str
@@ -44,7 +44,7 @@ class AssumptionRow(NamedTuple):
     is_question: bool
 
     @property
-    def cells(self) -> tuple[str, ...]:
+    def cell_texts(self) -> tuple[str, ...]:
         """Cells of the row in the order of `HEADINGS`."""
         subject = f"{self.subject} ({self.files})" if self.files else self.subject
         return subject, self.value, self.evidence, self.against, self.alternatives, self.flag
@@ -59,65 +59,69 @@ def make_assumption_rows(tests: Sequence[ImportedTest]) -> list[AssumptionRow]:
         of = [name for name, assumption in found if assumption == each]
         names = "" if len(of) == len(files) else of[0] if len(of) == 1 else f"{of[0]} and {len(of) - 1} more"
         rows.append(AssumptionRow(
-            names, each.subject, _to_one_line(each.value),
-            "stated" if each.is_stated else _to_one_line("; ".join(each.evidence)),
-            _to_one_line("; ".join(each.against)), _to_one_line("; ".join(
-                f"{other.value}{_format_ratio(other.modulus_ratio)}" for other in each.alternatives)),
-            _to_one_line(each.flag), each.needs_user_decision))
+            names, each.subject, _make_single_line_text(each.value),
+            "stated" if each.is_stated else _make_single_line_text("; ".join(each.evidence)),
+            _make_single_line_text("; ".join(each.against)), _make_single_line_text("; ".join(
+                f"{other.value}{_format_modulus_factor(other.modulus_ratio)}" for other in each.alternatives)),
+            _make_single_line_text(each.flag), each.needs_user_decision))
     return rows
 
 
-def _format_ratio(modulus_ratio: float | None) -> str:
-    """Return the factor of the modulus in brackets; empty for an unknown factor."""
+def _format_modulus_factor(modulus_ratio: float | None) -> str:
+    """Format the factor by which an alternative changes the modulus, in brackets; empty for an unknown factor."""
     return "" if modulus_ratio is None else f" (modulus x {modulus_ratio:.3g})"
 
 
-def _to_one_line(text: str) -> str:
-    """Return the text on one line, with ``?`` for control characters."""
+def _make_single_line_text(text: str) -> str:
+    """Return a text with each white space replaced by one blank, and each control character by ``?``."""
     return " ".join("".join(each if each.isprintable() or each.isspace() else "?" for each in text).split())
 
 
 def format_campaign_comment(tests: Sequence[ImportedTest]) -> str:
-    """Return the table as comments of a campaign, with the unused columns; empty without assumptions."""
+    """Format the assumptions and the unused columns as comment lines of a campaign; empty without assumptions."""
     rows = make_assumption_rows(tests)
     if not rows:
         return ""
     lines = ["Assumptions, with evidence, values that also fit (or), and the flag of tissue-sim import that states "
              "each:"]
     for row in rows:
-        subject, value, *_ = row.cells
+        subject, value, *_ = row.cell_texts
         details = [row.evidence, f"against: {row.against}" if row.against else "",
                    f"or: {row.alternatives}" if row.alternatives else "", row.flag]
         said = "; ".join(filter(None, details))
-        lines.append(f"{'QUESTION ' if row.is_question else ''}{subject}: {shortened(value, _SETTINGS.longest_value)}"
-                     f"{f' ({said})' if said else ''}")
-    lines += [f"Columns not used: {each}" for each in list_unused_columns(tests)]
+        lines.append(f"{'QUESTION ' if row.is_question else ''}{subject}: "
+                     f"{shorten_text(value, _SETTINGS.longest_value)}{f' ({said})' if said else ''}")
+    lines += [f"Columns not used: {each}" for each in describe_unused_columns(tests)]
     return "\n".join(textwrap.fill(line, _SETTINGS.campaign_width, initial_indent="# ", subsequent_indent="#     ",
                                    break_long_words=False, break_on_hyphens=False) for line in lines)
 
 
-def wrap_assumptions(tests: Sequence[ImportedTest], width: int, most: int) -> list[str]:
-    """Return the table as at most `most` lines of `width` characters: subject, value, evidence and alternatives."""
+def format_wrapped_table(tests: Sequence[ImportedTest], width: int, most: int) -> list[str]:
+    """Format the table as text: at most `most` lines of at most `width` characters, one for each assumption.
+
+    Each line shows subject, value, alternatives and evidence; longer texts are shortened.
+    """
     rows = make_assumption_rows(tests)
     sizes = (36, 26, width - 36 - 26 - 4)
     lines = []
     for row in rows:
-        subject, value, *_ = row.cells
+        subject, value, *_ = row.cell_texts
         others = [f"or {row.alternatives}" if row.alternatives else "",
                   f"against: {row.against}" if row.against else "", row.evidence]
-        cells = (f"{'? ' if row.is_question else ''}{subject}", value, "; ".join(filter(None, others)))
-        padded = (f"{shortened(cell, size):<{size}}" for cell, size in zip(cells, sizes, strict=True))
+        cell_texts = (f"{'? ' if row.is_question else ''}{subject}", value, "; ".join(filter(None, others)))
+        padded = (f"{shorten_text(cell, size):<{size}}" for cell, size in zip(cell_texts, sizes, strict=True))
         lines.append("  ".join(padded).rstrip())
     if len(lines) > most:
         lines = [*lines[:most - 1], f"and {len(lines) - most + 1} more assumptions (--json)"]
     return lines
 
 
-def list_unused_columns(tests: Sequence[ImportedTest]) -> list[str]:
-    """``file: 'column', ...`` of each file that has columns which are not read."""
+def describe_unused_columns(tests: Sequence[ImportedTest]) -> list[str]:
+    """Return one text ``file: 'column', ...`` for each file that has columns which are not read."""
     found: dict[str, dict[str, None]] = {}
     for test in tests:
         for part in test.parts:
             if part.reading.unused:
-                found.setdefault(part.file.name, {}).update(dict.fromkeys(map(_to_one_line, part.reading.unused)))
+                found.setdefault(part.file.name, {}).update(dict.fromkeys(map(_make_single_line_text,
+                                                                              part.reading.unused)))
     return [f"{name}: {', '.join(map(repr, columns))}" for name, columns in found.items()]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration.importing.assumption_table import format_campaign_comment
-from calibration.importing.imported import ImportedTest, Line
+from calibration.importing.imported import CampaignLine, ImportedTest
 from calibration.report.drawing import format_count
 
 #: Character position of the comment with the reason. Longer lines have the comment in the previous line.
@@ -22,7 +22,8 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 FILL_IN = "FILL IN"
 
 
-def format_campaign(tests: Sequence[ImportedTest], specimens: Mapping[str, Sequence[Line]], fit: Sequence[Line],
+def format_campaign(tests: Sequence[ImportedTest], specimens: Mapping[str, Sequence[CampaignLine]],
+                    fit: Sequence[CampaignLine],
                   folder: Path, questions: Sequence[str] = ()) -> str:
     """Return the text of a campaign file (TOML); keys that all tests share are in ``[defaults]``.
 
@@ -38,53 +39,58 @@ def format_campaign(tests: Sequence[ImportedTest], specimens: Mapping[str, Seque
              "The comments give the reasons of the lines;\n# correct lines that are wrong."]
     parts += filter(None, [format_campaign_comment(tests)])
     if questions:
-        parts.append(_format_line(Line("questions", list(questions), "import again with the flag in the question, or "
+        parts.append(_format_toml_line(CampaignLine("questions", list(questions),
+                                                    "import again with the flag in the question, or "
                                        "delete this key to accept the assumed values")))
     for name, lines in specimens.items():
-        named = [Line("name", name)] if len(specimens) > 1 else []
-        parts.append("\n".join(["[[specimen]]", *(_format_line(each) for each in (*named, *lines))]))
-    shared = _find_common_lines([test.lines for test in tests]) if len(tests) > 1 else []
-    columns = _find_common_lines([test.columns for test in tests]) if len(tests) > 1 else []
+        named = [CampaignLine("name", name)] if len(specimens) > 1 else []
+        parts.append("\n".join(["[[specimen]]", *(_format_toml_line(each) for each in (*named, *lines))]))
+    shared = _find_lines_common_to_tests([test.lines for test in tests]) if len(tests) > 1 else []
+    columns = _find_lines_common_to_tests([test.columns for test in tests]) if len(tests) > 1 else []
     same_columns = bool(columns) and all(len(test.columns) == len(columns) for test in tests)
     if shared or same_columns:
-        parts.append("\n".join(["[defaults]", *map(_format_line, shared)]))
+        parts.append("\n".join(["[defaults]", *map(_format_toml_line, shared)]))
         if same_columns:
-            parts.append("\n".join(["[defaults.columns]", *map(_format_line, columns)]))
+            parts.append("\n".join(["[defaults.columns]", *map(_format_toml_line, columns)]))
     for test in tests:
-        specimen = [Line("specimen", test.specimen)] if test.specimen and len(specimens) > 1 else []
-        own = [line for line in test.lines if not any(_has_equal_value(line, other) for other in shared)]
-        files = [_relative_path(part.file, folder) for part in test.parts]
-        parts.append("\n".join(["[[test]]", *map(_format_line, (Line("name", test.name), *specimen, *own)),
-                                _format_line(Line("recordings", list(dict.fromkeys(files)), test.reason))]))
+        specimen = [CampaignLine("specimen", test.specimen)] if test.specimen and len(specimens) > 1 else []
+        own = [line for line in test.lines if not any(_have_equal_key_and_value(line, other) for other in shared)]
+        files = [_make_path_relative_to_folder(part.file, folder) for part in test.parts]
+        parts.append("\n".join(["[[test]]", *map(_format_toml_line, (CampaignLine("name", test.name), *specimen, *own)),
+                                _format_toml_line(CampaignLine("recordings", list(dict.fromkeys(files)),
+                                                               test.reason))]))
         if test.columns and not same_columns:
-            parts.append("\n".join(["[test.columns]", *map(_format_line, test.columns)]))
-    parts.append("\n".join(["[fit]", *map(_format_line, fit)]))
+            parts.append("\n".join(["[test.columns]", *map(_format_toml_line, test.columns)]))
+    parts.append("\n".join(["[fit]", *map(_format_toml_line, fit)]))
     return "\n\n".join(parts) + "\n"
 
 
-def _find_common_lines(lines: Sequence[Sequence[Line]]) -> list[Line]:
-    """Return the lines that are equal in all tests."""
+def _find_lines_common_to_tests(lines: Sequence[Sequence[CampaignLine]]) -> list[CampaignLine]:
+    """Return the lines of the first test whose key and value are the same in all tests."""
     return [line for line in lines[0]
-            if all(any(_has_equal_value(line, other) for other in each) for each in lines[1:])]
+            if all(any(_have_equal_key_and_value(line, other) for other in each) for each in lines[1:])]
 
 
-def _has_equal_value(first: Line, second: Line) -> bool:
+def _have_equal_key_and_value(first: CampaignLine, second: CampaignLine) -> bool:
     """Return whether two lines have equal keys and values, whatever their reasons."""
     return (first.key, first.value) == (second.key, second.value)
 
 
-def _format_line(line: Line) -> str:
-    """Return a line of TOML with its reason as a comment; a line without a value is a comment to fill in."""
+def _format_toml_line(line: CampaignLine) -> str:
+    """Format a line as TOML with its reason as a comment.
+
+    A line without a value becomes a comment that the user fills in.
+    """
     reason = " ".join(line.reason.split())
     if line.value is None:
         return f"# {line.key} =   # {FILL_IN}: {reason}"
-    text = f"{_format_key(line.key)} = {format_toml_value(line.value)}"
+    text = f"{_format_toml_key(line.key)} = {format_toml_value(line.value)}"
     if not reason:
         return text
     return f"{text:<{_REASON_POSITION}}  # {reason}" if len(text) + len(reason) < 116 else f"# {reason}\n{text}"
 
 
-def _format_key(key: str) -> str:
+def _format_toml_key(key: str) -> str:
     """Return a TOML key with quotation marks if necessary."""
     return key if _BARE.fullmatch(key) else format_toml_value(key)
 
@@ -101,19 +107,19 @@ def format_toml_value(value: Any) -> str:
         # A JSON string is a valid TOML string, except for the delete character.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
-        pairs = (f"{_format_key(str(key))} = {format_toml_value(item)}" for key, item in value.items())
+        pairs = (f"{_format_toml_key(str(key))} = {format_toml_value(item)}" for key, item in value.items())
         return f"{{ {', '.join(pairs)} }}"
     if isinstance(value, list | tuple):
         items = [format_toml_value(item) for item in value]
         one = f"[{', '.join(items)}]"
         return one if len(one) < 110 else "[\n" + "".join(f"    {item},\n" for item in items) + "]"
     if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"a number of a campaign must be finite; got {value}")
+        raise ValueError(f"number in a campaign must be finite; got {value}. Leave out the key of an unknown value.")
     return repr(value)
 
 
-def _relative_path(file: Path, folder: Path) -> str:
-    """Return the path of a file relative to a folder; an absolute path on another drive."""
+def _make_path_relative_to_folder(file: Path, folder: Path) -> str:
+    """Return the path of a file relative to a folder; the absolute path if the file is on another drive."""
     # Symbolic links are resolved first, because ".." also refers to the resolved folder.
     there = file.parent.resolve() / file.name
     try:

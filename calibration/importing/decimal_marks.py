@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from calibration.importing.imported import Part
-from tissue_sim.frozen_mapping import read_only
+from calibration.importing.imported import ReplicateFile
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.recording.formats.guesses import FileInterpretation, TableGroup
 
 
-def share_decimal_mark(understood: Sequence[FileInterpretation]) -> list[FileInterpretation]:
-    """State the decimal mark of some files for all files with the same mark.
+def apply_common_decimal_mark(understood: Sequence[FileInterpretation]) -> list[FileInterpretation]:
+    """Add the option ``decimal`` of some files to all files with the same decimal mark.
 
     A file with thousands separators states its decimal mark in the campaign. Replicates with smaller numbers have no
     separators; with the same option, they remain replicates.
@@ -29,13 +29,13 @@ def share_decimal_mark(understood: Sequence[FileInterpretation]) -> list[FileInt
             return reading
         options = dict(reading.options)
         columns = options.pop("columns")
-        return replace(reading, options=read_only({**options, "decimal": mark, "columns": columns}))
+        return replace(reading, options=make_read_only_copy({**options, "decimal": mark, "columns": columns}))
 
     return [replace(each, readings=tuple(set_decimal_mark(each, reading) for reading in each.readings))
             for each in understood]
 
 
-def describe_decimal_mark(parts: Sequence[Part]) -> str:
+def explain_stated_decimal_mark(parts: Sequence[ReplicateFile]) -> str:
     """Return the reason why a campaign states the decimal mark of its files, in one sentence."""
     found = [assumption for part in parts for assumption in part.understanding.assumptions
              if assumption.subject in ("thousands separator", "decimal mark")]

@@ -11,7 +11,7 @@ from tissue_sim.recording.screening import EQUAL_LOAD, Screening, format_sample_
 
 def list_recording_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool,
                    controlled: str | None = None) -> tuple[Assumption, ...]:
-    """Return the assumptions about one recording.
+    """Return the assumptions about one recording: samples left out, contact, controlled quantity.
 
     Args:
         screening: findings on the recording, with the controlled quantity.
@@ -20,10 +20,12 @@ def list_recording_assumptions(screening: Screening, contact: Contact | None, *,
         stressed: whether the recording has strain and stress.
         controlled: controlled quantity as the user states; None: found in the signals.
     """
-    return tuple(_list_assumptions(screening, contact, has_air=has_air, stressed=stressed, controlled=controlled))
+    return tuple(_iterate_recording_assumptions(screening, contact, has_air=has_air, stressed=stressed,
+                                                controlled=controlled))
 
 
-def _list_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool,
+def _iterate_recording_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None,
+                                   stressed: bool,
                       controlled: str | None) -> Iterator[Assumption]:
     """Yield the assumptions about one recording; see `list_recording_assumptions`."""
     control = screening.control

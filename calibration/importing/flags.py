@@ -19,64 +19,66 @@ from tissue_sim.recording.measures import ENGINEERING, MEASURES
 _AFM = ("afm", "jpk", "bruker")
 
 
-def check_options(wishes: ImportOptions) -> None:
-    """Refuse options that contradict each other for any file.
+def reject_contradicting_options(wishes: ImportOptions) -> None:
+    """Raise an error for options that are invalid or contradict each other, whatever the files contain.
 
     Raises:
-        InputError: with the flag.
+        InputError: the error names the flag.
     """
     stated = wishes.stated
     if stated.format is not None and stated.format not in (*MACHINES, *_AFM, "table"):
         raise InputError(f"format must be one of {', '.join((*MACHINES, 'afm', 'table'))}; got {stated.format!r}. "
-                         "Without the flag the format is found", field="--format")
+                         "Without the flag the format is detected.", field="--format")
     if {"strain", "stretch"} <= stated.columns.keys():
-        raise InputError("a strain is read as a stretch; name a column for one of them", field="--column")
+        raise InputError("column must name strain or stretch; got both, but a strain is read as a stretch. Leave out "
+                         "one of them.", field="--column")
     for channel, measure in stated.measures.items():
         becomes = {"strain": "stretch"}.get(channel, channel)
         names = [ENGINEERING, *(name for name, each in MEASURES.items() if each.channel == becomes)]
         if measure not in names or len(names) == 1:
             expected = f"one of {', '.join(names)}" if len(names) > 1 else "that of a strain, stretch or stress"
-            raise InputError(f"measure of {get_channel_flag_name(channel)} must be {expected}; got {measure!r}",
-                             field="--measure")
+            raise InputError(f"measure of {get_channel_flag_name(channel)} must be {expected}; got {measure!r}. Change "
+                             "the flag or leave it out.", field="--measure")
 
 
-def require_used(wishes: ImportOptions, files: Sequence[FileInterpretation], tests: Sequence[ImportedTest]) -> None:
-    """Refuse options that no file needs.
+def reject_unused_options(wishes: ImportOptions, files: Sequence[FileInterpretation],
+                          tests: Sequence[ImportedTest]) -> None:
+    """Raise an error for the first option of the user that has no effect on any of the files.
 
     Raises:
-        InputError: with the flag and the reason.
+        InputError: the error names the flag and the reason.
     """
-    problem = next(_find_unused(wishes, files, tests), None)
+    problem = next(_find_unused_options(wishes, files, tests), None)
     if problem is not None:
         flag, reason = problem
-        raise InputError(f"{reason}. Leave the flag out", field=flag)
+        raise InputError(f"{reason}. Leave out the flag.", field=flag)
 
 
-def applies_to_kind(key: str, value: Any, kind: TestKind | None) -> bool:
-    """Return whether a test of this kind (None: not known yet) has the key of ``[[test]]`` with this value."""
+def applies_to_test_kind(key: str, value: Any, kind: TestKind | None) -> bool:
+    """Return whether a key of ``[[test]]`` with this value is valid for a kind of test; True for an unknown kind."""
     if kind is None:
         return True
     if key == "friction":
         return kind.tool is not None and not kind.face.fixed
     if key == "tool":
-        return kind.tool is not None and (kind.tool_stated or _is_plate(value))
+        return kind.tool is not None and (kind.tool_stated or _is_plate_shape(value))
     return key != "tool_radius_mm" or kind.tool_stated
 
 
-def _is_plate(shape: Any) -> bool:
+def _is_plate_shape(shape: Any) -> bool:
     """Return whether a tool shape is a plate."""
     name = parse_shape_name(shape)[0]
     return name in TOOLS and TOOLS[name].is_plate
 
 
-def _find_unused(wishes: ImportOptions, files: Sequence[FileInterpretation], tests: Sequence[ImportedTest]
+def _find_unused_options(wishes: ImportOptions, files: Sequence[FileInterpretation], tests: Sequence[ImportedTest]
             ) -> Iterator[tuple[str, str]]:
     """Yield (flag, reason) of each option without effect."""
-    yield from _find_unused_for_files(wishes, files)
-    yield from _find_unused_for_columns(wishes, files)
+    yield from _find_options_unused_by_file_kind(wishes, files)
+    yield from _find_options_of_unread_channels(wishes, files)
     kinds = [KINDS[test.kind] if test.kind else None for test in tests]
     for key, value in wishes.test.items():
-        if not any(applies_to_kind(key, value, kind) for kind in kinds):
+        if not any(applies_to_test_kind(key, value, kind) for kind in kinds):
             names = ", ".join(dict.fromkeys(kind.name for kind in kinds if kind is not None))
             yield f"--{key.replace('_', '-')}", f"{names} has no {key.removesuffix('_mm').replace('_', ' ')} to state"
     if "speed_mm_s" in wishes.test and not any(line.key == "speed_mm_s" for test in tests for line in test.lines):
@@ -90,7 +92,8 @@ def _find_unused(wishes: ImportOptions, files: Sequence[FileInterpretation], tes
                "displacement and force are read if all sizes are stated")
 
 
-def _find_unused_for_files(wishes: ImportOptions, files: Sequence[FileInterpretation]) -> Iterator[tuple[str, str]]:
+def _find_options_unused_by_file_kind(wishes: ImportOptions,
+                                      files: Sequence[FileInterpretation]) -> Iterator[tuple[str, str]]:
     """Yield (flag, reason) of options that do not apply to this kind of file."""
     stated, kinds = wishes.stated, {each.kind_of_file for each in files}
     if stated.sheet is not None and not kinds & {"workbook", "container"}:
@@ -104,7 +107,8 @@ def _find_unused_for_files(wishes: ImportOptions, files: Sequence[FileInterpreta
             yield "--column", "files of an AFM name their channels"
 
 
-def _find_unused_for_columns(wishes: ImportOptions, files: Sequence[FileInterpretation]) -> Iterator[tuple[str, str]]:
+def _find_options_of_unread_channels(wishes: ImportOptions,
+                                     files: Sequence[FileInterpretation]) -> Iterator[tuple[str, str]]:
     """Yield (flag, reason) of options for channels that are not read."""
     columns: list[ColumnGuess] = [column for each in files for reading in each.readings for column in reading.columns]
     read = {name for column in columns for name in (column.channel, column.role)}

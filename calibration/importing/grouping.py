@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calibration.campaign.measured import REPLICATE_TOLERANCE
-from calibration.importing.imported import Part
+from calibration.importing.imported import ReplicateFile
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.formats.sizes import make_size_signature
 
@@ -15,15 +15,15 @@ from tissue_sim.recording.formats.sizes import make_size_signature
 _NUMBER = re.compile(r"[ _.\-]*\(?\d+\)?$")
 
 
-def group_into_tests(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
+def group_into_tests(parts: Sequence[ReplicateFile]) -> list[tuple[str, tuple[ReplicateFile, ...], str]]:
     """Group files into tests, and return (name, replicates, reason) of each test.
 
     The names of replicates differ only in the number at their end. Replicates have equal columns, an equal kind of
     test, equal stated sizes, and equal motions within `REPLICATE_TOLERANCE`. A gripped specimen is pulled up to its
     failure, so that only the speed of its motion is compared.
     """
-    alike: dict[tuple, list[list[Part]]] = {}
-    counted = _names_without_numbers(list(dict.fromkeys(part.file for part in parts)))
+    alike: dict[tuple, list[list[ReplicateFile]]] = {}
+    counted = _strip_replicate_numbers(list(dict.fromkeys(part.file for part in parts)))
     for part in parts:
         reading = part.reading
         stem = counted[part.file]
@@ -31,23 +31,23 @@ def group_into_tests(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...],
                make_size_signature(reading.stated, reading.kind.kind), repr(sorted(reading.specimen.items())),
                tuple((column.channel, column.header, column.unit) for column in reading.columns))
         clusters = alike.setdefault(key, [])
-        cluster = next((each for each in clusters if has_same_motion(each[0], part)), None)
+        cluster = next((each for each in clusters if have_same_speed_and_travel(each[0], part)), None)
         if cluster is None:
             clusters.append([part])
         else:
             cluster.append(part)
-    groups: list[tuple[str, tuple[Part, ...], str]] = []
+    groups: list[tuple[str, tuple[ReplicateFile, ...], str]] = []
     for (stem, name, *_), clusters in alike.items():
         for cluster in clusters:
             one = len(cluster) == 1
             parts_of_name = [cluster[0].file.stem if one else stem, name]
-            title = _unique_name("_".join(filter(None, parts_of_name)), [each for each, *_ in groups])
+            title = _make_unique_test_name("_".join(filter(None, parts_of_name)), [each for each, *_ in groups])
             groups.append((title, tuple(cluster), _describe_replicates(cluster, len(clusters))))
     return groups
 
 
-def _names_without_numbers(files: Sequence[Path]) -> dict[Path, str]:
-    """Return file -> name without the number of the replicate.
+def _strip_replicate_numbers(files: Sequence[Path]) -> dict[Path, str]:
+    """Return file -> name of the file without the number of the replicate at its end.
 
     Numbers that differ widely, such as in ``gel_10`` and ``gel_50``, are part of the name of the specimen.
     """
@@ -62,8 +62,11 @@ def _names_without_numbers(files: Sequence[Path]) -> dict[Path, str]:
     return found
 
 
-def has_same_motion(first: Part, second: Part) -> bool:
-    """Return whether speed and reach of two motions are equal within `REPLICATE_TOLERANCE`."""
+def have_same_speed_and_travel(first: ReplicateFile, second: ReplicateFile) -> bool:
+    """Return whether speed and largest displacement of two files agree within `REPLICATE_TOLERANCE`, relative.
+
+    The displacements of a gripped specimen are not compared, because the specimen is pulled up to its failure.
+    """
     kind = KINDS[first.reading.kind.kind] if first.reading.kind.kind else None
     pairs = []
     a, b = first.motions[0], second.motions[0]
@@ -74,8 +77,13 @@ def has_same_motion(first: Part, second: Part) -> bool:
     return all(max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair) for pair in pairs)
 
 
-def _describe_replicates(cluster: Sequence[Part], clusters: int) -> str:
-    """Return the evidence that the parts of a cluster are replicates, in one sentence."""
+def _describe_replicates(cluster: Sequence[ReplicateFile], clusters: int) -> str:
+    """Return one sentence that explains why the files of a cluster form one test.
+
+    Args:
+        cluster: files with equal motions.
+        clusters: number of clusters with the same name.
+    """
     replicates = sum(len(part.motions) for part in cluster)
     apart = "; files of the same name that move otherwise are tests of their own" if clusters > 1 else ""
     if len(cluster) > 1:
@@ -86,8 +94,8 @@ def _describe_replicates(cluster: Sequence[Part], clusters: int) -> str:
     return f"one recording{apart}"
 
 
-def _unique_name(name: str, taken: Sequence[str]) -> str:
-    """Return the name, with a number if other tests have the name."""
+def _make_unique_test_name(name: str, taken: Sequence[str]) -> str:
+    """Return the name of a test; a number is appended if another test already has this name."""
     number = 2
     found = name
     while found in taken:

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from calibration.importing.motion import Motion
-from tissue_sim.frozen_mapping import read_only
-from tissue_sim.public_names import old_names
+from calibration.importing.motion import RecordedMotion
+from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.public_names import OldName, make_getattr_for_old_names
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.formats.guesses import ColumnHints, FileInterpretation, TableGroup
 
-__getattr__ = old_names(__name__, {"Wishes": "ImportOptions"})
+__getattr__ = make_getattr_for_old_names(__name__, {"Wishes": "ImportOptions", "Imported": "ImportResult"})
 
 
 @dataclass(frozen=True)
@@ -31,15 +31,15 @@ class ImportOptions:
     """
 
     stated: ColumnHints = field(default_factory=ColumnHints)
-    specimen: Mapping[str, float | str] = field(default_factory=lambda: read_only({}))
-    test: Mapping[str, Any] = field(default_factory=lambda: read_only({}))
+    specimen: Mapping[str, float | str] = field(default_factory=lambda: make_read_only_copy({}))
+    test: Mapping[str, Any] = field(default_factory=lambda: make_read_only_copy({}))
     laws: tuple[str, ...] | None = None
     zero: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """Tables of one file that are replicates of a test.
+class ReplicateFile:
+    """One input file whose recordings are replicates of one test.
 
     Attributes:
         understanding: interpretation of the file.
@@ -49,7 +49,7 @@ class Part:
 
     understanding: FileInterpretation
     reading: TableGroup
-    motions: tuple[Motion, ...]
+    motions: tuple[RecordedMotion, ...]
 
     @property
     def file(self) -> Path:
@@ -58,11 +58,11 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Zero:
-    """The meaning of a load at zero displacement.
+class ZeroLoadInterpretation:
+    """Interpretation of a recorded load that is not zero at zero displacement.
 
     Attributes:
-        value: ``"preload"`` or ``"sensor"``.
+        value: ``"preload"``: the displacement was zeroed at a preload; ``"sensor"``: the load cell was not zeroed.
         shift: distance of contact before the zero, m; negative for a load against the direction of loading.
         load: load at zero displacement, N; negative for a load against the direction of loading.
     """
@@ -73,8 +73,11 @@ class Zero:
 
 
 @dataclass(frozen=True)
-class Line:
-    """Key of a campaign, its value, and the reason of the value; the user must replace a value of None."""
+class CampaignLine:
+    """One ``key = value`` line of a campaign file with the reason of the value, which is written as a comment.
+
+    A value of None is unknown; the user must fill in the line.
+    """
 
     key: str
     value: Any
@@ -83,39 +86,39 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class ImportedTest:
-    """Table ``[[test]]`` of a campaign.
+    """Table ``[[test]]`` of the campaign that an import writes.
 
     Attributes:
         name: unique name.
         kind: kind of test; None: the user must state the kind.
-        parts: replicates.
+        parts: files with the replicates.
         specimen: name of the specimen; None: the test needs no specimen.
-        lines: keys without name, recordings and columns.
-        columns: channel -> entry.
+        lines: lines of the table except name, specimen, recordings and columns.
+        columns: lines of the table ``[test.columns]``: channel -> column and unit.
         reason: evidence that the files are replicates.
-        zero: meaning of a load at zero displacement; None: the load starts from zero.
+        zero: interpretation of a load at zero displacement; None: the load starts from zero.
     """
 
     name: str
     kind: str | None
-    parts: tuple[Part, ...]
+    parts: tuple[ReplicateFile, ...]
     specimen: str | None
-    lines: tuple[Line, ...]
-    columns: tuple[Line, ...]
+    lines: tuple[CampaignLine, ...]
+    columns: tuple[CampaignLine, ...]
     reason: str = ""
-    zero: Zero | None = None
+    zero: ZeroLoadInterpretation | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Imported:
+class ImportResult:
     """Result of an import.
 
     Attributes:
         files: interpretation of each file, in the order of the input.
         tests: tests of the campaign.
-        specimens: name -> lines.
+        specimens: name -> lines of the table ``[[specimen]]``.
         text: text of the campaign (TOML).
-        missing: information that only the user knows, in words; empty: complete.
+        missing: one phrase for each entry that only the user knows; empty: nothing is missing.
         problem: reason why a complete campaign does not run; None: the campaign runs, or information is missing.
         warnings: sentences for the user.
         output, picture: written files; None: not written.
@@ -123,7 +126,7 @@ class Imported:
 
     files: tuple[FileInterpretation, ...]
     tests: tuple[ImportedTest, ...]
-    specimens: Mapping[str, tuple[Line, ...]]
+    specimens: Mapping[str, tuple[CampaignLine, ...]]
     text: str
     missing: tuple[str, ...]
     warnings: tuple[str, ...] = ()
@@ -141,14 +144,19 @@ class Imported:
         """Questions that the user must decide by a flag, each once, with the files that they concern."""
         return list_questions_of_tests(self.tests)
 
+    complete = OldName("is_complete")
+
     @property
-    def complete(self) -> bool:
+    def is_complete(self) -> bool:
         """Whether `calibration.calibrate` accepts the campaign, and no question is open."""
         return not self.missing and self.problem is None and not self.questions
 
 
 def list_assumptions_of_tests(tests: Sequence[ImportedTest]) -> tuple[tuple[str, Assumption], ...]:
-    """(file name, assumption) of tests: about the file, its tables, then its recordings."""
+    """Return (file name, assumption) of all files of the tests, without repetition.
+
+    The assumptions of one file are about the file, then about its tables, then about its recordings.
+    """
     found: dict[tuple[str, Assumption], None] = {}
     for test in tests:
         for part in test.parts:
@@ -159,7 +167,7 @@ def list_assumptions_of_tests(tests: Sequence[ImportedTest]) -> tuple[tuple[str,
 
 
 def list_questions_of_tests(tests: Sequence[ImportedTest]) -> tuple[str, ...]:
-    """Questions that the user must decide by a flag, each once, with the files that they concern."""
+    """Return one sentence for each question that the user must decide by a flag, with the files that it concerns."""
     asked: dict[str, list[str]] = {}
     for name, each in list_assumptions_of_tests(tests):
         if each.needs_user_decision:
@@ -167,12 +175,17 @@ def list_questions_of_tests(tests: Sequence[ImportedTest]) -> tuple[str, ...]:
     return tuple(f"{', '.join(dict.fromkeys(names))}: {question}" for question, names in asked.items())
 
 
-def to_json(imported: Imported) -> dict[str, Any]:
-    """``{"files": [...], "tests": [...], "missing": [...], "campaign": ...}`` of JSON types, lengths in mm."""
+def convert_import_to_json(imported: ImportResult) -> dict[str, Any]:
+    """Convert the result of an import to JSON types, lengths in mm.
+
+    Returns:
+        Dictionary with the keys ``campaign``, ``picture``, ``files``, ``tests``, ``assumptions``, ``questions``,
+        ``missing``, ``problem`` and ``warnings``.
+    """
     return {
         "campaign": None if imported.output is None else str(imported.output),
         "picture": None if imported.picture is None else str(imported.picture),
-        "files": [_file_to_json(each, imported) for each in imported.files],
+        "files": [_make_file_entry(each, imported) for each in imported.files],
         "tests": [{"name": test.name, "kind": test.kind, "recordings": [str(part.file) for part in test.parts],
                    "replicates": sum(len(part.motions) for part in test.parts), "reason": test.reason}
                   for test in imported.tests],
@@ -181,10 +194,10 @@ def to_json(imported: Imported) -> dict[str, Any]:
         "warnings": list(imported.warnings)}
 
 
-def _file_to_json(understanding: FileInterpretation, imported: Imported) -> dict[str, Any]:
-    """Return the entry of a file in ``files`` of `to_json`."""
+def _make_file_entry(understanding: FileInterpretation, imported: ImportResult) -> dict[str, Any]:
+    """Return the entry of a file under the key ``files`` of `convert_import_to_json`."""
     parts = [part for test in imported.tests for part in test.parts if part.understanding is understanding]
-    recordings = [_recording_to_json(motion, recording.name or part.reading.name, len(recording))
+    recordings = [_make_recording_entry(motion, recording.name or part.reading.name, len(recording))
                   for part in parts for motion, recording in zip(part.motions, part.reading.recordings, strict=True)]
     first = recordings[0]
     return {"file": str(understanding.file), "format": understanding.format, "delimiter": understanding.delimiter,
@@ -200,8 +213,8 @@ def _file_to_json(understanding: FileInterpretation, imported: Imported) -> dict
                          *(warning for part in parts for motion in part.motions for warning in motion.warnings)]}
 
 
-def _recording_to_json(motion: Motion, name: str, points: int) -> dict[str, Any]:
-    """Return the entry of a recording in ``recordings`` of its file; lengths in mm."""
+def _make_recording_entry(motion: RecordedMotion, name: str, points: int) -> dict[str, Any]:
+    """Return the entry of a recording with `points` samples under ``recordings`` of its file; lengths in mm."""
     contact = motion.contact
     channel, in_mm = ("displacement_mm", 1e3) if motion.channel == "displacement" else ("strain", 1.0)
     return {"name": name, "points": points, "rate_Hz": motion.rate, "duration_s": motion.duration,
@@ -211,7 +224,7 @@ def _recording_to_json(motion: Motion, name: str, points: int) -> dict[str, Any]
             else [end * 1e3 if math.isfinite(end) else None for end in contact.interval],
             "contact": None if contact is None else contact.status,
             "segments": [{"name": each.name, "first": each.first, "last": each.last} for each in motion.segments],
-            "cycles": motion.cycles,
+            "cycles": motion.loading_cycle_count,
             "failure": None if motion.failure is None else {
                 "mode": motion.failure.mode, f"at_{channel}": motion.failure.displacement * in_mm,
                 "lost": motion.failure.lost, "recovered": motion.failure.recovered}}

@@ -25,8 +25,8 @@ MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0}
 _NEGLIGIBLE_AIR = 0.01
 
 
-class Segment(NamedTuple):
-    """Segment of the motion from sample `first` to `last` (from 0, both included)."""
+class MotionSegment(NamedTuple):
+    """Segment of the motion from sample `first` to `last` of the recording (indices from 0, both included)."""
 
     name: str
     first: int
@@ -34,19 +34,19 @@ class Segment(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
-    """Motion of a recording.
+class RecordedMotion:
+    """Motion of the tool in one recording, with its segments, contact, failure, and warnings.
 
     Attributes:
-        channel: channel of the motion.
-        reach: largest and smallest value of the motion, SI, from rest.
+        channel: channel of the motion: ``"displacement"``, ``"stretch"`` or ``"shear strain"``.
+        reach: largest and smallest value of the motion, SI, measured from the value at rest.
         rate: samples per second; None without time.
         duration: s; None without time.
         speed: speed of the first loading, SI; None without time.
         found: segments, contact and failure of the samples that are kept.
         warnings: sentences for the user.
         screening: samples left out, saturation, controlled quantity.
-        kept: numbers of the samples that are kept, from 0; None: all.
+        kept: indices of the samples that are kept, from 0, shape (n,); None: all.
         assumptions: assumptions about zero, contact, controlled quantity, and samples that are left out.
     """
 
@@ -61,19 +61,20 @@ class Motion:
     screening: Screening = field(default_factory=Screening)
     kept: np.ndarray | None = None
 
-    def sample(self, index: int) -> int:
-        """Return the number in the recording, from 0, of a sample that is kept."""
+    def recording_index_of(self, index: int) -> int:
+        """Convert an index of the kept samples to the index in the recording of the file, both from 0."""
         return index if self.kept is None else int(self.kept[index])
 
     @property
-    def segments(self) -> tuple[Segment, ...]:
+    def segments(self) -> tuple[MotionSegment, ...]:
         """Segments in the order of time."""
-        return tuple(Segment(name, self.sample(first), self.sample(end - 1)) for name, first,
+        return tuple(MotionSegment(name, self.recording_index_of(first), self.recording_index_of(end - 1))
+                     for name, first,
                      end in self.found.iterate_segments())
 
     @property
-    def cycles(self) -> int:
-        """Number of cycles: the first loading, and each loading after an unloading."""
+    def loading_cycle_count(self) -> int:
+        """Number of loading cycles: the first loading, and each loading after an unloading."""
         return int(self.found.cycles.max())
 
     @property
@@ -83,12 +84,12 @@ class Motion:
 
     @property
     def contact(self) -> Contact | None:
-        """Contact in the displacement (or strain) of the file; None: not searched."""
+        """First contact, at a displacement (or strain) of the file; None: not searched."""
         return self.found.contact
 
     @property
-    def air(self) -> bool | None:
-        """Whether air or slack precedes contact; None: unclear."""
+    def starts_in_air(self) -> bool | None:
+        """Whether the recording starts with motion in air or slack before contact; None: unclear."""
         contact = self.found.contact
         if contact is None or contact.status == "before":
             return False
@@ -97,13 +98,13 @@ class Motion:
         return True if contact.has_air_before_contact else None
 
 
-def describe_motion(recording: Recording, kind: str | None, controlled: str | None = None) -> Motion:
-    """Describe the motion of a recording with a motion and a load.
+def describe_motion(recording: Recording, kind: str | None, controlled: str | None = None) -> RecordedMotion:
+    """Find sampling, segments, contact, failure and assumptions of one recording.
 
     Args:
-        recording: with a motion and a load.
+        recording: recording with a channel of `MOTIONS` and a force or stress.
         kind: kind of test; None: unknown.
-        controlled: quantity that the user states; None: found in the signals.
+        controlled: controlled quantity that the user states; None: found in the signals.
     """
     channel = next(name for name in MOTIONS if name in recording)
     size = len(recording)
@@ -125,29 +126,29 @@ def describe_motion(recording: Recording, kind: str | None, controlled: str | No
     if rate is None and abs(way[0]) > abs(way[-1]):
         # A table without a clock has no order; starting from rest, the table is a loading.
         recording = recording.select(slice(None, None, -1))
-    control = _find_control(recording, kind)
+    control = _find_controlled_quantity(recording, kind)
     screening = replace(screening, control=control if controlled is None else replace(control, equal_samples=0))
-    motion = Motion(channel, (float(way.max()), float(way.min())), rate, duration, speed,
+    motion = RecordedMotion(channel, (float(way.max()), float(way.min())), rate, duration, speed,
                     find_segments(recording, kind), screening=screening, kept=None if kept.size == size else kept)
-    assumptions = list_recording_assumptions(screening, motion.contact, has_air=motion.air,
+    assumptions = list_recording_assumptions(screening, motion.contact, has_air=motion.starts_in_air,
                                              stressed=motion.found.stressed, controlled=controlled)
-    return replace(motion, warnings=tuple(_list_warnings(recording, motion)), assumptions=assumptions)
+    return replace(motion, warnings=tuple(_iterate_motion_warnings(recording, motion)), assumptions=assumptions)
 
 
-def _find_control(recording: Recording, kind: str | None) -> ControlFindings:
+def _find_controlled_quantity(recording: Recording, kind: str | None) -> ControlFindings:
     """Return the controlled quantity of a recording."""
     motion, load, _ = get_motion_and_load(recording, KINDS.get(kind) if kind else None)
     return analyse_control_and_creep(motion, load, recording.time if "time" in recording
                                      and np.ptp(recording.time) > 0 else None)
 
 
-def _list_warnings(recording: Recording, motion: Motion) -> Iterator[str]:
+def _iterate_motion_warnings(recording: Recording, motion: RecordedMotion) -> Iterator[str]:
     """Yield the warnings about one recording: screening, contact, segments."""
     contact = motion.contact
     said = "" if contact is None else contact.in_words(stressed=motion.found.stressed)
     yield from motion.screening.finding_sentences
     # Force curves of an AFM count from contact, and negligible air needs no warning.
-    silent = "zeroing" in recording.metadata or motion.air is False
+    silent = "zeroing" in recording.metadata or motion.starts_in_air is False
     yield from (warning for warning in motion.found.warnings if not (warning == said and silent))
     if np.ptp(recording.channel(motion.channel)) == 0:
-        yield "the motion stands still"
+        yield "the motion is constant, so that the recording has no loading"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.importing.assumption_table import wrap_assumptions
-from calibration.importing.imported import Imported, ImportedTest
+from calibration.importing.assumption_table import format_wrapped_table
+from calibration.importing.imported import ImportedTest, ImportResult
 from calibration.report.drawing import COLOURS, STYLE, create_figure, make_thinning_slice
 from calibration.report.png import render_png
 from tissue_sim.recording.recording import Recording
@@ -46,26 +46,29 @@ _SHADES = {"hold": "0.85", "unload": "#fde3d0", "reload": "#dcebf7", "approach":
            "preconditioning": "#fbefd5", "failure": "#f3c9ad"}
 
 
-def draw_imported(imported: Imported) -> bytes:
-    """Return the picture as PNG; a recording without a unit is drawn in the numbers of its file."""
+def draw_import_as_png(imported: ImportResult) -> bytes:
+    """Draw the recordings of all tests and the assumptions; return the bytes of a PNG file.
+
+    A channel without a known unit is drawn in the numbers of its file.
+    """
     import matplotlib
 
     tests = imported.tests[:_SETTINGS.most_tests]
     with matplotlib.rc_context(STYLE):
-        lines = wrap_assumptions(tests, _SETTINGS.text_columns, _SETTINGS.most_lines)
+        lines = format_wrapped_table(tests, _SETTINGS.text_columns, _SETTINGS.most_lines)
         heights = [_SETTINGS.row_height] * len(tests) + [max(len(lines), 1) * _SETTINGS.line_height]
         figure = create_figure(10.0, sum(heights))
         axes = figure.subplots(len(heights), 2, gridspec_kw={"height_ratios": heights})
         for row, test in zip(axes[:-1], tests, strict=True):
-            _draw_curves(row[0], row[1], test)
-        _write_assumptions(axes[-1], lines)
+            _draw_recordings_of_test(row[0], row[1], test)
+        _draw_assumption_table(axes[-1], lines)
         if len(imported.tests) > len(tests):
             figure.supxlabel(f"the first {len(tests)} of {len(imported.tests)} tests", fontsize=9)
         return render_png(figure, 110)
 
 
-def _write_assumptions(axes, lines: Sequence[str]) -> None:
-    """Write the table of assumptions below the axes."""
+def _draw_assumption_table(axes, lines: Sequence[str]) -> None:
+    """Draw the lines of the table of assumptions as text into the last row of axes, which have no frame."""
     for each in axes:
         each.set_axis_off()
     axes[0].text(0.0, 1.0, "\n".join(line.replace("$", r"\$") for line in lines), transform=axes[0].transAxes, va="top",
@@ -73,7 +76,7 @@ def _write_assumptions(axes, lines: Sequence[str]) -> None:
                  clip_on=False)
 
 
-def _draw_curves(left, right, test: ImportedTest) -> None:
+def _draw_recordings_of_test(left, right, test: ImportedTest) -> None:
     """Draw the recordings of a test: motion over time in the left axes, load over motion in the right axes."""
     number = 0
     for part in test.parts:
@@ -89,13 +92,13 @@ def _draw_curves(left, right, test: ImportedTest) -> None:
             left.plot(clocks[every], ways[every], **style)
             right.plot(ways[every], loads[every], **style, label=name if number < _SETTINGS.most_names else None)
             if kept.size < len(recording):
-                _mark_left_out(left, right, clocks, ways, loads, kept, motion.screening)
+                _mark_omitted_samples(left, right, clocks, ways, loads, kept, motion.screening)
             if motion.failure is not None:
-                at = motion.sample(motion.failure.index)
+                at = motion.recording_index_of(motion.failure.index)
                 point = [_convert_to_plotted_unit(recording, channel, raw)[at] for channel in (motion.channel, load)]
                 right.plot(*point, "x", color="k", ms=7, label="failure" if number == 0 else None)
             if number == 0:
-                _label_axes(left, right, motion.channel, load, raw, timed=motion.rate is not None)
+                _set_axis_labels(left, right, motion.channel, load, raw, timed=motion.rate is not None)
                 _shade_segments(left, recording, motion)
             number += 1
     kind = test.kind.replace("_", " ") if test.kind else "kind not known"
@@ -110,9 +113,12 @@ def _convert_to_plotted_unit(recording: Recording, channel: str, raw: set[str]) 
     return recording.channel(channel) * (1.0 if channel in raw else _SHOWN[channel][1])
 
 
-def _mark_left_out(left, right, clocks: np.ndarray, ways: np.ndarray, loads: np.ndarray, kept: np.ndarray,
+def _mark_omitted_samples(left, right, clocks: np.ndarray, ways: np.ndarray, loads: np.ndarray, kept: np.ndarray,
                    screening: Screening) -> None:
-    """Mark the omitted samples; samples outside of the range of the kept ones are drawn at its edge."""
+    """Mark the omitted samples: outliers as crosses, saturated samples as dots.
+
+    An outlier outside the range of the kept samples is drawn at the edge of this range.
+    """
     saturated = [sample - 1 for each in screening.saturation for sample in each.samples]
     outliers = np.setdiff1d(np.setdiff1d(np.arange(ways.size), kept), saturated)
     for samples, style, name in ((outliers, {"marker": "x", "color": "r", "ms": 6}, "left out: outlier"),
@@ -127,18 +133,20 @@ def _mark_left_out(left, right, clocks: np.ndarray, ways: np.ndarray, loads: np.
             right.plot(way, load, ls="", **style, label=name)
 
 
-def _label_axes(left, right, way: str, load: str, raw: set[str], *, timed: bool) -> None:
-    def words(channel: str) -> str:
+def _set_axis_labels(left, right, way: str, load: str, raw: set[str], *, timed: bool) -> None:
+    """Label the axes with quantity and unit; channels in `raw` have no known unit."""
+    def make_axis_label(channel: str) -> str:
+        """Return quantity and unit of a channel."""
         return f"{channel}, unit not known" if channel in raw else _SHOWN[channel][0]
 
     left.set_xlabel("time, s" if timed else "sample")
-    left.set_ylabel(words(way))
-    right.set_xlabel(words(way))
-    right.set_ylabel(words(load))
+    left.set_ylabel(make_axis_label(way))
+    right.set_xlabel(make_axis_label(way))
+    right.set_ylabel(make_axis_label(load))
 
 
 def _shade_segments(axes, recording: Recording, motion) -> None:
-    """Shade the segments other than the first loading."""
+    """Shade the time spans of all segments other than the first loading, one colour for each kind of segment."""
     for segment in motion.segments:
         if segment.name in _SHADES:
             ends = ((recording.time[segment.first], recording.time[segment.last]) if motion.rate is not None

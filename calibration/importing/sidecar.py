@@ -13,12 +13,15 @@ from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.files import read_bytes
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.recording.formats.guesses import FileInterpretation, KindGuess, TableGroup
 
 
 def read_sidecar(path: Path) -> Mapping[str, Any]:
-    """Return the metadata of ``NAME.json`` for ``NAME.csv``; empty without a sidecar of this file."""
+    """Return the metadata in the sidecar ``NAME.json`` of a recording ``NAME.csv``.
+
+    The result is empty without a sidecar, or if the digest in the sidecar differs from that of the recording.
+    """
     sidecar = path.with_suffix(".json")
     if path.suffix.lower() != ".csv" or not sidecar.is_file():
         return {}
@@ -30,14 +33,15 @@ def read_sidecar(path: Path) -> Mapping[str, Any]:
     return {}
 
 
-def find_stated_kind(said: Mapping[str, Any]) -> str | None:
-    """Return the kind of test in a sidecar; None without a known kind."""
+def find_test_kind_in_sidecar(said: Mapping[str, Any]) -> str | None:
+    """Return the kind of test that a sidecar states; None if the kind is absent or not registered."""
     kind = said.get("kind")
     return kind if isinstance(kind, str) and kind in KINDS else None
 
 
-def add_sidecar(found: FileInterpretation, said: Mapping[str, Any], *, kind_stated: bool) -> FileInterpretation:
-    """Add the kind of test, the specimen and the tool in a sidecar to the interpretation of a file.
+def add_sidecar_metadata(found: FileInterpretation, said: Mapping[str, Any], *,
+                         kind_stated: bool) -> FileInterpretation:
+    """Return the interpretation of a file with the kind of test, specimen sizes and tool of its sidecar.
 
     Args:
         found: interpretation of the file.
@@ -46,7 +50,7 @@ def add_sidecar(found: FileInterpretation, said: Mapping[str, Any], *, kind_stat
     """
     if not said:
         return found
-    reason, kind = f"in {found.file.with_suffix('.json').name}", find_stated_kind(said)
+    reason, kind = f"in {found.file.with_suffix('.json').name}", find_test_kind_in_sidecar(said)
     specimen = said.get("specimen")
     sizes = {key: value for key, value in specimen.items() if key == "shape" or isinstance(value, int | float)} \
         if isinstance(specimen, Mapping) else {}
@@ -55,10 +59,10 @@ def add_sidecar(found: FileInterpretation, said: Mapping[str, Any], *, kind_stat
         {"tool": tool, "tool_radius_mm": said.get("tool_radius_mm")}
     about = {key: value for key, value in about.items() if value is not None}
 
-    def complete(reading: TableGroup) -> TableGroup:
+    def add_metadata_to_reading(reading: TableGroup) -> TableGroup:
         """Return a reading with the kind, the sizes and the metadata of the sidecar."""
         guess = reading.kind if kind is None or kind_stated else KindGuess(kind, reason)
-        return replace(reading, kind=guess, specimen=read_only(sizes),
+        return replace(reading, kind=guess, specimen=make_read_only_copy(sizes),
                        recordings=tuple(each.with_metadata(**about) for each in reading.recordings))
 
-    return replace(found, readings=tuple(map(complete, found.readings)))
+    return replace(found, readings=tuple(map(add_metadata_to_reading, found.readings)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from calibration.importing.imported import ImportedTest, Line, Part
+from calibration.importing.imported import CampaignLine, ImportedTest, ReplicateFile
 from calibration.importing.zero import PRELOAD
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.contact_error import (
@@ -23,10 +23,10 @@ _OFFSET_BOUNDS = 3.0
 _FRACTIONS = (0.1, 0.9)
 
 
-def format_left_out_samples(parts: Sequence[Part]) -> list[Line]:
-    """Return the line ``leave_out`` of a test: numbers of the outliers, and the reason of the first outlier.
+def make_leave_out_line(parts: Sequence[ReplicateFile]) -> list[CampaignLine]:
+    """Return the line ``leave_out`` of a test as a list of one line; an empty list without outliers.
 
-    Without outliers, no line is returned.
+    The line contains the sample numbers of the outliers, from 1, and the reason of the first outlier.
     """
     found: dict[str, list[int]] = {}
     reasons: list[str] = []
@@ -41,11 +41,11 @@ def format_left_out_samples(parts: Sequence[Part]) -> list[Line]:
         return []
     more = f"; and {len(reasons) - 1} more" if len(reasons) > 1 else ""
     alone = sum(len(part.motions) for part in parts) == 1
-    return [Line("leave_out", next(iter(found.values())) if alone else found, f"{reasons[0]}{more}")]
+    return [CampaignLine("leave_out", next(iter(found.values())) if alone else found, f"{reasons[0]}{more}")]
 
 
-class _ContactOffset(NamedTuple):
-    """Prior of a fitted contact offset.
+class _ContactOffsetPrior(NamedTuple):
+    """Zero-mean normal prior of a fitted contact offset.
 
     Attributes:
         prior: standard deviation, mm.
@@ -58,8 +58,8 @@ class _ContactOffset(NamedTuple):
     reason: str
 
 
-def format_offset_settings(tests: Sequence[ImportedTest], *, bounded: bool) -> list[Line]:
-    """Return the lines of ``[fit]`` that fit a contact offset.
+def make_contact_offset_lines(tests: Sequence[ImportedTest], *, bounded: bool) -> list[CampaignLine]:
+    """Return the lines of ``[fit]`` that fit a contact offset; an empty list if no offset is needed.
 
     The offset is fitted if the displacement was zeroed at a preload, or if the interval of contact after motion in air
     is too wide for the modulus.
@@ -72,26 +72,27 @@ def format_offset_settings(tests: Sequence[ImportedTest], *, bounded: bool) -> l
     if not found:
         return []
     widest = max(found, key=lambda each: each.prior)
-    lines = [Line("offset", "fit", widest.reason),
-             Line("offset_prior_mm", float(f"{widest.prior:.2g}"), "covers that distance")]
+    lines = [CampaignLine("offset", "fit", widest.reason),
+             CampaignLine("offset_prior_mm", float(f"{widest.prior:.2g}"), "covers that distance")]
     if bounded:
-        lines.append(Line("offset_bounds_mm", float(f"{widest.bound:.2g}"), "largest offset"))
+        lines.append(CampaignLine("offset_bounds_mm", float(f"{widest.bound:.2g}"), "largest offset"))
     return lines
 
 
-def _find_preload_offsets(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffset]:
-    """Yield the contact offset of each test whose displacement was zeroed at a preload."""
+def _find_preload_offsets(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffsetPrior]:
+    """Yield a prior of the contact offset for each test whose displacement was zeroed at a preload."""
     for test in tests:
         if test.zero is None or test.zero.value != PRELOAD:
             continue
         shift = 1e3 * abs(test.zero.shift)
         side = "after contact" if test.zero.load > 0 else "before the force of the specimen is zero"
-        yield _ContactOffset(shift, _OFFSET_BOUNDS * shift, f"{test.name}: the displacement was zeroed at a preload of "
+        yield _ContactOffsetPrior(shift, _OFFSET_BOUNDS * shift,
+                                  f"{test.name}: the displacement was zeroed at a preload of "
                       f"{test.zero.load:.3g} N, about {shift:.2g} mm {side}")
 
 
-def _find_wide_interval_offsets(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffset]:
-    """Yield the contact offset of each recording whose interval of contact changes the modulus too much.
+def _find_wide_interval_offsets(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffsetPrior]:
+    """Yield a prior of the contact offset for each recording whose contact is too uncertain for the modulus.
 
     The limit is `MODULUS_TOLERANCE`; only tests with motion in air before contact are examined.
     """
@@ -112,12 +113,15 @@ def _find_wide_interval_offsets(tests: Sequence[ImportedTest]) -> Iterator[_Cont
                                       None if time is None else time[pressed], contact)
                 half = 0.5e3 * (contact.interval[1] - contact.interval[0])
                 if error > MODULUS_TOLERANCE:
-                    yield _ContactOffset(half / INTERVAL_DEVIATIONS, half, f"{test.name}: contact is known to "
+                    yield _ContactOffsetPrior(half / INTERVAL_DEVIATIONS, half, f"{test.name}: contact is known to "
                                   f"{half:.2g} mm, which changes the modulus by {100 * error:.2g} %")
 
 
-def format_viscoelastic_start(tests: Sequence[ImportedTest]) -> list[Line]:
-    """Return the line of ``[fit]`` that fits relaxation or creep if an elastic law cannot describe a test."""
+def make_viscoelastic_start_line(tests: Sequence[ImportedTest]) -> list[CampaignLine]:
+    """Return the line ``start`` of ``[fit]`` with one Prony term if an elastic law cannot describe a test.
+
+    The list has one line for the first such test, or no line.
+    """
     for test in tests:
         for part in test.parts:
             for motion in part.motions:
@@ -128,12 +132,15 @@ def format_viscoelastic_start(tests: Sequence[ImportedTest]) -> list[Line]:
                     start = {"viscoelastic.terms[0].g": float(f"{min(max(1.2 * lost, low), high):.2g}"),
                              "viscoelastic.terms[0].tau_s": float(f"{control.time_constant:.3g}")}
                     reason = control.sentence.partition("; state")[0]
-                    return [Line("start", start, f"{test.name}: {reason}")]
+                    return [CampaignLine("start", start, f"{test.name}: {reason}")]
     return []
 
 
 def needs_viscoelasticity(control: ControlFindings) -> bool:
-    """Return whether a hold shows relaxation, and an elastic law describes neither the test nor its loading."""
+    """Return whether a hold shows relaxation or creep that an elastic law cannot describe.
+
+    A recording of creep needs viscoelasticity if its loading has too few samples for an elastic fit.
+    """
     if control.time_constant is None:
         return False
     return not control.is_elastic or (control.pattern == "creep" and control.loading < MIN_POINTS)

@@ -46,12 +46,13 @@ def list_size_assumptions(reading: TableGroup, stated: Mapping[str, Any]) -> tup
         is_stated = section if key != "height_mm" else bool(given & {key, "shape"})
         assumptions.append(Assumption(
             f"size of the specimen ({name})", f"{first.value:g} {unit}", (first.reason,), (),
-            tuple(AlternativeValue(f"{each.value:g} {unit} ({each.reason})", _modulus_ratio(key, first, each, reading),
-                                   _size_flag(each)) for each in others), _size_flag(first), is_stated))
+            tuple(AlternativeValue(f"{each.value:g} {unit} ({each.reason})",
+                                   _compute_modulus_ratio(key, first, each, reading),
+                                   _get_size_flag(each)) for each in others), _get_size_flag(first), is_stated))
     return tuple(assumptions)
 
 
-def describe_unclear_statement(reading: TableGroup, key: str) -> str:
+def explain_unclear_size(reading: TableGroup, key: str) -> str:
     """Return the reason why a statement in the file does not give the size `key`; empty without such a statement."""
     seen = find_sizes_without_unit(reading.stated)
     found = next((seen[name] for name in _GIVEN_BY.get(key, ()) if name in seen), "")
@@ -61,12 +62,12 @@ def describe_unclear_statement(reading: TableGroup, key: str) -> str:
     return f"the file states {product!r}, which does not name the sizes" if product else ""
 
 
-def _size_flag(size: SizeOrSpeed) -> str:
+def _get_size_flag(size: SizeOrSpeed) -> str:
     """Return the flag of the command line that states a size."""
     return f"--{size.key.replace('_', '-')} {size.value:g}"
 
 
-def _modulus_ratio(key: str, first: SizeOrSpeed, other: SizeOrSpeed, reading: TableGroup) -> float | None:
+def _compute_modulus_ratio(key: str, first: SizeOrSpeed, other: SizeOrSpeed, reading: TableGroup) -> float | None:
     """Return the ratio of the moduli with the other and the first size (homogeneous deformation); None: unknown."""
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     if kind is None or kind.closed_form is None:

@@ -20,7 +20,7 @@ from tissue_sim.recording.recording import Recording
 _LEAST_RANGE_RATIO = 1.0 / 3.0
 
 
-def compare_table_sizes(found: FileInterpretation, wishes: ImportOptions) -> FileInterpretation:
+def add_question_about_table_sizes(found: FileInterpretation, wishes: ImportOptions) -> FileInterpretation:
     """Add a question if tables of different sizes have the same forces.
 
     The stiffness of a homogeneous specimen is proportional to its cross-section over its height. Tables whose
@@ -34,7 +34,7 @@ def compare_table_sizes(found: FileInterpretation, wishes: ImportOptions) -> Fil
         return found
     sizes = [size for _, size in sized]
     stiffnesses = _compute_secant_stiffnesses([reading.recordings[0] for reading, _ in sized])
-    apart, together = _logarithmic_range(sizes), _logarithmic_range(stiffnesses)
+    apart, together = _compute_logarithmic_range(sizes), _compute_logarithmic_range(stiffnesses)
     if apart <= np.log1p(MODULUS_TOLERANCE) or together >= _LEAST_RANGE_RATIO * apart:
         return found
     question = Assumption(
@@ -78,6 +78,6 @@ def _compute_secant_stiffnesses(recordings: Sequence[Recording]) -> list[float]:
     return found
 
 
-def _logarithmic_range(values: Sequence[float]) -> float:
+def _compute_logarithmic_range(values: Sequence[float]) -> float:
     """Return the logarithm of the largest over the smallest value; infinite if a value is not positive."""
     return float(np.log(max(values) / min(values))) if min(values) > 0 else float("inf")

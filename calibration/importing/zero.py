@@ -2,8 +2,9 @@
 
 Each explanation has one unknown: the distance between contact and zero displacement, or the reading of the unloaded
 load cell. Laws that are linear in their parameters are fitted with each explanation by linear least squares. The
-explanation with the smaller Bayesian information criterion is used if the difference exceeds `ZeroSettings.decides`
-and the residuals are comparable to the noise. Otherwise, the explanation is a question to the user.
+explanation with the smaller Bayesian information criterion is used if the difference exceeds
+`ZeroExplanationSettings.decisive_difference` and the residuals are comparable to the noise. Otherwise, the explanation
+is a question to the user.
 A force against the direction of loading can be a preload only if the specimen is gripped or glued.
 """
 
@@ -14,22 +15,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.importing.imported import Part, Zero
-from calibration.importing.motion import Motion
+from calibration.importing.imported import ReplicateFile, ZeroLoadInterpretation
+from calibration.importing.motion import RecordedMotion
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.laws import LAWS, find_law
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
 from tissue_sim.recording.preload import LoadAtZeroDisplacement, estimate_load_at_zero_displacement
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segments import get_motion_and_load
-from tissue_sim.units import quantity_of, to_si
+from tissue_sim.units import find_quantity_of_unit, get_si_factor_and_offset
 
 
 @dataclass(frozen=True)
-class ZeroSettings:
-    """Settings of `add_zero_assumption`.
+class ZeroExplanationSettings:
+    """Settings of `add_zero_load_assumption`.
 
     Attributes:
         decisive_difference: difference of the Bayesian information criteria above which no question is asked (10: very
@@ -49,7 +50,7 @@ class ZeroSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = ZeroSettings()
+_SETTINGS = ZeroExplanationSettings()
 #: Trial values of the shift of contact, relative to the first estimate.
 _SHIFTS = np.linspace(0.0, 3.0, 121)
 #: Explanation: the displacement was zeroed at a preload.
@@ -65,7 +66,7 @@ _PRELOAD_AGAINST_LOADING = ("the specimen was strained against the direction of 
 
 
 @dataclass(frozen=True)
-class _Explanation:
+class _ExplanationFit:
     """Fit of one explanation.
 
     Attributes:
@@ -81,9 +82,12 @@ class _Explanation:
     shift: float
 
 
-def add_zero_assumption(parts: Sequence[Part], sizes: Mapping[str, float], laws: Sequence[str], stated: str | None
-              ) -> tuple[tuple[Part, ...], Zero | None]:
-    """Add the assumption about the zero to the replicates of a test.
+def add_zero_load_assumption(parts: Sequence[ReplicateFile], sizes: Mapping[str, float], laws: Sequence[str],
+                             stated: str | None
+              ) -> tuple[tuple[ReplicateFile, ...], ZeroLoadInterpretation | None]:
+    """Add the assumption about the load at zero displacement to the replicates of a test.
+
+    If the load cell was not zeroed, its offset is also subtracted from the recorded forces.
 
     Args:
         parts: replicates of the test.
@@ -92,7 +96,7 @@ def add_zero_assumption(parts: Sequence[Part], sizes: Mapping[str, float], laws:
         stated: `PRELOAD` or `SENSOR` as the user states; None: the explanation is found from the curve.
 
     Returns:
-        Replicates with the assumption, and the zero; None: the load is zero at zero displacement.
+        Replicates with the assumption, and the interpretation of the load; None: the load is zero at zero displacement.
     """
     reading = parts[0].reading
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
@@ -104,16 +108,17 @@ def add_zero_assumption(parts: Sequence[Part], sizes: Mapping[str, float], laws:
         return tuple(parts), None
     shift, load = (float(np.mean([getattr(start, name) for _, start in found])) for name in ("shift", "load"))
     explanations = [_fit_explanations(curve, start, kind, sizes, laws) for curve, start in found]
-    jump = _find_jump(parts, load)
-    assumption, value, best = _compare_explanations([each for each in explanations if each], found[0][1], kind, stated,
+    jump = _find_load_jump_evidence(parts, load)
+    assumption, value, best = _choose_explanation([each for each in explanations if each], found[0][1], kind, stated,
                                                     jump)
-    zero = Zero(value, best or shift, load)
+    zero = ZeroLoadInterpretation(value, best or shift, load)
     loads = [start.load for _, start in found]
     has_common_offset = bool(np.ptp(loads) <= _SETTINGS.largest_scatter * abs(load))
-    return tuple(_apply_zero(part, assumption, zero, is_constant=has_common_offset) for part in parts), zero
+    return tuple(_apply_zero_load_interpretation(part, assumption, zero, is_constant=has_common_offset)
+                 for part in parts), zero
 
 
-def _select_first_loading(recording: Recording, motion: Motion, kind: TestKind | None
+def _select_first_loading(recording: Recording, motion: RecordedMotion, kind: TestKind | None
                           ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return displacement (m) and force (N) of the first loading, positive under load.
 
@@ -132,7 +137,7 @@ def _select_first_loading(recording: Recording, motion: Motion, kind: TestKind |
     return displacement[:end], load[:end]
 
 
-def _find_jump(parts: Sequence[Part], load: float) -> str | None:
+def _find_load_jump_evidence(parts: Sequence[ReplicateFile], load: float) -> str | None:
     """Return the evidence that the load rises from zero within one sample; None: no such evidence.
 
     A first sample that was left out and reads zero load may be right. Then the load cell was zeroed, the specimen was
@@ -152,8 +157,20 @@ def _find_jump(parts: Sequence[Part], load: float) -> str | None:
 
 
 def _fit_explanations(curve: tuple[np.ndarray, np.ndarray], start: LoadAtZeroDisplacement, kind: TestKind | None,
-             sizes: Mapping[str, float], laws: Sequence[str]) -> tuple[dict[str, _Explanation], float] | None:
-    """Return explanation -> best fit of all laws, and the noise of the force, N; None: the stress is unknown."""
+             sizes: Mapping[str, float], laws: Sequence[str]) -> tuple[dict[str, _ExplanationFit], float] | None:
+    """Fit all laws with each explanation to the first loading of one recording.
+
+    Args:
+        curve: displacement, m, and force, N, of the first loading, each of shape (n,).
+        start: estimated load at zero displacement.
+        kind: kind of test; None: unknown.
+        sizes: known sizes of the specimen by key, in the units of the keys.
+        laws: names of laws that are linear in their parameters.
+
+    Returns:
+        (`PRELOAD` or `SENSOR` -> fit with the smallest criterion, standard deviation of the noise of the force, N);
+        None: a size or the closed form is unknown, so that the force gives no stress, or no fit has a positive modulus.
+    """
     area = sizes.get("area_mm2", np.pi * sizes["radius_mm"]**2 if "radius_mm" in sizes else None)
     if kind is None or kind.closed_form is None or area is None or "height_mm" not in sizes:
         return None
@@ -161,7 +178,7 @@ def _fit_explanations(curve: tuple[np.ndarray, np.ndarray], start: LoadAtZeroDis
     height, area = 1e-3 * sizes["height_mm"], 1e-6 * area
     midpoint_deviation = (load[1:-1] - 0.5 * (load[:-2] + load[2:])) / np.sqrt(1.5)
     noise = float(np.median(np.abs(midpoint_deviation))) / 0.6745
-    best: dict[str, _Explanation] = {}
+    best: dict[str, _ExplanationFit] = {}
     for name in laws:
         for value in (PRELOAD, SENSOR):
             found = _fit_explanation(value, displacement, load, start.shift, height, area, kind, name)
@@ -171,7 +188,7 @@ def _fit_explanations(curve: tuple[np.ndarray, np.ndarray], start: LoadAtZeroDis
 
 
 def _fit_explanation(value: str, displacement: np.ndarray, load: np.ndarray, shift: float, height: float, area: float,
-                     kind: TestKind, name: str) -> _Explanation | None:
+                     kind: TestKind, name: str) -> _ExplanationFit | None:
     """Fit one law with one explanation by linear least squares.
 
     Args:
@@ -191,6 +208,7 @@ def _fit_explanation(value: str, displacement: np.ndarray, load: np.ndarray, shi
     ones = np.ones(len(law.parameters))
 
     def solve_least_squares(trial_shift: float) -> tuple[float, np.ndarray]:
+        """Return the sum of squared residuals, N2, and the fitted coefficients for a shift of contact, m."""
         strain = kind.compute_stretch_or_shear_strain((displacement + trial_shift) / height)
         design = kind.sign * area * form.derivatives(law, strain, ones)
         if value == SENSOR:
@@ -208,14 +226,15 @@ def _fit_explanation(value: str, displacement: np.ndarray, load: np.ndarray, shi
         return None
     count = displacement.size
     criterion = count * np.log(max(squares / count, 1e-300)) + (ones.size + 1) * np.log(count)
-    return _Explanation(float(criterion), float(np.sqrt(squares / count)), modulus, trial_shift)
+    return _ExplanationFit(float(criterion), float(np.sqrt(squares / count)), modulus, trial_shift)
 
 
-def select_linear_laws(names: Sequence[str]) -> tuple[str, ...]:
+def list_laws_linear_in_parameters(names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the laws whose stress is linear in their parameters; ``neo_hooke`` without such a law."""
     strain = np.array([0.9, 0.95])
 
     def is_linear(name: str) -> bool:
+        """Return whether the derivatives of the stress with respect to the parameters are constant."""
         law = find_law(name)
         one, two = (law.nominal_stress_derivatives(strain, np.full(len(law.parameters), value)) for value in (1.0, 2.0))
         return bool(np.allclose(one, two))
@@ -223,10 +242,10 @@ def select_linear_laws(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in names if name in LAWS and is_linear(name)) or ("neo_hooke",)
 
 
-def _compare_explanations(explanations: Sequence[tuple[dict[str, _Explanation], float]], start: LoadAtZeroDisplacement,
+def _choose_explanation(explanations: Sequence[tuple[dict[str, _ExplanationFit], float]], start: LoadAtZeroDisplacement,
                           kind: TestKind | None, stated: str | None, jump: str | None
                           ) -> tuple[Assumption, str, float | None]:
-    """Compare the explanations of all replicates.
+    """Choose the explanation of the load at zero displacement that fits all replicates of a test better.
 
     Args:
         explanations: explanations and noise of each replicate.
@@ -281,14 +300,15 @@ def _make_unzeroed_assumption(start: LoadAtZeroDisplacement, stated: str | None)
                       stated is not None)
 
 
-def _apply_zero(part: Part, assumption: Assumption, zero: Zero, *, is_constant: bool) -> Part:
-    """Add the assumption to a replicate; if the load cell was not zeroed, subtract its offset from the force.
+def _apply_zero_load_interpretation(part: ReplicateFile, assumption: Assumption, zero: ZeroLoadInterpretation, *,
+                                    is_constant: bool) -> ReplicateFile:
+    """Return a file's replicates with the assumption; subtract the offset of a load cell that was not zeroed.
 
     Args:
-        part: replicate of a test.
-        assumption: assumption about the zero.
-        zero: zero of the test.
-        is_constant: whether one offset applies to all replicates; otherwise, the force starts at zero.
+        part: replicates of a test in one file.
+        assumption: assumption about the load at zero displacement.
+        zero: interpretation of the load.
+        is_constant: whether one offset applies to all replicates; otherwise, the force of each starts at zero.
     """
     note = f"{assumption.evidence[0]}: {assumption.value}"
     motions = tuple(replace(motion, assumptions=(*motion.assumptions, assumption), warnings=(*motion.warnings, note))
@@ -296,16 +316,16 @@ def _apply_zero(part: Part, assumption: Assumption, zero: Zero, *, is_constant: 
     reading = part.reading
     if zero.value == SENSOR:
         reading = replace(reading, columns=tuple(
-            replace(column, offset=_offset_that_cancels(column.unit, zero.load) if is_constant else "start",
+            replace(column, offset=_convert_to_offset_of_column(column.unit, zero.load) if is_constant else "start",
                     reason=f"{column.reason}; {_EXPLANATIONS[SENSOR]}")
             if column.channel == "force" and column.offset is None else column for column in reading.columns))
         recordings = tuple(each.with_channels(force=each.force - zero.load) for each in reading.recordings)
-        reading = replace(reading, recordings=recordings, options=read_only(
+        reading = replace(reading, recordings=recordings, options=make_read_only_copy(
             {**reading.options, "columns": {column.channel: column.to_campaign_entry() for column in reading.columns}}))
     return replace(part, reading=reading, motions=motions)
 
 
-def _offset_that_cancels(unit: str | None, load: float) -> float:
-    """Return the offset, in the unit of the column of the force, that subtracts `load` (N)."""
-    factor = 1.0 if unit is None or quantity_of(unit) == "signal" else to_si(unit)[0]
+def _convert_to_offset_of_column(unit: str | None, load: float) -> float:
+    """Convert minus `load`, N, to the unit of the column of the force, with four digits."""
+    factor = 1.0 if unit is None or find_quantity_of_unit(unit) == "signal" else get_si_factor_and_offset(unit)[0]
     return float(f"{-load / factor:.4g}")

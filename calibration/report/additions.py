@@ -13,7 +13,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.named_files import absolute_path, rename_files
+from calibration.campaign.named_files import get_absolute_path, replace_file_names
 from calibration.diagnosis.diagnosis import Diagnosis, FoundEffect
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.fit.result import CalibrationResult
@@ -22,7 +22,7 @@ from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import read_toml
 from tissue_sim.experiment.interfaces import AS_TOOL
 from tissue_sim.material.file import MaterialFile, write_material_file
-from tissue_sim.parameters import to_keys, with_values
+from tissue_sim.parameters import convert_to_file_keys, with_values
 from tissue_sim.rig.file import write_rig
 from tissue_sim.rig.rig import Rig
 
@@ -58,7 +58,7 @@ def write_effect_files(diagnosis: Diagnosis, after: FitEvidence | None, folder: 
     rigs = {test.name: _set_fitted_rig_values(after, test) for test in after.effect_situation.tests
             if test.experiment is not None}
     if any(effect.category == "rig" for effect in diagnosis.effects):
-        if len({json.dumps(to_keys(rig), sort_keys=True) for rig in rigs.values()}) == 1:
+        if len({json.dumps(convert_to_file_keys(rig), sort_keys=True) for rig in rigs.values()}) == 1:
             write_rig(next(iter(rigs.values())), folder / "rig.rig.json")
             files["rig"] = "rig.rig.json"
         else:
@@ -114,13 +114,14 @@ def _format_campaign_file(diagnosis: Diagnosis, after: FitEvidence) -> str:
     """Return the campaign file (TOML) in which the effects found are additional unknowns with start values."""
     campaign = after.campaign
     folder = campaign.path.parent.resolve()
-    content = rename_files(read_toml(campaign.path, "a campaign (TOML)"), folder, absolute_path)
+    content = replace_file_names(read_toml(campaign.path, "a campaign (TOML)"), folder, get_absolute_path)
     for table in (content.get("defaults", {}), *content["test"]):
         if "recordings" in table:
             table["recordings"] = [str(folder / name) for name in table["recordings"]]
     for table, test in zip(content["test"], campaign.tests, strict=True):
         if test.experiment is not None and test.experiment.contact_laws:
-            table["contact_laws"] = {name: to_keys(law) for name, law in test.experiment.contact_laws.items()}
+            table["contact_laws"] = {name: convert_to_file_keys(law) for name,
+                                     law in test.experiment.contact_laws.items()}
         if test.experiment is not None and test.experiment.friction_base == AS_TOOL:
             # Friction of both plates was added: the test is no longer a lubricated compression.
             friction = next(each for each in after.problem.space.unknowns

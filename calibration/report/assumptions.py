@@ -22,7 +22,7 @@ def list_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]
 def _list_analytical_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]:
     fit, noise = result.campaign.fit, result.campaign.noise
     lines = ["The material is incompressible; its viscoelastic parameters are fitted to ramps, holds and unloading."]
-    if not fit.others:
+    if not fit.non_law_paths:
         lines = ["The material is incompressible and elastic: only the loading is fitted, and the speed has no "
                  "influence."]
     if any(test.kind.has_closed_form_with_weight for test in result.campaign.tests):

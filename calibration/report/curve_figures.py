@@ -148,7 +148,7 @@ class ResidualAxis:
 
     def compute_sample_positions(self, measured: MeasuredCurve) -> np.ndarray:
         """Return the position of each sample on this axis, in the unit of the axis, shape (n,)."""
-        return measured.clock if self.timed else measured.displacement / self.travel.size
+        return measured.sample_times if self.timed else measured.displacement / self.travel.size
 
     def compute_bin_edges(self, recordings: Sequence[MeasuredCurve]) -> np.ndarray:
         """Return the edges of equal bins over all recordings, in the unit of the axis, shape (bins + 1,)."""
@@ -171,7 +171,7 @@ class ResidualAxis:
         edges = np.flatnonzero(np.diff(np.concatenate(([0], inside.astype(int), [0]))))
         for first, after in edges.reshape(-1, 2):
             if after - first > 1:
-                yield float(measured.clock[first]), float(measured.clock[after - 1])
+                yield float(measured.sample_times[first]), float(measured.sample_times[after - 1])
 
 
 def _draw_prediction_band(axes, best: TestCurves, colour: str, x: ResidualAxis) -> None:

@@ -80,7 +80,7 @@ def build_material_file(fit: Fit, result: CalibrationResult, measured: Mapping[s
     """
     campaign = result.campaign
     law = find_law(fit.law)
-    space = ParameterSpace.of(fit.law, campaign, {name: [curve.name for curve in curves]
+    space = ParameterSpace.from_campaign(fit.law, campaign, {name: [curve.name for curve in curves]
                                                   for name, curves in measured.items()})
     # The file format has no standard error for the bulk response. Parameters of experiment and rig are excluded.
     material, of_material = compute_representative_material(fit), {each.path for each in space.unknowns
@@ -108,7 +108,7 @@ def build_material_file(fit: Fit, result: CalibrationResult, measured: Mapping[s
                 if value is not None}
     fitted = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
     return MaterialFile.of(
-        space.material(values, campaign.density, f"{campaign.name} {law.title}"),
+        space.build_material(values, campaign.density, f"{campaign.name} {law.title}"),
         standard_errors=errors, covariance=covariance, others=[name for name in order if name not in law.parameters],
         population=population,
         valid_range={"stretch": list(fit.stretch_range)},

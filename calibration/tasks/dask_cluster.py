@@ -10,7 +10,7 @@ from typing import Any
 
 from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
-from tissue_sim.packing import pack, run_packed
+from tissue_sim.packing import pack_task, run_packed_task
 
 #: Timeout for the connection to a scheduler, s.
 CONNECT_TIMEOUT = 10.0
@@ -61,7 +61,7 @@ class DaskCluster:
     def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
         """Send a task to the cluster and return its future."""
         # Packed as bytes: dask searches plain arguments for its tasks and futures.
-        return self._executor.submit(run_packed, pack(function, arguments))
+        return self._executor.submit(run_packed_task, pack_task(function, arguments))
 
     def stop(self) -> None:
         """Cancel all tasks; running tasks finish on their workers and their results are discarded."""

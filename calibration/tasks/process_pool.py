@@ -11,8 +11,8 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from calibration.tasks.errors import WorkerError
-from tissue_sim.child_process import follow_parent, start_without_ctrl_c
-from tissue_sim.packing import pack, run_packed
+from tissue_sim.child_process import child_processes_ignore_ctrl_c, exit_when_parent_ends
+from tissue_sim.packing import pack_task, run_packed_task
 
 #: Environment variables that limit native libraries to one thread per worker; more threads would compete for the cores.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
@@ -43,18 +43,18 @@ class ProcessPool:
         Raises:
             WorkerError: the processes end before they accept a task.
         """
-        task = pack(function, arguments)
+        task = pack_task(function, arguments)
         if self._executor is not None:
             try:
-                return self._executor.submit(run_packed, task)
+                return self._executor.submit(run_packed_task, task)
             except BrokenProcessPool:
                 self.close()
-        return self._start_processes().submit(run_packed, task)
+        return self._start_processes().submit(run_packed_task, task)
 
     def _start_processes(self) -> ProcessPoolExecutor:
         """Start all processes of the pool, and wait until the first one works."""
         # Spawned, not forked: Taichi and the threads of this process do not survive a fork.
-        self._executor = ProcessPoolExecutor(self.capacity, multiprocessing.get_context("spawn"), follow_parent)
+        self._executor = ProcessPoolExecutor(self.capacity, multiprocessing.get_context("spawn"), exit_when_parent_ends)
         # Start all processes now: the executor would wait forever for a process that starts while another one ends, and
         # all processes must inherit the same environment.
         self._executor._safe_to_dynamically_spawn_children = False  # type: ignore[attr-defined]
@@ -90,7 +90,7 @@ def _worker_start_environment() -> Iterator[None]:
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
-        with start_without_ctrl_c():
+        with child_processes_ignore_ctrl_c():
             yield
     finally:
         for name, value in before.items():

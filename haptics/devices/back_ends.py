@@ -81,4 +81,4 @@ def _make_device_by_name(table: Registry[Callable[[str], Device]], name: str) ->
     try:
         return make(rest)
     except InputError as error:
-        raise error.located(field=back_end) from None
+        raise error.with_location(field=back_end) from None

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from haptics.devices.contracts import AxialMotion, Motion
 from haptics.devices.settings import read_settings
 from tissue_sim import Protocol
-from tissue_sim.errors import InputError, require_length
+from tissue_sim.errors import InputError, require_positive_length
 from tissue_sim.experiment.approach import Approach
-from tissue_sim.pose import Pose, turned
+from tissue_sim.pose import Pose, rotate_pose
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,8 @@ class HandMotion(Motion):
 
     def __init__(self, start: float | None = 0.0, speed: float = 0.1, response: float = 30.0,
                  approach: Approach | None = None):
-        require_length(speed, "speed")  # checks for finite and positive; the unit is m/s here, rad/s below
-        require_length(response, "response")
+        require_positive_length(speed, "speed")  # checks for finite and positive; the unit is m/s here, rad/s below
+        require_positive_length(response, "response")
         self._speed, self._response = speed, response
         self._starts_at_tool = start is None
         self._time = 0.0
@@ -225,7 +225,7 @@ class RandomWalk(AxialMotion):
     def __init__(self, seed: int | str = 0, deepest: float = 8e-3, highest: float = -2e-3, speed: float = 0.2,
                  start: float | None = None):
         _require_depth_range(highest, deepest)
-        require_length(speed, "speed")  # checks for finite and positive; the unit is m/s here
+        require_positive_length(speed, "speed")  # checks for finite and positive; the unit is m/s here
         start = highest if start is None else start
         if not highest <= start <= deepest:
             raise InputError(f"the initial depth must be {highest:g} to {deepest:g} m; got {start:g} m", field="start")
@@ -290,8 +290,8 @@ class SpatialWalk(Motion):
                  approach: Approach | None = None):
         if not 0.0 <= sideways < math.inf:
             raise InputError(f"the sideways range must be 0 m or more; got {sideways:g} m", field="sideways")
-        require_length(speed, "speed")  # checks for finite and positive; the unit is m/s here, rad/s below
-        require_length(turn_speed, "turn_speed")
+        require_positive_length(speed, "speed")  # checks for finite and positive; the unit is m/s here, rad/s below
+        require_positive_length(turn_speed, "turn_speed")
         if not 0.0 <= turn < math.pi:
             raise InputError(f"the rotation range must be 0 rad or more and less than half a turn; got {turn:g} rad",
                              field="turn")
@@ -315,7 +315,7 @@ class SpatialWalk(Motion):
         if not self._rotations:
             return moved
         about_x, about_y, about_z = (walk.depth(time) for walk in self._rotations)
-        return turned(moved, (about_x, about_y, about_z))
+        return rotate_pose(moved, (about_x, about_y, about_z))
 
 
 def _require_depth_range(highest: float, deepest: float) -> None:

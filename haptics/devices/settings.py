@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 
 
 def read_settings(text: str, **defaults: float) -> dict[str, float]:
@@ -24,7 +24,7 @@ def read_settings(text: str, **defaults: float) -> dict[str, float]:
             raise InputError(f"a setting must be NAME=NUMBER with NAME one of {', '.join(defaults)}; got {part!r}",
                              field="settings")
         if name not in defaults:
-            raise InputError(f"unknown setting{nearest(name, defaults)}", field=name)
+            raise InputError(f"unknown setting{suggest_known_word(name, defaults)}", field=name)
         whole = isinstance(defaults[name], int)
         try:
             settings[name] = int(value) if whole else float(value)
@@ -71,6 +71,6 @@ def read_word_settings(text: str, **choices: tuple[str, ...]) -> tuple[dict[str,
             continue
         if choices[name][0] and value not in choices[name]:
             raise InputError(f"the value must be one of {', '.join(choices[name])}; got {value!r}"
-                             f"{nearest(value, choices[name])}", field=name)
+                             f"{suggest_known_word(value, choices[name])}", field=name)
         words[name] = value
     return words, ",".join(rest)

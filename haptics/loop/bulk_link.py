@@ -38,7 +38,7 @@ from tissue_sim.fem.condensed.model import (
 from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLinearisation
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
-from tissue_sim.packing import pack
+from tissue_sim.packing import pack_task
 from tissue_sim.snapshot import Snapshot
 
 
@@ -177,7 +177,7 @@ class BulkProcess:
     """
 
     def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None):
-        self._task = pack(make_linearisation, (model, solver, resolution, mesh))
+        self._task = pack_task(make_linearisation, (model, solver, resolution, mesh))
         self._paths = tuple(find_unused_path(ending) for ending in ("states", "models", "corrections", "surface"))
         self._process: subprocess.Popen[bytes] | None = None
         self._surface: ContactSurface | None = None

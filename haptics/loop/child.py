@@ -18,10 +18,10 @@ from haptics.loop.ring import RingWriter
 from haptics.loop.shared_slots import remove_file
 from haptics.loop.snapshot_board import SnapshotBoard
 from haptics.safety.rendering import ForceRendering
-from tissue_sim.child_process import follow_parent
+from tissue_sim.child_process import exit_when_parent_ends
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
-from tissue_sim.registry import register_all
-from tissue_sim.snapshot import ShownTissue
+from tissue_sim.registry import register_objects_of_other_process
+from tissue_sim.snapshot import DisplayableTissue
 from tissue_sim.tool_force import Tissue
 
 #: Errors with a message for the user; other errors are faults of the program.
@@ -94,9 +94,9 @@ def run_loop_child_process(connection: Connection, parts: LoopComponents, files:
             remove_file(path)
 
     # The creation of the tissue does not read the connection, so it cannot notice the end of the parent.
-    follow_parent(PROCESS_TIMES.grace, remove_shared_files)
+    exit_when_parent_ends(PROCESS_TIMES.grace, remove_shared_files)
     try:
-        register_all(things)
+        register_objects_of_other_process(things)
         report = _create_and_run_loop(connection, parts, files)
     except Exception as error:
         expected = isinstance(error, _EXPECTED)
@@ -120,7 +120,7 @@ def _create_and_run_loop(connection: Connection, parts: LoopComponents, files: S
                           "loading the solver (the first run on a computer compiles it, about 10 s)")
             tissue.warm_up()
         snapshots = shown = None
-        if settings.snapshot_rate and isinstance(tissue, ShownTissue):
+        if settings.snapshot_rate and isinstance(tissue, DisplayableTissue):
             pattern = tissue.snapshot()
             if pattern.arrays():
                 shown, snapshots = tissue, stack.enter_context(SnapshotBoard(files.snapshots, pattern))
@@ -133,7 +133,7 @@ def _create_and_run_loop(connection: Connection, parts: LoopComponents, files: S
         return loop.run()
 
 
-def _execute_received_commands(loop: Loop, connection: Connection, shown: ShownTissue | None) -> None:
+def _execute_received_commands(loop: Loop, connection: Connection, shown: DisplayableTissue | None) -> None:
     """Execute the commands that the parent has sent.
 
     Args:

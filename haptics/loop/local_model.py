@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from haptics.loop.linearisation_error import ERROR_ESTIMATE
 from tissue_sim.errors import InputError
-from tissue_sim.pose import Pose, Screw, Vector, added, motion, scaled
+from tissue_sim.pose import Pose, Screw, Vector, add_screws, motion, scale_screw
 from tissue_sim.public_names import OldName
-from tissue_sim.tool_force import ForceStatus, Matrix, Tissue, ToolForce, extrapolate_wrench, pose_of
+from tissue_sim.tool_force import ForceStatus, Matrix, Tissue, ToolForce, convert_depth_to_pose, extrapolate_wrench
 
 _NO_WRENCH: Screw = (0.0,) * 6
 _NO_STIFFNESS: Matrix = (_NO_WRENCH,) * 6
@@ -94,7 +94,7 @@ class SlowSolver:
             The model to publish; None if the tissue refused the pose or returned a force that is not finite. A force
             without equilibrium keeps the time of the last equilibrium, and at least its error.
         """
-        tool_pose = pose_of(pose)
+        tool_pose = convert_depth_to_pose(pose)
         answer = self._tissue.step(tool_pose, dt)
         if answer.status is ForceStatus.REFUSED or not answer.is_finite:
             return None
@@ -199,7 +199,7 @@ class LocalModelBlend:
             The wrench with the status LATE for a local model, STOPPED before the first model and after one that is too
             old, or REFUSED with the last wrench if pose or dt is not finite or dt is not positive.
         """
-        pose = pose_of(pose)
+        pose = convert_depth_to_pose(pose)
         if not (pose.is_finite and 0 < dt < math.inf):
             return self._make_tool_force(ForceStatus.REFUSED)
         self.time += dt
@@ -213,13 +213,13 @@ class LocalModelBlend:
             self.offset = (_shorten_vector(self.offset[:3], self.jump)
                            + _shorten_vector(self.offset[3:], self.torque_jump))
         self._pose = pose
-        self._wrench = added(self._model.evaluate_wrench(pose), self.offset)
+        self._wrench = add_screws(self._model.evaluate_wrench(pose), self.offset)
         return self._make_tool_force(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
 
     def _switch_to_model(self, model: LocalModel):
         self._model = model
         if self._pose is not None:
-            self.offset = added(self._wrench, scaled(-1.0, model.evaluate_wrench(self._pose)))
+            self.offset = add_screws(self._wrench, scale_screw(-1.0, model.evaluate_wrench(self._pose)))
 
     def _make_tool_force(self, status: ForceStatus) -> ToolForce:
         model, age, error = self._model, self.age, self.error

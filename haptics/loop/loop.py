@@ -20,7 +20,7 @@ from haptics.safety.force_release import RELEASE, ForceRelease
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
-from tissue_sim.snapshot import ShownTissue
+from tissue_sim.snapshot import DisplayableTissue
 from tissue_sim.tool_force import ForceStatus, Tissue
 
 #: Time between two checks for commands, s.
@@ -168,7 +168,7 @@ class Loop:
         self._settings, self._ring, self._listen = settings, ring, listen
         #: Work of the tissue between two ticks, if it has any.
         self._prepare: Callable[[], None] | None = getattr(tissue, "prepare", None)
-        self._shown = (tissue, snapshots) if snapshots is not None and isinstance(tissue, ShownTissue) else None
+        self._shown = (tissue, snapshots) if snapshots is not None and isinstance(tissue, DisplayableTissue) else None
         self._ticker = Ticker(settings.period, spin=settings.spin, clock=clock, sleep=sleep)
         self._release = ForceRelease(settings.patience)
         self._compute_time = TimeHistogram()

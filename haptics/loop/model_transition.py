@@ -12,7 +12,7 @@ from haptics.loop.broyden_correction import BroydenCorrection
 from haptics.loop.linearisation_error import LinearisationError
 from tissue_sim.fem.condensed.model import CondensedBulk
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
-from tissue_sim.pose import Pose, Screw, added, motion, scaled
+from tissue_sim.pose import Pose, Screw, add_screws, motion, scale_screw
 from tissue_sim.tool_force import Matrix
 
 
@@ -99,15 +99,16 @@ class ModelTransition:
             return
         slope = np.array(before.stiffness_matrix) @ np.array(motion(last, pose))
         extrapolated = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
-        missed = added(after.wrench, scaled(-1.0, extrapolated))
+        missed = add_screws(after.wrench, scale_screw(-1.0, extrapolated))
         expected = correction.compute_omitted_wrench(old.pose, pose)
         if any(after.wrench):
             correction.apply_secant_update(missed, old.pose, new.pose)
-            self.update_error_estimate(added(expected, scaled(-1.0, missed)), old, last)
+            self.update_error_estimate(add_screws(expected, scale_screw(-1.0, missed)), old, last)
         else:
             correction.reset()
-        for part in (expected, scaled(-1.0, missed), scaled(-1.0, correction.compute_omitted_wrench(new.pose, pose))):
-            self.offset = added(self.offset, part)
+        omitted = correction.compute_omitted_wrench(new.pose, pose)
+        for part in (expected, scale_screw(-1.0, missed), scale_screw(-1.0, omitted)):
+            self.offset = add_screws(self.offset, part)
 
     def update_error_estimate(self, missed: Screw, old: CondensedBulk, pose: Pose) -> None:
         """Update the error estimate with the difference of the newest model and the model before.
@@ -146,9 +147,9 @@ class ModelTransition:
         """Return wrench, N and N m, and stiffness, shape (6, 6), of a step with Broyden correction and offset."""
         wrench, stiffness = step.wrench, step.stiffness_matrix
         if any(wrench):
-            wrench = added(wrench, self._correction.compute_omitted_wrench(self._newest_model.pose, pose))
+            wrench = add_screws(wrench, self._correction.compute_omitted_wrench(self._newest_model.pose, pose))
             stiffness = self._correction.corrected_stiffness(stiffness)
-        return added(wrench, self.offset), stiffness
+        return add_screws(wrench, self.offset), stiffness
 
     def estimate_wrench_error(self, step: ContactStepResult, pose: Pose, age: float) -> tuple[float, float]:
         """Return the estimated error of the wrench of a step, and the error that decides its status, N.

@@ -16,14 +16,14 @@ from haptics.loop.touch_frame import TouchFrame, interpolate_touch_pose
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedBulk
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
-from tissue_sim.kernel_owner import CopyError, KernelOwner, exclusive
-from tissue_sim.live_material import require_same_layers, require_tissue
-from tissue_sim.material.effect import ReducedForce
+from tissue_sim.kernel_owner import CopyError, KernelOwner, allow_one_thread
+from tissue_sim.live_material import require_equal_layer_thicknesses, require_tissue_moduli
+from tissue_sim.material.effect import ReducedForceFactor
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.model import Model
-from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
+from tissue_sim.motion_limits import LimitError, MotionLimits, convert_to_pose
 from tissue_sim.parameters import with_values
-from tissue_sim.pose import Pose, added, motion, scaled
+from tissue_sim.pose import Pose, add_screws, motion, scale_screw
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import (
     ERROR_FLOOR,
@@ -31,10 +31,10 @@ from tissue_sim.tool_force import (
     ForceStatus,
     ToolForce,
     TouchState,
-    axial_stiffness,
-    axial_wrench,
-    is_known_well,
-    scaled_matrix,
+    is_force_accurate_enough,
+    make_axial_stiffness_matrix,
+    make_axial_wrench,
+    scale_matrix,
 )
 
 __all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue"]
@@ -42,7 +42,7 @@ __all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue"]
 #: Largest age of the model of a CONVERGED force, s.
 OLDEST = MULTIRATE.oldest
 #: Force before the first step.
-_AT_REST = ToolForce(axial_wrench(0.0), axial_stiffness(0.0), ForceStatus.STOPPED)
+_AT_REST = ToolForce(make_axial_wrench(0.0), make_axial_stiffness_matrix(0.0), ForceStatus.STOPPED)
 
 
 class MultiRateTissue(KernelOwner):
@@ -97,14 +97,14 @@ class MultiRateTissue(KernelOwner):
         if not oldest > 0.0:
             raise InputError(f"oldest must be positive; got {oldest:g} s. Use more than the period of the bulk, such "
                              "as 1.", field="oldest")
-        require_tissue(model.material)
+        require_tissue_moduli(model.material)
         self.model, self.resolution, self.oldest = model, resolution if mesh is None else "own mesh", oldest
         self.waits, self.limits, self._guard = waits, limits or MotionLimits(), threading.RLock()
         self._link = link or BulkProcess(model, solver=solver, resolution=resolution, mesh=mesh)
         self._stepper: CondensedStepper | None = None
         self._epoch, self._material, self.models = 0, 0, 0
         self._holds = model.experiment.friction == "bonded"
-        self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
+        self._reduced = ReducedForceFactor(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         self._untouched = self._reduced.history
         self._reset_state()
 
@@ -123,7 +123,7 @@ class MultiRateTissue(KernelOwner):
         #: Whether the force converged in the last exchange of a step that waits.
         self._settled = True
 
-    @exclusive
+    @allow_one_thread
     def warm_up(self) -> None:
         """Start the process of the bulk and compile all functions of a tick.
 
@@ -171,14 +171,14 @@ class MultiRateTissue(KernelOwner):
         """Whether the tool has touched the tissue since the last reset."""
         return self._touch.has_touched
 
-    @exclusive
+    @allow_one_thread
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
         """Return the force at the present pose of the tool; see `Simulator.step`."""
         began = clock.perf_counter()
         self.warm_up()
-        pose = checked_pose(pose)
+        pose = convert_to_pose(pose)
         try:
-            self.limits.require(pose, self._last_pose, dt)
+            self.limits.require_valid_step(pose, self._last_pose, dt)
         except LimitError:
             return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
                            compute_time=clock.perf_counter() - began)
@@ -199,7 +199,7 @@ class MultiRateTissue(KernelOwner):
         assert self._stepper is not None
         start, touched = self._link.contact_surface.start, self._touch.has_touched
         height = start.position[2]
-        inside = self._touch.advance(pose.position[2] - height, dt)
+        inside = self._touch.register_height(pose.position[2] - height, dt)
         if inside is not None and not touched:
             touch = interpolate_touch_pose(self._last_pose, pose, height)
             if self._holds:
@@ -219,7 +219,7 @@ class MultiRateTissue(KernelOwner):
             self._link.send_state(self._stepper.export_state(self._time, start, self._time, start, self._epoch,
                                                        touched=False))
         status = ForceStatus.CONVERGED if self._link.is_alive else ForceStatus.LATE
-        return ToolForce(axial_wrench(0.0), axial_stiffness(0.0), status, pose=pose,
+        return ToolForce(make_axial_wrench(0.0), make_axial_stiffness_matrix(0.0), status, pose=pose,
                          compute_time=clock.perf_counter() - began)
 
     def _step_in_contact(self, pose: Pose, dt: float, began: float) -> ToolForce:
@@ -246,7 +246,7 @@ class MultiRateTissue(KernelOwner):
         transition.reduce_offset()
         return self._make_tool_force(step, here, pose, dt, began)
 
-    @exclusive
+    @allow_one_thread
     def prepare(self) -> None:
         """Use the newest model if one has arrived; called between two ticks, otherwise by `step`."""
         self._prepared, stepper = True, self._stepper
@@ -288,7 +288,7 @@ class MultiRateTissue(KernelOwner):
             self._set_model_and_times(model)
             before, step = step, stepper.step(pose)
             missed = math.dist(before.wrench[:3], step.wrench[:3])
-            self._transition.update_error_estimate(added(step.wrench, scaled(-1.0, before.wrench)), old, pose)
+            self._transition.update_error_estimate(add_screws(step.wrench, scale_screw(-1.0, before.wrench)), old, pose)
             if (model.time >= self._time and model.material == self._material and step.converged
                     and missed <= max(MULTIRATE.force_floor, MULTIRATE.force_tolerance * math.hypot(*step.wrench[:3]))):
                 self._settled = True
@@ -315,10 +315,10 @@ class MultiRateTissue(KernelOwner):
         if model.material != self._material and self.has_touched:
             self.error = judged = math.inf
         good = (step.converged and self._settled and self._link.is_alive and age <= self.oldest
-                and not stepper.may_touch_missing_nodes(here) and is_known_well(wrench, judged))
-        self._left = self._reduced.commit(pose.depth, dt)
+                and not stepper.may_touch_missing_nodes(here) and is_force_accurate_enough(wrench, judged))
+        self._left = self._reduced.accept_depth(pose.depth, dt)
         if self._left != 1.0:
-            wrench, stiffness = scaled(self._left, wrench), scaled_matrix(self._left, stiffness)
+            wrench, stiffness = scale_screw(self._left, wrench), scale_matrix(self._left, stiffness)
         is_known = math.isfinite(self.error)
         return ToolForce(
             wrench, stiffness, ForceStatus.CONVERGED if good else ForceStatus.LATE, step.iterations, step.residual,
@@ -327,7 +327,7 @@ class MultiRateTissue(KernelOwner):
             force_error=self._left * self.error if is_known else None,
             error_age=max(0.0, self._time - transition.estimate.time) if is_known else 0.0)
 
-    @exclusive
+    @allow_one_thread
     def reset(self) -> None:
         """Restore the undeformed tissue, in the state before the first touch of the tool."""
         self._epoch += 1
@@ -339,7 +339,7 @@ class MultiRateTissue(KernelOwner):
             start = self._link.contact_surface.start
             self._link.send_state(self._stepper.export_state(0.0, start, 0.0, start, self._epoch, touched=False))
 
-    @exclusive
+    @allow_one_thread
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the material. See `Simulator.set_parameters`.
 
@@ -350,8 +350,8 @@ class MultiRateTissue(KernelOwner):
                 tissue.
         """
         material = with_values(self.model.material, values)
-        require_same_layers(self.model.material, material)
-        require_tissue(material)
+        require_equal_layer_thicknesses(self.model.material, material)
+        require_tissue_moduli(material)
         (low, high), ratio = BULK_RATIOS, material.bulk_modulus / material.mu0
         # An infinite ratio, an incompressible material, gets a finite one that depends on the specimen.
         if not (low <= ratio <= high or math.isinf(ratio)):
@@ -367,7 +367,7 @@ class MultiRateTissue(KernelOwner):
         self._transition.estimate.rescale_for_shear_modulus(material.mu0)
         self.model = replace(self.model, material=material)
         history = self._reduced.history
-        self._reduced = ReducedForce(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
+        self._reduced = ReducedForceFactor(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
         self._reduced.history = history
 
     def snapshot(self) -> Snapshot:

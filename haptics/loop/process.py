@@ -21,10 +21,10 @@ from haptics.loop.ring import RingReader
 from haptics.loop.shared_slots import find_unused_path, remove_file
 from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.rendering import ForceRendering
-from tissue_sim.child_process import start_with_one_thread, start_without_ctrl_c
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.child_process import child_processes_ignore_ctrl_c, limit_threads_of_child_processes
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.public_names import OldName
-from tissue_sim.registry import registered
+from tissue_sim.registry import list_registered_objects
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import Tissue
 
@@ -92,10 +92,11 @@ class LoopProcess:
             raise InputError("this loop was started before; create another LoopProcess")
         context = multiprocessing.get_context("spawn")  # Taichi and threads do not work after a fork
         self._connection, far_end = context.Pipe()
-        process = context.Process(target=run_loop_child_process, args=(far_end, self._parts, self._files, registered()),
+        process = context.Process(target=run_loop_child_process,
+                                  args=(far_end, self._parts, self._files, list_registered_objects()),
                                   name="tissue-sim loop", daemon=True)
         try:
-            with start_without_ctrl_c(), start_with_one_thread():
+            with child_processes_ignore_ctrl_c(), limit_threads_of_child_processes():
                 process.start()
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise InputError(f"cannot be sent to another process ({error}); use functions and classes defined at "
@@ -226,7 +227,7 @@ class LoopProcess:
             LoopError: the process has ended or does not answer.
         """
         if command not in COMMANDS:
-            raise InputError(f"a loop has no command {command!r}{nearest(command, COMMANDS)}")
+            raise InputError(f"a loop has no command {command!r}{suggest_known_word(command, COMMANDS)}")
         with self._lock:
             if self._connection is None or not self._ready:
                 raise LoopError(f"the loop is not ready: {self.message}")

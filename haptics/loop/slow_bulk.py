@@ -34,7 +34,7 @@ from tissue_sim.fem.condensed.model import (
 from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLinearisation
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
-from tissue_sim.packing import run_packed
+from tissue_sim.packing import run_packed_task
 from tissue_sim.snapshot import Snapshot, snapshot
 
 #: Kind of the shared file of contact states.
@@ -95,7 +95,7 @@ def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
     """
     paths = states_path, models_path, corrections_path, surface_path = pickle.load(orders)
     try:
-        bulk = run_packed(task)
+        bulk = run_packed_task(task)
         predictive = PredictiveLinearisation(bulk)
         first = predictive.linearise(make_untouched_state(bulk.surface), 0.0, 0.0)
         bulk.executor = start_computation_in_thread

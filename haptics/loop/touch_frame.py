@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from tissue_sim.pose import Pose, between, motion, turned
+from tissue_sim.pose import Pose, between, motion, rotate_pose
 
 
 class TouchFrame:
@@ -53,4 +53,4 @@ def _apply_motion(start: Pose, end: Pose, other: Pose) -> Pose:
     a, b, c = other.position
     moved = Pose((a + x, b + y, c + z), other.orientation)
     u, v, w = rotation
-    return turned(moved, (u, v, w))
+    return rotate_pose(moved, (u, v, w))

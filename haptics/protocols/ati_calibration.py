@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from haptics.protocols.ati_serial import CHANNELS
 from haptics.protocols.ati_units import FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 
 #: Largest size of a calibration file, bytes.
 MAX_SIZE = 1_000_000
@@ -103,7 +103,7 @@ def _read_unit(calibration: ElementTree.Element, field: str, units: dict[str, fl
         raise InputError(f"Calibration has no {field}; copy the .cal file from the sensor's disc again", file=name)
     unit = text.strip().replace("N m", "N-m")
     if unit not in units:
-        raise InputError(f"unknown unit {text!r}{nearest(unit, units)}", file=name, field=field)
+        raise InputError(f"unknown unit {text!r}{suggest_known_word(unit, units)}", file=name, field=field)
     return units[unit]
 
 
@@ -167,7 +167,8 @@ def _move_torques(calibration: ElementTree.Element, matrix: tuple[Row, ...], nam
     lengths, torque = calibration.get("DistUnits", ""), calibration.get("TorqueUnits", "").strip()
     force = calibration.get("ForceUnits", "").strip()
     if lengths.strip() not in LENGTH_UNITS:
-        raise InputError(f"unknown unit {lengths!r}{nearest(lengths, LENGTH_UNITS)}", file=name, field="DistUnits")
+        raise InputError(f"unknown unit {lengths!r}{suggest_known_word(lengths, LENGTH_UNITS)}", file=name,
+                         field="DistUnits")
     # Unit of offset times force, in units of torque.
     lever = FORCE_UNITS[force] * LENGTH_UNITS[lengths.strip()] / TORQUE_UNITS[torque.replace("N m", "N-m")]
     fx, fy, fz, tx, ty, tz = matrix

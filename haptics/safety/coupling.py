@@ -188,7 +188,7 @@ class VirtualCoupling:
         """
         # A negative stiffness would reverse the implicit step, so it is set to zero; the next tick corrects the rest.
         ahead = answer if answer.ahead is None else answer.ahead
-        matrix = answer.within_step if answer.ahead is None else answer.ahead.stiffness_matrix
+        matrix = answer.stiffness_within_step if answer.ahead is None else answer.ahead.stiffness_matrix
         a, b, c = matrix[0][:3]
         d, e, f = matrix[1][:3]
         g, h, i = matrix[2][:3]

@@ -91,4 +91,4 @@ class ForceRelease:
             status = ForceStatus.RETURNING
         elif status in (ForceStatus.LATE, ForceStatus.STOPPED) and watchdog.state is not WatchdogState.MISSING:
             status = ForceStatus.FADING
-        return answer.scaled(gain, status)
+        return answer.scale_force(gain, status)

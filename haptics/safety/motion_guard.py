@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 
 from haptics.devices.contracts import ForceSample, SampleStatus, StageSample
 from tissue_sim.errors import InputError
-from tissue_sim.public_names import old_names
+from tissue_sim.public_names import make_getattr_for_old_names
 
 #: Default of the longest time without a sample of the sensor, s.
 DEFAULT_SENSOR_SILENCE = 0.05
@@ -291,4 +291,4 @@ def require_stoppable_motion(limits: MotionLimits, speed: float, seconds: float)
                "Use a stage that stops when the program ends"), field="limits.force_margin")
 
 
-__getattr__ = old_names(__name__, {"Stop": "StopReason"})
+__getattr__ = make_getattr_for_old_names(__name__, {"Stop": "StopReason"})

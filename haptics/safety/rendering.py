@@ -10,7 +10,7 @@ from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
 from haptics.safety.passivity import EnergyLimit, PassivityController, PassivityObserver
 from haptics.safety.watchdog import Watchdog, WatchdogState
-from tissue_sim.pose import Pose, Screw, scaled
+from tissue_sim.pose import Pose, Screw, scale_screw
 from tissue_sim.public_names import OldName
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
@@ -197,7 +197,7 @@ class ForceRendering:
                 wrench = (wrench[0] + x, wrench[1] + y, wrench[2] + z, *wrench[3:])
             gain = self.watchdog.step(pose is not None and is_valid, dt)
             if gain != 1.0:
-                wrench = scaled(gain, wrench)
+                wrench = scale_screw(gain, wrench)
         limits, observer, held = self.limits, self.observer, self.held_observer
         if not self.energy_limit.step(held.energy, dt if 0 < dt < math.inf else 0.0):
             wrench = _NO_WRENCH

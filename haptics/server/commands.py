@@ -12,8 +12,8 @@ import numpy as np
 
 from haptics.server.steps import StepService
 from haptics.server.wire import FRAME, REPLY_SIZE, REQUEST_SIZE, VERSION
-from tissue_sim.decode import as_json_types, decode
-from tissue_sim.errors import ConvergenceError, InputError, nearest
+from tissue_sim.decode import convert_to_json_types, decode_struct
+from tissue_sim.errors import ConvergenceError, InputError, suggest_known_word
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class ConfigurationCommands:
     def __init__(self, service: StepService, description: Description | None = None,
                  parameters: Mapping[str, float] | None = None):
         self._service, self._tissue = service, service.tissue
-        self._description = description if callable(description) else as_json_types(description or {})
+        self._description = description if callable(description) else convert_to_json_types(description or {})
         #: Parameters of the initial tissue.
         self._initial_parameters = dict(parameters or {})
         #: Parameters of the present tissue.
@@ -133,17 +133,18 @@ class ConfigurationCommands:
         if not isinstance(name, str):
             raise InputError(f"the command must be one of {', '.join(self._commands)}; got none", field="command")
         if name not in self._commands:
-            raise InputError(f"unknown command {name[:64]!r}{nearest(name[:64], self._commands)}", field="command")
+            raise InputError(f"unknown command {name[:64]!r}{suggest_known_word(name[:64], self._commands)}",
+                             field="command")
         kind, function = self._commands[name]
         if self._service.tissue is not self._tissue:
             # The service has rebuilt the tissue after a failure, with the initial parameters.
             self._tissue, self._parameters = self._service.tissue, dict(self._initial_parameters)
-        answer = function(decode(request, kind))
+        answer = function(decode_struct(request, kind))
         return {"command": name, **answer} if isinstance(answer, dict) else answer
 
     def _describe_server(self, _: _CommandWithoutArguments) -> dict[str, Any]:
         """Return protocol, frame, scene, parameters, commands and saved states."""
-        description = as_json_types(self._description()) if callable(self._description) else self._description
+        description = convert_to_json_types(self._description()) if callable(self._description) else self._description
         return {"protocol": {"version": VERSION, "request_bytes": REQUEST_SIZE, "reply_bytes": REPLY_SIZE},
                 "frame": FRAME, **description, "parameters": self._parameters,
                 "commands": list(self._commands), "states": list(self._states)}
@@ -164,7 +165,7 @@ class ConfigurationCommands:
         """Change parameters of the tissue, and return all parameters."""
         for name in request.parameters:
             if name not in self._parameters:
-                hint = nearest(name[:64], self._parameters) if self._parameters else \
+                hint = suggest_known_word(name[:64], self._parameters) if self._parameters else \
                     "; this tissue has no parameters to set"
                 raise InputError(f"unknown parameter{hint}", field=f"parameters.{name[:64]}")
         self._get_tissue_method("set_parameters")(**request.parameters)
@@ -190,7 +191,7 @@ class ConfigurationCommands:
     def _restore_state(self, request: _NamedStateCommand) -> dict[str, Any]:
         """Restore state and parameters that were saved under a name."""
         if request.name not in self._states:
-            hint = nearest(request.name, self._states) if self._states else "; no state was saved"
+            hint = suggest_known_word(request.name, self._states) if self._states else "; no state was saved"
             raise InputError(f"unknown state {request.name!r}{hint}", field="name")
         state, parameters = self._states[request.name]
         if parameters != self._parameters:

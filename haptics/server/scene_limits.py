@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 from tissue_sim.motion_limits import MotionLimits
-from tissue_sim.tool_force import ToolForce, axial_stiffness
+from tissue_sim.tool_force import ToolForce, make_axial_stiffness_matrix
 
-_NO_STIFFNESS = axial_stiffness(0.0)
+_NO_STIFFNESS = make_axial_stiffness_matrix(0.0)
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,6 @@ class SceneLimits(MotionLimits):
         force = math.hypot(*answer.wrench[:3])
         if force <= self.force:
             return answer, False
-        scaled = answer.scaled(self.force / force, answer.status)
+        scaled = answer.scale_force(self.force / force, answer.status)
         return replace(scaled, stiffness_matrix=_NO_STIFFNESS, ahead=None, step_stiffness_matrix=None,
                        stiffness_age=0.0, force_error=None, error_age=0.0), True

@@ -247,7 +247,7 @@ class StepService:
         flags = (_INERTIAL * answer.inertial | _LIMITED * limited | _STALE * has_stale_stiffness(answer)
                  | _OFF_AXIS * (request.version > 2 and not answer.is_on_axis))
         reply = Reply(answer.status, request.sequence, request.time, request.session, answer.force_vector,
-                      answer.torque_vector, answer.stiffness_matrix, answer.within_step, answer.age,
+                      answer.torque_vector, answer.stiffness_matrix, answer.stiffness_within_step, answer.age,
                       answer.compute_time, answer.residual, dt, answer.iterations, flags, counters.malformed,
                       counters.stale, counters.skipped, counters.turned_away, request.version, answer.stiffness_age,
                       answer.force_error, answer.error_age, answer.least_tool_mass)
@@ -285,7 +285,7 @@ class StepService:
             if not math.isfinite(request.time):
                 raise InputError(f"the time of a request must be finite; got {request.time}", field="time")
             pose = Pose(request.position, request.orientation)
-            self.limits.require(pose, None if reset else owner.pose, dt)
+            self.limits.require_valid_step(pose, None if reset else owner.pose, dt)
         except InputError:
             return self._repeat_last_answer_as_refused(), 0.0
         try:

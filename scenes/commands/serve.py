@@ -214,7 +214,7 @@ def describe_served_scene(arguments, experiment: Experiment, material_file, simu
     import numpy as np
 
     from scenes.commands.material.summary import summarise_material_file
-    from tissue_sim.parameters import declared
+    from tissue_sim.parameters import list_field_declarations
 
     specimen, tool, mesh = experiment.specimen, experiment.tool, simulator.mesh
     touch, deeper = (experiment.tool_pose(depth) for depth in (0.0, 1.0))
@@ -222,9 +222,9 @@ def describe_served_scene(arguments, experiment: Experiment, material_file, simu
     return {
         "scene": arguments.scene,
         "specimen": {"shape": specimen.shape, "height": specimen.height} | {
-            name: getattr(specimen, name) for name in declared(type(specimen))},
+            name: getattr(specimen, name) for name in list_field_declarations(type(specimen))},
         "tool": {"shape": tool.shape, "radius": tool.radius} | {name: getattr(tool, name)
-                                                                for name in declared(type(tool))},
+                                                                for name in list_field_declarations(type(tool))},
         "interfaces": {name: getattr(experiment, name) for name in ("friction", "friction_base", "friction_wall")},
         "first_touch": {"position": touch.position, "orientation": touch.orientation,
                         "way": np.subtract(deeper.position, touch.position).tolist()},

@@ -23,7 +23,7 @@ from scenes.viewer.recording_upload import RecordingUpload
 from scenes.viewer.scene import Scene
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.decode import read_json
-from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, shortened
+from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, shorten_text
 from tissue_sim.recording.recording import Recording
 
 _logger = logging.getLogger(__name__)
@@ -283,7 +283,7 @@ class CalibrationRun:
         except Exception as error:  # a programming error in the fit must not stop the running simulation
             _logger.exception("the calibration failed with an internal error")
             self._store_fit_outcome(problem=f"The calibration failed with an internal error ({type(error).__name__}: "
-                                    f"{shortened(str(error), 200)}). The material is unchanged.")
+                                    f"{shorten_text(str(error), 200)}). The material is unchanged.")
         else:
             self._store_fit_outcome(result=result)
             return result

@@ -17,7 +17,7 @@ from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import tool_sizes
 from tissue_sim.files import read_bytes
 from tissue_sim.material.file import read_material_file, write_material_file
-from tissue_sim.parameters import parameters, to_keys
+from tissue_sim.parameters import convert_to_file_keys, parameters
 from tissue_sim.rig.file import write_rig
 
 if TYPE_CHECKING:
@@ -181,7 +181,8 @@ def build_campaign_text(request: CalibrationRequest, folder: Path) -> str:
     start: dict[str, float] = {}
     fixed: dict[str, float] = {}
     for path, each in parameters(material).items():
-        (start if path in material.parameters else fixed)[each.file_path] = float(each.value / each.declaration.factor)
+        values = start if path in material.parameters else fixed
+        values[each.path_in_file] = float(each.value / each.declaration.factor)
     fit = {"method": "inverse_fem", "laws": [material.law], "start": start, **({"fixed": fixed} if fixed else {})}
     tests = [format_toml_table("[[test]]", {"name": f"test {number}", **test,
                                             "recordings": [f"{RECORDINGS}/{name}" for name in names]})
@@ -208,7 +209,7 @@ def _make_experiment_keys(request: CalibrationRequest) -> dict[str, Any]:
     keys |= {key: getattr(experiment, key) for key, face in kind.face_interfaces.items()
              if not face.fixed and not (key == "friction_wall" and not tool.has_shaft)}
     if experiment.contact_laws:
-        keys["contact_laws"] = {name: to_keys(law) for name, law in experiment.contact_laws.items()}
+        keys["contact_laws"] = {name: convert_to_file_keys(law) for name, law in experiment.contact_laws.items()}
     if experiment.tilt:
         keys["tilt_mm"] = experiment.tilt * 1e3
     return keys | ({"slip": experiment.slip} if experiment.slip else {})

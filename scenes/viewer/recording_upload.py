@@ -12,7 +12,7 @@ from typing import Any
 
 from scenes.viewer.measurement import Measurement, build_measurement
 from scenes.viewer.shell import LARGEST_UPLOAD
-from tissue_sim.bounded import bounded
+from tissue_sim.bounded import run_in_sandbox
 from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_bytes
@@ -97,7 +97,7 @@ def _read_machine_file(path: Path, origin: Mapping[str, str]) -> tuple[Recording
     # Imported here so that the page starts without the file parsers.
     from tissue_sim.recording.formats.understanding import interpret_file
 
-    found = bounded(interpret_file, path, file=path)
+    found = run_in_sandbox(interpret_file, path, file=path)
     recordings = [(reading, recording) for reading in found.readings
                   for recording in _select_usable_recordings(reading)]
     uploads = []

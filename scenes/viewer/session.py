@@ -26,7 +26,7 @@ from scenes.viewer.scene import Scene
 from scenes.viewer.tool_motions import HAND_SPEED, make_hand_motion, make_protocol_motion, make_replay_motion
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
-from tissue_sim.live_material import require_tissue
+from tissue_sim.live_material import require_tissue_moduli
 from tissue_sim.parameters import parameter_values, with_values
 
 #: Duration of a single step of a paused motion, s.
@@ -162,7 +162,7 @@ class Session:
         depth = max(self._target if depth is None else depth, self.scene.min_tool_displacement)
         depth = min(depth, self.scene.max_tool_displacement)
         target: dict[str, Any] = {"depth": depth}
-        if across is not None and simulation.snapshot is not None and simulation.snapshot.in_space:
+        if across is not None and simulation.snapshot is not None and simulation.snapshot.is_three_dimensional:
             target["across"] = limit_lateral_position(self.scene, simulation.snapshot, across)
         simulation.send_command("aim", **target)
         self._target, self._across = depth, target.get("across", self._across)
@@ -243,7 +243,7 @@ class Session:
         self._apply_material(material, source)
 
     def _apply_material(self, material: ts.Material, source: str) -> None:
-        require_tissue(material)  # checked here because there may be no running simulation to refuse the material
+        require_tissue_moduli(material)  # there may be no running simulation that refuses the material
         if (reduced := self.scene.reduced) is not None:
             reduced.require_material(material)
         scene = replace(self.scene, material=material, source=source)

@@ -91,9 +91,9 @@ BAD = [
     ("bulk_ratio = 1000", "bulk_ratio = 1", "fit.bulk_ratio", "must be 2 to 1e+06"),
     ("bulk_ratio = 1000", "bulk_ratio = 1e9", "fit.bulk_ratio", "must be 2 to 1e+06"),
     ("radius_mm = 40.0", "radius_mm = \"40\"", "specimen[0].radius_mm", "expected a number, got text"),
-    ("C10 = [1.0, 20000.0]", "C10 = 3.0", "fit.bounds.C10", "expected [low, high], got 3.0"),
-    ("C10 = [1.0, 20000.0]", "C10 = [1.0, 2.0, 3.0]", "fit.bounds.C10", "expected [low, high]"),
-    ("C10 = 1400.0", "C10 = \"soft\"", "fit.start.C10", "expected a number, got 'soft'"),
+    ("C10 = [1.0, 20000.0]", "C10 = 3.0", "fit.bounds.C10", "C10 must be [low, high]; got 3.0"),
+    ("C10 = [1.0, 20000.0]", "C10 = [1.0, 2.0, 3.0]", "fit.bounds.C10", "C10 must be [low, high]; got [1.0, 2.0, 3.0]"),
+    ("C10 = 1400.0", "C10 = \"soft\"", "fit.start.C10", "C10 must be a number; got 'soft'"),
     ("radius_mm = 40.0", "radius_mm = -40.0", "specimen[0].radius_mm", "positive"),
     ("height_mm = 70.0", "height_mm = 0", "specimen[0].height_mm", "positive"),
     ("height_mm = 70.0", "", "specimen[0].height_mm", "missing"),
@@ -197,7 +197,7 @@ def test_a_stated_delimiter_reaches_the_reader(folder):
     columns = 'columns = { displacement = { name = "way", unit = "mm" }, force = { name = "load", unit = "N" } }'
     path = folder / "study.toml"
     path.write_text(GOOD.replace('["run_*.csv"]', f'["blanks.txt"]\n{columns}\ndelimiter = " "'), encoding="utf-8")
-    (replicate,), = calibration.read_measured(calibration.load_campaign(path)).values()
+    (replicate,), = calibration.read_measured_curves(calibration.load_campaign(path)).values()
     assert replicate.force == pytest.approx([0.1 * i * (1 + i) for i in range(8)])
 
 
@@ -209,7 +209,7 @@ def test_a_recording_of_another_specimen_is_refused(folder, size, field):
     path = folder / "study.toml"
     path.write_text(GOOD, encoding="utf-8")
     with pytest.raises(ts.InputError, match=r"and run_1\.csv states") as error:
-        calibration.read_measured(calibration.load_campaign(path))
+        calibration.read_measured_curves(calibration.load_campaign(path))
     assert error.value.field == field and error.value.file == path
 
 
@@ -217,7 +217,7 @@ def test_no_more_strain_points_than_samples(folder):
     path = folder / "study.toml"
     path.write_text(GOOD.replace("bulk_ratio = 1000", "strain_points = 22"), encoding="utf-8")
     with pytest.raises(ts.InputError, match="must be at most 21") as error:
-        calibration.read_measured(calibration.load_campaign(path))
+        calibration.read_measured_curves(calibration.load_campaign(path))
     assert error.value.field == "fit.strain_points"
 
 

@@ -39,7 +39,8 @@ def folder(tmp_path):
 
 def read(path):
     """All recordings of a campaign, in order."""
-    return [curve for curves in calibration.read_measured(calibration.load_campaign(path)).values() for curve in curves]
+    return [curve for curves in calibration.read_measured_curves(calibration.load_campaign(path)).values()
+            for curve in curves]
 
 
 def replicates(folder, reading):

@@ -11,7 +11,7 @@ from virtual_campaign import PLATES, diagnosed_plates
 
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.planned import read_planned
+from calibration.campaign.planned import read_or_plan_curves
 from calibration.diagnosis.design import compute_experiment_design
 from calibration.diagnosis.diagnosis import (
     CandidateStatement,
@@ -161,7 +161,7 @@ def test_a_plan_needs_no_recording(tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN + "[noise]\nforce_N = 0.01\n", encoding="utf-8")
     campaign = make_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     with open_tasks(Workers()) as tasks:
-        found = compute_experiment_design(campaign, read_planned(campaign, replicates=3, samples=121),
+        found = compute_experiment_design(campaign, read_or_plan_curves(campaign, replicates=3, samples=121),
                                           RunContext("plan", tasks))
     rows = {row.name: row for row in found.candidates}
     assert rows["viscoelasticity"].testable and rows["viscoelasticity"].seen_from["viscoelastic.terms[0].g"] < 0.02
@@ -169,7 +169,7 @@ def test_a_plan_needs_no_recording(tmp_path):
     shorter = make_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     shorter = replace(shorter, tests=(replace(shorter.tests[0], protocol="ramp 3mm @0.2mm/s"),))
     with open_tasks(Workers()) as tasks:
-        ramp = compute_experiment_design(shorter, read_planned(shorter, replicates=3, samples=121),
+        ramp = compute_experiment_design(shorter, read_or_plan_curves(shorter, replicates=3, samples=121),
                                          RunContext("plan", tasks))
     row = next(row for row in ramp.candidates if row.name == "viscoelasticity")
     assert not row.testable or row.seen_from["viscoelastic.terms[0].g"] > 3 * rows["viscoelasticity"].seen_from[
@@ -184,7 +184,7 @@ def test_a_plan_needs_no_recording(tmp_path):
 def test_a_plan_that_is_none_is_refused(text, field, tmp_path):
     (tmp_path / "plan.toml").write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as refused:
-        read_planned(make_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True)))
+        read_or_plan_curves(make_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True)))
     assert refused.value.field == field
 
 

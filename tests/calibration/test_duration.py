@@ -88,7 +88,8 @@ def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypat
 @pytest.mark.slow
 def test_on_the_axis_there_is_nothing_to_wait_for(glued):
     campaign = make_whole_recording_campaign(calibration.load_campaign(glued))
-    problem = build_generalised_problem("neo_hooke", campaign, calibration.read_measured(campaign), SimulationCache())
+    problem = build_generalised_problem("neo_hooke", campaign, calibration.read_measured_curves(campaign),
+                                        SimulationCache())
     seconds = estimate_simulation_seconds(problem)
     assert list(seconds) == ["glued"] and seconds["glued"] > 0.0
     problem.tests = tuple(replace(test, solver="axisymmetric") for test in problem.tests)

@@ -13,7 +13,7 @@ import pytest
 import calibration
 import tissue_sim as ts
 from calibration import ColumnHints, ImportOptions
-from calibration.importing.imported import to_json
+from calibration.importing.imported import convert_import_to_json
 from scenes.cli import main
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -84,7 +84,7 @@ def test_tests_are_told_apart_by_name_speed_and_travel(tmp_path):
     imported = calibration.import_files(sorted(tmp_path.glob("*.csv")), wishes=wishes())
     assert {tuple(part.file.stem for part in test.parts) for test in imported.tests} == {
         ("run_1", "run_2"), ("run_3",), ("run_4",), ("gel_10",), ("gel_50",)}
-    assert imported.complete and imported.text.count("[test.columns]") == 0, "columns stand once, in [defaults]"
+    assert imported.is_complete and imported.text.count("[test.columns]") == 0, "columns stand once, in [defaults]"
     assert "fitted as one material" in imported.warnings[0]
 
 
@@ -93,7 +93,7 @@ def test_the_same_test_under_another_name_is_of_another_specimen(tmp_path):
         way = WAY * deepest / 3.0
         text(tmp_path, f"{name}.csv", "Time (s),Compression (mm),Load (N)\n" + numbers(way, way, way))
     imported = calibration.import_files(sorted(tmp_path.glob("*.csv")), wishes=wishes())
-    assert imported.complete, imported.problem
+    assert imported.is_complete, imported.problem
     assert {test.name: test.specimen for test in imported.tests} == {"A": "A", "B_1": "B_1", "B_slow": "A"}
 
 
@@ -109,7 +109,7 @@ def test_specimens_of_other_sizes_are_other_tests(tmp_path):
     sheets.save(tmp_path / book.name)
     for files in (sorted(tmp_path.glob("*.csv")), [tmp_path / book.name]):
         imported = calibration.import_files(files, wishes=ImportOptions(specimen={"height_mm": 12.0}))
-        assert imported.complete, (imported.missing, imported.problem)
+        assert imported.is_complete, (imported.missing, imported.problem)
         assert [lines[1].value for lines in imported.specimens.values()] == [10.0, 11.0]
 
 
@@ -129,7 +129,7 @@ def test_everything_that_is_missing_is_said_at_once_and_has_a_line(tmp_path, cap
     assert "missing" in caught.value.problem
     assert main(["import", str(path), "-o", str(campaign), "--overwrite", "--kind", "lubricated_compression",
                  "--radius-mm", "10", "--height-mm", "12", "--unit", "displacement=mm", "--scale", "force=2.5"]) == 0
-    curve, = calibration.read_measured(calibration.load_campaign(campaign))["run"]
+    curve, = calibration.read_measured_curves(calibration.load_campaign(campaign))["run"]
     np.testing.assert_allclose(curve.force, 2.5 * WAY, atol=1e-12)
 
 
@@ -144,8 +144,8 @@ def test_units_and_scales_of_a_headerless_file(tmp_path, unit, scale, newtons):
                     kind="lubricated_compression")
     imported = calibration.import_files([path], tmp_path / "c.toml", ImportOptions(
         stated, {"radius_mm": 10.0, "height_mm": 12.0}))
-    assert imported.complete, (imported.missing, imported.problem)
-    curve, = calibration.read_measured(calibration.load_campaign(imported.output))["run"]
+    assert imported.is_complete, (imported.missing, imported.problem)
+    curve, = calibration.read_measured_curves(calibration.load_campaign(imported.output))["run"]
     np.testing.assert_allclose(curve.force, newtons * WAY, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose(curve.displacement, 1e-3 * WAY, rtol=1e-5, atol=1e-12)
 
@@ -154,7 +154,7 @@ def test_stress_and_strain_are_taken_where_the_size_of_the_specimen_is_not_known
     path = text(tmp_path, "pull.csv", "Tensile test\nTime (s),Extension (mm),Load (N),Tensile strain (%),Stress (kPa)\n"
                 + numbers(WAY, WAY, WAY, 10 * WAY, 20 * WAY))
     imported = calibration.import_files([path], wishes=ImportOptions())
-    assert imported.complete and set(imported.files[0].readings[0].recordings[0].channels) == {
+    assert imported.is_complete and set(imported.files[0].readings[0].recordings[0].channels) == {
         "time", "stretch", "nominal stress"}
     np.testing.assert_allclose(imported.files[0].readings[0].recordings[0].channel("stretch"), 1 + 0.1 * WAY)
     with_size = calibration.import_files([path], wishes=wishes())
@@ -175,7 +175,7 @@ def test_sizes_and_speed_above_the_numbers(tmp_path):
                 "Geschwindigkeit: 30 mm/min\n\nWeg (mm);Kraft (N)\n"
                 + numbers(WAY, WAY, delimiter=";").replace(".", ","))
     imported = calibration.import_files([path])
-    assert imported.complete, imported.missing
+    assert imported.is_complete, imported.missing
     campaign = text(tmp_path, "c.toml", imported.text.replace(
         imported.text.split('recordings = ["')[1].split('"')[0], "gel.csv"))
     specimen, = calibration.load_campaign(campaign).specimens.values()
@@ -199,7 +199,7 @@ def test_cycles_are_counted(tmp_path):
     way = np.concatenate([np.linspace(0, 3, 21), np.linspace(3, 0, 21)[1:]] * 3)
     path = text(tmp_path, "c.csv", "Time (s),Compression (mm),Load (N)\n"
                 + numbers(0.1 * np.arange(way.size), way, way))
-    assert to_json(calibration.import_files([path]))["files"][0]["cycles"] == 3
+    assert convert_import_to_json(calibration.import_files([path]))["files"][0]["cycles"] == 3
 
 
 @pytest.mark.parametrize(("content", "words"), [
@@ -233,7 +233,7 @@ def test_all_bad_files_are_named(tmp_path):
     (["--sign", "force=2"], "must be 1 or -1"), (["--format", "zwik"], "did you mean 'zwick'"),
     (["--laws", "neo_hook"], "did you mean 'neo_hooke'"), (["--radius-mm", "1", "--area-mm2", "2"], "one of"),
     (["--column", "force=Nothing"], "has no column force = Nothing"), (["--delimiter", "ab"], "delimiter"),
-    (["-o", "campaign.txt"], "ends in .toml"), (["--unit", "force=N", "--unit", "force=mN"], "given twice")])
+    (["-o", "campaign.txt"], "output must end in .toml"), (["--unit", "force=N", "--unit", "force=mN"], "given twice")])
 def test_flags_that_make_no_sense(tmp_path, monkeypatch, capsys, flags, words):
     monkeypatch.chdir(tmp_path)
     path, = put(tmp_path, bluehill(1))
@@ -302,7 +302,7 @@ def test_blocks_side_by_side_of_different_length(tmp_path):
 def test_positions_count_from_the_first_sample_of_each_recording(tmp_path):
     paths = put(tmp_path, mach1(1, start=12.3), mach1(2, start=-4.0))
     imported = calibration.import_files(paths, wishes=wishes(kind="lubricated_compression"))
-    assert imported.complete and len(imported.tests) == 1
+    assert imported.is_complete and len(imported.tests) == 1
     for part in imported.tests[0].parts:
         assert part.reading.recordings[0].displacement[0] == 0.0
 
@@ -320,7 +320,7 @@ def test_air_before_the_contact_is_found_and_left_out(tmp_path, capsys):
     paths = sorted(tmp_path.glob("gel_*.csv"))
     imported = calibration.import_files(paths, tmp_path / "c.toml", wishes())
     assert imported.text.count('contact = "find"') == 1
-    for file, air in zip(to_json(imported)["files"], (0.4, 0.55, 0.7), strict=True):
+    for file, air in zip(convert_import_to_json(imported)["files"], (0.4, 0.55, 0.7), strict=True):
         low, high = file["contact_interval_mm"]
         assert low < air < high and high - low < 0.04
         assert [each["name"] for each in file["segments"]] == ["approach", "ramp"]
@@ -342,7 +342,7 @@ def test_a_rupture_ends_what_is_fitted(tmp_path):
     path = text(tmp_path, "strip.csv", "Time (s),Stretch,Nominal stress (kPa)\n"
                 + numbers(10 * strain, 1 + strain, stress))
     imported = calibration.import_files([path], tmp_path / "c.toml", ImportOptions(laws=("neo_hooke",)))
-    file, = to_json(imported)["files"]
+    file, = convert_import_to_json(imported)["files"]
     assert file["failure"]["mode"] == "rupture" and file["failure"]["at_strain"] == pytest.approx(0.8, abs=0.006)
     assert 'failure = "cut"' in imported.text and "ruptures" in imported.warnings[0]
     result, = calibration.calibrate([imported.output], tmp_path / "out", figures=False)
@@ -392,7 +392,7 @@ def test_every_measured_set_goes_from_raw_files_to_a_report(data_folder, tmp_pat
     assert files
     # Without the picture, which takes as long as all the rest.
     imported = calibration.import_files(files, wishes=ImportOptions(ColumnHints(**stated), laws=("neo_hooke",)))
-    assert imported.complete, (imported.missing, imported.problem)
+    assert imported.is_complete, (imported.missing, imported.problem)
     text(tmp_path, "set.toml", imported.text)
     result, = calibration.calibrate(["set.toml"], tmp_path / "report", figures=False)
     assert (tmp_path / "report" / "report.html").is_file()
@@ -427,4 +427,4 @@ def test_afm_files_lack_the_specimen_and_the_tip(data_folder, tmp_path):
     chiaro, = folder.glob("*chiaro*.zip")
     imported = calibration.import_files([chiaro], wishes=ImportOptions(
         specimen={"radius_mm": 0.3, "height_mm": 0.2}))
-    assert imported.complete and "tool_radius_mm = 0.0275" in imported.text
+    assert imported.is_complete and "tool_radius_mm = 0.0275" in imported.text

@@ -42,7 +42,7 @@ def test_a_size_below_the_last_of_several_tables_that_contradicts_those_above_is
 
 def test_equal_sizes_above_and_below_several_tables_are_no_question(tmp_path):
     text = f"Tensile test\n{sizes()}\nSpecimen 1\n{block()}\nSpecimen 2\n{block()}\n{sizes()}"
-    assert imported(tmp_path, text).complete
+    assert imported(tmp_path, text).is_complete
     assert fitted_modulus(tmp_path) == pytest.approx(MODULUS_PA, rel=1e-3)
 
 
@@ -59,7 +59,7 @@ def test_sizes_above_or_below_each_table_are_about_that_table(tmp_path, below):
     parts = [(f"Specimen {i}\n{block(**strip)}\n", f"{sizes(**strip)}\n") for i, strip in enumerate(strips, start=1)]
     text = "Tensile test\n" + "".join(f"{rows}{size}" if below else f"{size}{rows}" for rows, size in parts)
     found = imported(tmp_path, text)
-    assert found.complete, found.questions
+    assert found.is_complete, found.questions
     assert sorted(line.value for lines in found.specimens.values() for line in lines if line.key == "area_mm2") == [
         10.0, 12.0, 15.0]
     assert fitted_modulus(tmp_path) == pytest.approx(MODULUS_PA, rel=1e-3)
@@ -70,5 +70,5 @@ def test_files_of_strips_with_different_widths_are_no_replicates_of_one_specimen
         (tmp_path / f"strip_{number}.csv").write_text(f"Tensile test\n{sizes(width)}\n{block(width)}")
     found = calibration.import_files([tmp_path / "strip_1.csv", tmp_path / "strip_2.csv"], tmp_path / "c.toml",
                                      calibration.ImportOptions(laws=("neo_hooke",)))
-    assert found.complete, found.questions
+    assert found.is_complete, found.questions
     assert fitted_modulus(tmp_path) == pytest.approx(MODULUS_PA, rel=1e-3)

@@ -64,7 +64,7 @@ def test_a_held_force_without_noise_has_two_explanations(tmp_path, control):
     if control is None:
         assert ["--control force" in each and "--control displacement" in each for each in found.questions] == [True]
         return
-    assert found.complete and f'control = "{control}"' in found.text
+    assert found.is_complete and f'control = "{control}"' in found.text
     assert any("a saturated sensor" in warning for warning in found.warnings) == (control == "displacement")
     best = fit(tmp_path)
     assert best.unusable is None
@@ -118,11 +118,11 @@ def test_a_temperature_with_an_unknown_unit_is_left_aside(tmp_path, header):
     way = np.linspace(0.0, 3.0, 40)
     columns = [np.arange(40.0), way, press(way), 21 + RNG.random(40)]
     found = imported(tmp_path, CYLINDER + header, columns[-1:] + columns[:-1] if header[:4] == "Temp" else columns)
-    assert found.complete and "Temperature" in found.files[0].readings[0].unused[0]
+    assert found.is_complete and "Temperature" in found.files[0].readings[0].unused[0]
     assert fit(tmp_path).mu0 == pytest.approx(MODULUS_PA, rel=1e-3)
 
 
 def test_an_unknown_unit_of_a_column_that_is_needed_is_asked_for(tmp_path):
     way = np.linspace(0.0, 3.0, 40)
     found = imported(tmp_path, CYLINDER + "Time,Displacement,Force\ns,quux,N\n", [np.arange(40.0), way, press(way)])
-    assert not found.complete and any("--unit displacement" in each for each in found.missing)
+    assert not found.is_complete and any("--unit displacement" in each for each in found.missing)

@@ -26,12 +26,12 @@ def test_an_export_is_read_and_imported(tmp_path, monkeypatch, name):
     understood, = imported.files
     assert understood.format == export.machine
     assert {test.kind for test in imported.tests} == {export.kind}
-    assert imported.complete == (export.kind is not None), (imported.missing, imported.problem)
+    assert imported.is_complete == (export.kind is not None), (imported.missing, imported.problem)
     if export.kind is None:
         assert imported.missing == ("the kind of test (--kind)",)
         stated = calibration.ImportOptions(calibration.ColumnHints(kind="lubricated_compression"), SIZES.specimen)
         imported = calibration.import_files([path], wishes=stated)
-        assert imported.complete, imported.problem
+        assert imported.is_complete, imported.problem
     Path("campaign.toml").write_text(imported.text, encoding="utf-8")
     campaign = calibration.load_campaign("campaign.toml")
     read = [recording for test in campaign.tests for file in test.recordings

@@ -36,7 +36,7 @@ def load(path, **stated):
 
 
 def shear_modulus(imported, folder):
-    assert imported.complete, (imported.missing, imported.questions, imported.problem)
+    assert imported.is_complete, (imported.missing, imported.questions, imported.problem)
     result, = calibration.calibrate([imported.output], folder / "out", figures=False, overwrite=True)
     return 2.0 * result.best.parameters["C10"]
 
@@ -213,7 +213,7 @@ def test_of_two_loads_the_corrected_one_is_read_and_equal_names_are_a_question(t
     question, = load(path).questions
     assert '--column force="Load 2 (N)"' in question
     path = write(tmp_path, "Extension (mm),Load 1 (N),Load 2 (N)", way, force, 1.005 * force, above=SHEET)
-    assert load(path).complete
+    assert load(path).is_complete
 
 
 def test_a_campaign_with_an_open_question_is_refused(tmp_path):
@@ -260,7 +260,7 @@ def test_sheets_of_other_tests_are_left_out_with_a_note(tmp_path):
     (["--sign", "temperature=1"], "no column of temperature is read"), (["--sheet", "1"], "only spreadsheets"),
     (["--measure", "force=true"], "measure of force must be"), (["--measure", "stress=logarithmic"], "must be one of"),
     (["--format", "native"], "format must be one of"), (["--overwrite"], "has an effect only with -o"),
-    (["--column", "strain=2", "--column", "stretch=2"], "a strain is read as a stretch")])
+    (["--column", "strain=2", "--column", "stretch=2"], "but a strain is read as a stretch. Leave out")])
 def test_a_flag_without_effect_is_refused(tmp_path, capsys, flags, words):
     path = write(tmp_path, "Time (s),Displacement (mm),Force (N)", STRETCH, 10 * (1 - SHORT), -COMPRESSED * AREA,
                  above="Unconfined compression\n\n")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import calibration
-from calibration.importing.imported import to_json
+from calibration.importing.imported import convert_import_to_json
 from tissue_sim.errors import InputError
 
 HEAD = "Compression test\nDiameter,20,mm\nHeight,12,mm\n\nTime (s),Displacement (mm),Force (N)\n"
@@ -61,7 +61,7 @@ def changed(values, samples, value):
     (WAY, changed(force(WAY), [30, 65], [0.0, 0.0]), [31, 66]), (changed(WAY, 30, 9.0), force(WAY), [31])])
 def test_outliers_are_listed_in_the_campaign_and_do_not_move_the_modulus(tmp_path, way, load, samples):
     imported, fit = imported_and_fitted(tmp_path, write(tmp_path, way, load + noise(TIME.size)))
-    assert f"leave_out = {samples}" in imported.text and imported.complete
+    assert f"leave_out = {samples}" in imported.text and imported.is_complete
     assert f"sample {samples[0]} left out" in imported.warnings[0]
     assert fit.mu0 == pytest.approx(20e3, rel=0.01)
     columns = {column.channel: column for column in imported.files[0].readings[0].columns}
@@ -98,7 +98,7 @@ def test_a_saturated_load_cell_is_cut_off(tmp_path):
 @pytest.mark.parametrize("shift", [0.2, 0.4, 0.8])
 def test_a_displacement_zeroed_at_a_preload(tmp_path, shift):
     imported, fit = imported_and_fitted(tmp_path, write(tmp_path, WAY, force(WAY + shift) + noise(TIME.size)))
-    assert imported.complete and 'offset = "fit"' in imported.text
+    assert imported.is_complete and 'offset = "fit"' in imported.text
     assert fit.mu0 == pytest.approx(20e3, rel=0.02)
     assert abs(fit.parameters["C10"] - 10e3) < 3 * fit.standard_errors["C10"]
 
@@ -106,7 +106,7 @@ def test_a_displacement_zeroed_at_a_preload(tmp_path, shift):
 @pytest.mark.parametrize("offset", [-0.2, -0.65])
 def test_a_force_against_the_load_is_the_zero_of_the_load_cell(tmp_path, offset):
     imported, fit = imported_and_fitted(tmp_path, write(tmp_path, WAY, force(WAY) + offset + noise(TIME.size)))
-    assert imported.complete and not imported.questions and "offset = 0." in imported.text
+    assert imported.is_complete and not imported.questions and "offset = 0." in imported.text
     assert any(each.subject == "zero of displacement and force" for _, each in imported.assumptions)
     assert fit.mu0 == pytest.approx(20e3, rel=0.01)
 
@@ -124,7 +124,7 @@ def test_a_campaign_by_hand_with_a_load_cell_that_was_not_zeroed_is_not_usable(t
 
 def test_a_load_cell_that_was_not_zeroed(tmp_path):
     imported, fit = imported_and_fitted(tmp_path, write(tmp_path, WAY, force(WAY) + 0.65 + noise(TIME.size)))
-    assert imported.complete and "offset = -0.6" in imported.text
+    assert imported.is_complete and "offset = -0.6" in imported.text
     assert fit.mu0 == pytest.approx(20e3, rel=0.01)
 
 
@@ -132,7 +132,7 @@ def test_a_load_that_may_jump_from_zero_is_a_question(tmp_path):
     load = force(WAY) + 20.0 + noise(TIME.size)
     path = write(tmp_path, WAY, changed(load, 0, -0.01))
     imported = calibration.import_files([path], tmp_path / "gel.toml", wishes())
-    assert not imported.complete and "--zero sensor" in imported.questions[0]
+    assert not imported.is_complete and "--zero sensor" in imported.questions[0]
     against, = (each.against for _, each in imported.assumptions if each.subject == "zero of displacement and force")
     assert "the load cell was zeroed and the force jumps" in against[0]
 
@@ -140,10 +140,10 @@ def test_a_load_that_may_jump_from_zero_is_a_question(tmp_path):
 def test_a_load_at_zero_that_the_curve_does_not_explain_is_a_question(tmp_path):
     path = write(tmp_path, WAY, force(WAY + 0.4) + noise(TIME.size, 0.05))
     imported = calibration.import_files([path], tmp_path / "gel.toml", wishes())
-    assert not imported.complete and "--zero preload" in imported.questions[0]
+    assert not imported.is_complete and "--zero preload" in imported.questions[0]
     (tmp_path / "stated").mkdir()
     imported, fit = imported_and_fitted(tmp_path / "stated", path, zero="preload")
-    assert imported.complete and fit.mu0 == pytest.approx(20e3, rel=0.05)
+    assert imported.is_complete and fit.mu0 == pytest.approx(20e3, rel=0.05)
 
 
 def test_a_campaign_by_hand_names_the_preload_and_widens_the_prior_of_the_offset(tmp_path):
@@ -199,8 +199,8 @@ def test_an_oscillation_out_of_phase_is_refused(tmp_path):
     time = np.arange(0.0, 5.0, 0.02)
     way, load = 1.0 + 0.2 * np.sin(2 * np.pi * time), 2.0 + 0.4 * np.sin(2 * np.pi * time + 0.2)
     imported = calibration.import_files([write(tmp_path, way, load, time)], tmp_path / "gel.toml", wishes())
-    assert not imported.complete and "oscillation" in imported.problem
-    assert "oscillation" in to_json(imported)["problem"]
+    assert not imported.is_complete and "oscillation" in imported.problem
+    assert "oscillation" in convert_import_to_json(imported)["problem"]
 
 
 def test_a_wrong_first_displacement_before_a_sudden_load_leaves_the_zero_open(tmp_path):
@@ -209,7 +209,7 @@ def test_a_wrong_first_displacement_before_a_sudden_load_leaves_the_zero_open(tm
     way = np.where(time > 0, 0.6 * level * (1 + 0.2 * (1 - np.exp(-(time % 40) / 8))), -5.0)
     load = np.where(time > 0, force(0.6 * level), 0.0) + noise(time.size, 0.001)
     imported = calibration.import_files([write(tmp_path, way, load, time)], tmp_path / "gel.toml", wishes())
-    assert not imported.complete and "the zero of the displacement is not known" in imported.problem
+    assert not imported.is_complete and "the zero of the displacement is not known" in imported.problem
 
 
 def test_the_verdict_names_columns_that_are_not_used_and_a_preload_that_the_contact_covers(tmp_path):
@@ -240,4 +240,4 @@ def test_a_lost_loading_of_a_creeping_material_is_not_fitted(tmp_path):
     way = np.where(time > 0, 1.2 * (1 + 0.4 * (1 - np.exp(-time / 12))), 0.0)
     load = np.where(time > 0, force(1.2), 9999.0) + noise(time.size, 0.01)
     imported = calibration.import_files([write(tmp_path, way, load, time)], tmp_path / "gel.toml", wishes())
-    assert not imported.complete and "the loading from rest must be recorded" in imported.problem
+    assert not imported.is_complete and "the loading from rest must be recorded" in imported.problem

@@ -26,7 +26,7 @@ def fitted(folder, path, **wishes):
     """mu0 of the campaign that an import writes, Pa."""
     imported = calibration.import_files([path], folder / "c.toml", ImportOptions(
         laws=("neo_hooke",), **{"stated": ColumnHints(kind="lubricated_compression"), **wishes}))
-    assert imported.complete, (imported.missing, imported.questions, imported.problem)
+    assert imported.is_complete, (imported.missing, imported.questions, imported.problem)
     result, = calibration.calibrate([folder / "c.toml"], folder / "r", figures=False)
     return 2.0 * result.best.parameters["C10"]
 
@@ -76,7 +76,7 @@ def test_a_separator_that_fits_both_readings_is_a_question_and_a_flag_answers_it
     assert main(arguments) == 1
     assert '--decimal "."' in " ".join(capsys.readouterr().out.split())
     assert main([*arguments, "--decimal", "."]) == 0
-    curve, = calibration.read_measured(calibration.load_campaign(tmp_path / "c.toml"))["gel"]
+    curve, = calibration.read_measured_curves(calibration.load_campaign(tmp_path / "c.toml"))["gel"]
     assert np.ptp(curve.force) == pytest.approx(1e-3 * np.ptp(load_mN()), rel=1e-3)
 
 
@@ -141,7 +141,7 @@ def test_sizes_that_contradict_each_other_are_a_question(tmp_path, text, words):
     question, = calibration.import_files([path], wishes=wishes).questions
     assert words in question
     flags = {"radius_mm": 10.0, "height_mm": 12.0}
-    assert calibration.import_files([path], wishes=ImportOptions(wishes.stated, flags)).complete
+    assert calibration.import_files([path], wishes=ImportOptions(wishes.stated, flags)).is_complete
 
 
 #: Ten samples of a strip or block in tension or shear.
@@ -178,7 +178,8 @@ def test_a_contradiction_below_a_repeated_header_is_a_question(tmp_path):
 
 def test_sizes_that_differ_by_their_rounding_do_not_contradict(tmp_path):
     path = put(tmp_path, LINES + "Area,314,mm2\nRadius,10.0,mm\n" + compression())
-    assert calibration.import_files([path], wishes=ImportOptions(ColumnHints(kind="lubricated_compression"))).complete
+    wishes = ImportOptions(ColumnHints(kind="lubricated_compression"))
+    assert calibration.import_files([path], wishes=wishes).is_complete
 
 
 def test_a_size_without_unit_is_not_said_to_be_absent(tmp_path):
@@ -204,7 +205,7 @@ def test_titles_of_different_materials_are_tests_of_their_own_and_a_question(tmp
     assert "--curve 2" in question and "--one-material" in question
     one = calibration.import_files([path], wishes=ImportOptions(
         ColumnHints(kind="lubricated_compression", one_material=True)))
-    assert one.complete and len(one.tests[0].parts[0].motions) == 2
+    assert one.is_complete and len(one.tests[0].parts[0].motions) == 2
     second = ColumnHints(kind="lubricated_compression", curve=2)
     assert fitted(tmp_path, path, stated=second) == pytest.approx(40e3, rel=2e-3)
 
@@ -215,7 +216,7 @@ def test_titles_of_different_materials_are_tests_of_their_own_and_a_question(tmp
 def test_titles_that_differ_by_a_running_number_are_replicates(tmp_path, titles):
     imported = calibration.import_files([put(tmp_path, blocks(*titles))], wishes=ImportOptions(
         ColumnHints(kind="lubricated_compression")))
-    assert imported.complete and len(imported.tests[0].parts[0].motions) == 2
+    assert imported.is_complete and len(imported.tests[0].parts[0].motions) == 2
 
 
 def test_each_material_keeps_its_own_tables(tmp_path):
@@ -226,7 +227,7 @@ def test_each_material_keeps_its_own_tables(tmp_path):
     text = (tmp_path / "c.toml").read_text(encoding="utf-8")
     assert "questions = " in text
     (tmp_path / "c.toml").write_text(re.sub(r"questions = \[[^\]]*\]", "", text), encoding="utf-8")
-    curves = calibration.read_measured(calibration.load_campaign(tmp_path / "c.toml"))
+    curves = calibration.read_measured_curves(calibration.load_campaign(tmp_path / "c.toml"))
     peaks = [[float(curve.force.max()) for curve in several] for several in curves.values()]
     assert imported.problem is None and peaks[0][0] == peaks[0][1] and peaks[1][0] == pytest.approx(2 * peaks[0][0])
 
@@ -238,7 +239,7 @@ def test_replicates_with_and_without_separators_stay_replicates(tmp_path):
     imported = calibration.import_files(sorted(tmp_path.glob("*.txt")), wishes=ImportOptions(
         ColumnHints(kind="lubricated_compression"), {"radius_mm": 10.0, "height_mm": 12.0}))
     test, = imported.tests
-    assert len(test.parts) == 2 and imported.complete
+    assert len(test.parts) == 2 and imported.is_complete
 
 
 def test_sizes_that_no_word_names_are_shown_and_asked_for(tmp_path):
@@ -278,7 +279,7 @@ def test_tables_of_equal_forces_contradict_a_list_of_different_sizes(tmp_path):
     noise = np.random.default_rng(2).normal(0.0, 200.0, (3, WAY_MM.size))
     path = put(tmp_path, listed([load_mN() + each for each in noise]))
     imported = calibration.import_files([path], tmp_path / "c.toml")
-    assert not imported.complete
+    assert not imported.is_complete
     assert "the file contradicts itself" in imported.questions[0] and "--curve" in imported.questions[0]
     wishes = ImportOptions(specimen={"radius_mm": 25.0, "height_mm": 30.0})
     assert calibration.import_files([path], None, wishes).questions == ()

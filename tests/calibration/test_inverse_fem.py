@@ -84,7 +84,7 @@ def problem_of(folder, text, law="reduced_polynomial_2", solves=None):
     path = folder / "study.toml"
     path.write_text(text, encoding="utf-8")
     campaign = calibration.load_campaign(path)
-    return campaign, build_generalised_problem(law, campaign, calibration.read_measured(campaign),
+    return campaign, build_generalised_problem(law, campaign, calibration.read_measured_curves(campaign),
                                                solves or SimulationCache())
 
 
@@ -188,7 +188,7 @@ class TestProblem:
         # The minimum of a linear problem.
         assert problem.evaluate(descent.theta).sum_of_squares < problem.evaluate(descent.theta * 1.001).sum_of_squares
         assert problem.evaluate(descent.theta).sum_of_squares < problem.evaluate(descent.theta * 0.999).sum_of_squares
-        space = ParameterSpace.of("reduced_polynomial_2", campaign)
+        space = ParameterSpace.from_campaign("reduced_polynomial_2", campaign)
         one, factor = space.normalise_moduli({"C10": 3.0, "C20": 1.5})
         other, larger = space.normalise_moduli({"C10": 3e4, "C20": 1.5e4})
         assert one == other
@@ -213,7 +213,7 @@ class TestStarts:
     def test_starts_differ_and_keep_the_bounds(self, plates):
         text = campaign_text("lubricated") + "\n[fit.bounds]\nC20 = [0.0, 1000.0]\n"
         campaign, _ = problem_of(plates, text)
-        found = generate_starting_values(ParameterSpace.of("reduced_polynomial_2", campaign), 7)
+        found = generate_starting_values(ParameterSpace.from_campaign("reduced_polynomial_2", campaign), 7)
         assert len({tuple(theta) for theta in found}) == 7
         assert found[0].tolist() == [1400.0, 600.0]
         assert all(0.0 <= theta[1] <= 1000.0 for theta in found)
@@ -223,9 +223,9 @@ class TestStarts:
         text = campaign_text("lubricated").replace("reduced_polynomial_2", law).replace(
             "start = { C10 = 1400.0, C20 = 600.0 }", "")
         campaign, _ = problem_of(plates, text, law)
-        space = ParameterSpace.of(law, campaign)
+        space = ParameterSpace.from_campaign(law, campaign)
         for theta in generate_starting_values(space, 5):
-            assert space.material(space.values(theta)).mu0 > 0
+            assert space.build_material(space.values(theta)).mu0 > 0
 
 
 class TestStudy:

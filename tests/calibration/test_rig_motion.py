@@ -68,7 +68,7 @@ def study(folder, kind="lubricated_compression", tool="", start="", fixed="", de
     path.write_text(CAMPAIGN.format(kind=kind, tool=tool, start=start, fixed=fixed), encoding="utf-8")
     campaign = make_whole_recording_campaign(calibration.load_campaign(path))
     solves = SimulationCache()
-    problem = build_generalised_problem("neo_hooke", campaign, calibration.read_measured(campaign), solves)
+    problem = build_generalised_problem("neo_hooke", campaign, calibration.read_measured_curves(campaign), solves)
     return problem.tests[0], problem.space, solves
 
 

@@ -85,7 +85,7 @@ def test_a_failure_is_cut_kept_or_refused(tmp_path):
     cut, = calibration.calibrate([path], tmp_path / "cut", figures=False)
     assert "the specimen ruptures" in cut.message and "fitted up to this sample" in cut.message
     assert pytest.approx(6 * C10, rel=0.02) == cut.best.E0
-    for curve in calibration.read_measured(calibration.load_campaign(path))["lubricated_compression"]:
+    for curve in calibration.read_measured_curves(calibration.load_campaign(path))["lubricated_compression"]:
         assert curve.displacement.max() == pytest.approx(2.5e-3 * (1 - 50 / 250) - AIR, abs=0.05e-3)
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace(everything, everything + 'failure = "keep"\n'), encoding="utf-8")
@@ -102,7 +102,8 @@ def test_preconditioning_is_left_out_of_an_elastic_fit(tmp_path):
     result = fitted(tmp_path, 'contact = "find"', figures=False)
     assert "preconditioning of cycle 4" in result.message and "left out" in result.message
     assert pytest.approx(6 * C10, rel=0.02) == result.best.E0
-    curve = calibration.read_measured(calibration.load_campaign(tmp_path / "study.toml"))["lubricated_compression"][0]
+    campaign = calibration.load_campaign(tmp_path / "study.toml")
+    curve = calibration.read_measured_curves(campaign)["lubricated_compression"][0]
     assert np.all(np.diff(curve.displacement) > 0) and curve.displacement[0] >= 0
     assert "before contact" not in result.message
 

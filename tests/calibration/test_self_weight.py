@@ -151,12 +151,12 @@ def test_intervals_hold_the_truth_with_jitter(tmp_path):
 def test_slopes_of_the_forward_model(tmp_path, weighs):
     path = write_campaign(tmp_path, [compression()], f"radius_mm = 40.0\nheight_mm = 70.0\n{GRAVITY if weighs else ''}")
     campaign = calibration.load_campaign(path)
-    (test,), (curves,) = campaign.tests, calibration.read_measured(campaign).values()
+    (test,), (curves,) = campaign.tests, calibration.read_measured_curves(campaign).values()
     # Before the touch, on the way, and the deepest point, which stays: the curve is sampled alike.
     places = STUDY.height * np.array([-0.05, 0.02, 0.07, 0.14])
     form = build_analytical_test(test, [replace(curves[0], displacement=places, force=np.zeros(4))], campaign.fit)
     assert isinstance(form, ColumnTest) == weighs
-    space, width = ParameterSpace.of("reduced_polynomial_2", campaign), 1e-6 * STUDY.height
+    space, width = ParameterSpace.from_campaign("reduced_polynomial_2", campaign), 1e-6 * STUDY.height
     answer = form.solve(space, np.array(list(PHANTOM.values())), SimulationCache())
     force, rates, contact = form.evaluate_force(answer, 0, 0.0)
     assert force[0] == contact[0] == 0 and not rates[0].any()

@@ -10,8 +10,8 @@ from solid_meshes import write_hexahedra
 
 import calibration
 import tissue_sim as ts
-from calibration.campaign.digest import compute_digest
-from calibration.campaign.named_files import absolute_path, rename_files
+from calibration.campaign.digest import compute_input_digest
+from calibration.campaign.named_files import get_absolute_path, replace_file_names
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.forms import build_forward_test, compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, SolverMeshes, make_exact_block_mesh
@@ -102,7 +102,7 @@ def test_every_shape_is_one_of_the_solid_in_space(folder, stated, shape, kind, t
     campaign = load(folder, stated, kind, test)
     asked, = campaign.tests
     assert (asked.solver, asked.specimen.shape, asked.experiment.specimen) == ("solid", shape, asked.specimen)
-    forward = build_forward_test(asked, calibration.read_measured(campaign)[asked.name], campaign.fit, 0.0)
+    forward = build_forward_test(asked, calibration.read_measured_curves(campaign)[asked.name], campaign.fit, 0.0)
     assert forward.solver == "solid" and forward.specimen is asked.specimen
     assert forward.is_homogeneous == (shape == "block" and kind == "lubricated_compression")
 
@@ -138,7 +138,7 @@ def test_a_mesh_counts_by_what_is_in_its_file(folder, tmp_path_factory):
     """Another folder is the same specimen, another content another: solutions and results are found again by that."""
     def keys():
         campaign = load(folder, MESH)
-        return hash_content(campaign.tests[0].experiment), compute_digest(campaign, [])
+        return hash_content(campaign.tests[0].experiment), compute_input_digest(campaign, [])
 
     first = keys()
     elsewhere = tmp_path_factory.mktemp("elsewhere") / "other.vtu"
@@ -162,10 +162,10 @@ def test_recordings_know_the_specimen_that_they_are_of(folder, monkeypatch, coar
     said = ts.read_recording(folder / "run_1.csv").metadata["specimen"]
     sizes = "".join(f"\n{key} = {json.dumps(value)}" for key, value in said.items() if key != "shape")
     assert load(folder, f'shape = "{said["shape"]}"{sizes}').specimens == load(folder, stated).specimens
-    calibration.read_measured(load(folder, stated))
+    calibration.read_measured_curves(load(folder, stated))
     other = BLOCK if stated == MESH else MESH
     with pytest.raises(ts.InputError, match=rf"specimen\[0\].shape: .* states a {said['shape']}"):
-        calibration.read_measured(load(folder, other))
+        calibration.read_measured_curves(load(folder, other))
 
 
 @pytest.mark.slow
@@ -287,10 +287,10 @@ def test_a_lump_is_fitted_beside_a_sample_of_what_is_around_it(tmp_path, coarse)
     ts.write_recording(ts.Recording({"time": np.arange(41.0), "displacement": 0.02 * (stretch - 1.0), "force": force}),
                        tmp_path / "sample.csv")
     (tmp_path / "study.toml").write_text(LUMPY, encoding="utf-8")
-    space = ParameterSpace.of("neo_hooke", calibration.load_campaign(tmp_path / "study.toml"))
+    space = ParameterSpace.from_campaign("neo_hooke", calibration.load_campaign(tmp_path / "study.toml"))
     start = {"C10": 450.0, "regions.part:2.C10": 1500.0}
-    assert space.material(start, test="organ").regions.keys() == {"part:2"}
-    assert not space.material(start, test="sample").regions
+    assert space.build_material(start, test="organ").regions.keys() == {"part:2"}
+    assert not space.build_material(start, test="sample").regions
     result, = calibration.calibrate([tmp_path / "study.toml"], tmp_path / "out", figures=False)
     fit = result.best
     low, high = fit.intervals95["regions.part:2.C10"]
@@ -359,7 +359,7 @@ def test_a_block_that_weighs_is_fitted_with_exact_derivatives(tmp_path, coarse, 
 
 def test_what_a_mesh_of_a_file_errs_by_is_told_from_two_orders(folder, coarse):
     campaign = load(folder, MESH)
-    curves = calibration.read_measured(campaign)["bonded_compression"]
+    curves = calibration.read_measured_curves(campaign)["bonded_compression"]
     forward = build_forward_test(campaign.tests[0], curves, campaign.fit, 0.0)
     assert compute_mesh_uncertainty(forward, ACCURATE_MESH_ERRORS) == 0.1
     forward.correction = [np.array([0.0, -0.004])]
@@ -382,7 +382,7 @@ def test_import_writes_a_campaign_of_a_stated_shape(folder, monkeypatch, capsys)
 
 def test_a_campaign_that_is_written_elsewhere_finds_its_mesh(folder):
     content = {"specimen": [{"shape": "mesh", "mesh": "cube.vtu", "mesh_unit": "mm"}], "test": []}
-    table, = rename_files(content, folder, absolute_path)["specimen"]
+    table, = replace_file_names(content, folder, get_absolute_path)["specimen"]
     assert table == {"shape": "mesh", "mesh": str((folder / "cube.vtu").resolve()), "mesh_unit": "mm"}
 
 
@@ -426,13 +426,13 @@ def test_recordings_of_cylinders_are_none_of_blocks(folder, said, taken):
     """Older ones have the sizes of a cylinder and no shape; some have no more than a height."""
     write_run(folder, np.linspace(0.0, 2e-3, 9), np.linspace(0.0, 0.2, 9), specimen=said)
     if taken:
-        assert len(calibration.read_measured(load(folder))["bonded_compression"]) == 1
+        assert len(calibration.read_measured_curves(load(folder))["bonded_compression"]) == 1
     else:
         with pytest.raises(ts.InputError, match="states a cylinder") as caught:
-            calibration.read_measured(load(folder))
+            calibration.read_measured_curves(load(folder))
         assert caught.value.field == "specimen[0].shape"
     cylinder = 'shape = "cylinder"\nradius_mm = 10.0\nheight_mm = 20.0'
-    assert len(calibration.read_measured(load(folder, cylinder))["bonded_compression"]) == 1
+    assert len(calibration.read_measured_curves(load(folder, cylinder))["bonded_compression"]) == 1
 
 
 def test_a_prism_may_be_any_shape(folder):
@@ -440,5 +440,5 @@ def test_a_prism_may_be_any_shape(folder):
     write_run(folder, np.linspace(0.0, 2e-3, 9), np.linspace(0.0, 0.2, 9),
               specimen={"shape": "block", "length_mm": 20.0, "width_mm": 20.0, "height_mm": 20.0})
     prism = 'shape = "prism"\narea_mm2 = 400.0\nheight_mm = 20.0'
-    measured = calibration.read_measured(load(folder, prism, "lubricated_compression"))
+    measured = calibration.read_measured_curves(load(folder, prism, "lubricated_compression"))
     assert [len(curves) for curves in measured.values()] == [1]

@@ -10,7 +10,7 @@ import pytest
 import calibration
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.measured import read_measured
+from calibration.campaign.measured import read_measured_curves
 from calibration.fit.determination import assess_modulus_precision
 from calibration.fit.usability import compute_displacement_r_squared, list_screening_contradictions
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
@@ -123,7 +123,8 @@ def test_ogden_tends_to_the_energy_of_hencky():
     for alpha in (0.0, -0.0, 1e-9, -5e-5):
         found = law.nominal_stress(stretch, {"mu1": 1000.0, "alpha1": alpha})
         assert found == pytest.approx(3.0 * 1000.0 * np.log(stretch) / stretch, rel=1e-4)
-    assert law.at_limit({"mu1": 1.0, "alpha1": 1e-3}) and not law.at_limit({"mu1": 1.0, "alpha1": -0.5})
+    assert law.describe_parameters_at_limit({"mu1": 1.0, "alpha1": 1e-3})
+    assert not law.describe_parameters_at_limit({"mu1": 1.0, "alpha1": -0.5})
 
 
 def test_a_law_that_fails_leaves_the_others(tmp_path, monkeypatch):
@@ -187,7 +188,7 @@ def test_noise_is_no_misfit_and_a_precise_wrong_law_is(tmp_path):
 def curve(tmp_path):
     """A recording as it is fitted."""
     campaign = load_campaign(write(tmp_path, [compression()], ["neo_hooke"]))
-    return read_measured(campaign)["gel"][0]
+    return read_measured_curves(campaign)["gel"][0]
 
 
 def test_screening_contradicts_an_elastic_law(curve):

@@ -126,8 +126,27 @@ def test_the_new_name_wins_over_the_old_one():
         assert Both().old() == "new"
 
 
-@pytest.mark.parametrize(("old", "new"), [("Wishes", "ImportOptions"), ("Stated", "ColumnHints")])
-def test_old_names_of_the_import_give_the_new_classes_and_warn(old, new):
+@pytest.mark.parametrize(("old", "new"), [("Wishes", "ImportOptions"), ("Stated", "ColumnHints"),
+                                          ("Imported", "ImportResult"), ("read_measured", "read_measured_curves")])
+def test_old_names_of_calibration_give_the_new_members_and_warn(old, new):
     calibration = import_module("calibration")
     with pytest.warns(DeprecationWarning, match=rf"^calibration\.{old} is renamed to calibration\.{new}$"):
         assert getattr(calibration, old) is getattr(calibration, new)
+
+
+@pytest.mark.parametrize(("module", "owner", "old", "new"), [
+    ("calibration.importing.imported", "ImportResult", "complete", "is_complete"),
+    ("calibration.effects.situation", "Situation", "curves", "fitted_curves"),
+    ("calibration.effects.situation", "Situation", "require_new", "require_unused_parameter"),
+    ("calibration.effects.situation", "Situation", "step_and_duration", "sampling_interval_and_duration")])
+def test_old_members_of_a_class_give_the_new_members_and_warn(module, owner, old, new):
+    kind = getattr(import_module(module), owner)
+    with pytest.warns(DeprecationWarning, match=rf"^{owner}\.{old} is renamed to {new}$"):
+        assert getattr(kind, old) is getattr(kind, new)
+
+
+@pytest.mark.parametrize("module", ["calibration.effects.effect", "calibration.effects.situation"])
+def test_the_old_name_of_the_experiment_of_a_test_warns(module):
+    effects = import_module(module)
+    with pytest.warns(DeprecationWarning, match="experiment_of is renamed to .*get_experiment"):
+        assert effects.experiment_of is effects.get_experiment

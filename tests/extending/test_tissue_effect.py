@@ -66,7 +66,7 @@ def test_the_force_is_what_it_leaves(seepage):
 def test_its_parameters_are_those_of_the_model(seepage):
     tissue = model(material(seepage(LOST, TIME)))
     found = parameters(tissue)["material.effects.seepage.time"]
-    assert (found.value, found.symbol, found.file_path) == (TIME, "tau_s", "material.effects.seepage.time_s")
+    assert (found.value, found.symbol, found.path_in_file) == (TIME, "tau_s", "material.effects.seepage.time_s")
     answer = ts.sensitivities(tissue, ["effects.seepage.share_lost", "C10"])
     assert answer.exact.tolist() == [False, True]
     plain = ts.simulate(model(material()))

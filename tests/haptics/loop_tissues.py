@@ -20,7 +20,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
-from tissue_sim.tool_force import ForceStatus, ToolForce, depth_of
+from tissue_sim.tool_force import ForceStatus, ToolForce, get_depth_of_pose
 
 
 class Spring:
@@ -33,7 +33,7 @@ class Spring:
         self.warm = True
 
     def step(self, pose, dt):
-        depth = depth_of(pose)
+        depth = get_depth_of_pose(pose)
         self.steps.append((depth, dt))
         inside = depth > 0
         return ToolForce.axial(self.stiffness * depth if inside else 0.0, self.stiffness if inside else 0.0,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from haptics.safety.coupling import COUPLING, VirtualCoupling, has_stale_stiffness
 from tissue_sim import InputError
 from tissue_sim.pose import Pose
-from tissue_sim.tool_force import ForceStatus, NextForce, ToolForce, axial_stiffness, axial_wrench
+from tissue_sim.tool_force import ForceStatus, PredictedForce, ToolForce, make_axial_stiffness_matrix, make_axial_wrench
 
 TICK = 1e-3
 RIGID = 1e12
@@ -43,7 +43,7 @@ class Load:
         self.depths, self.speeds = (depth, self.depths[0]), (speed, self.speeds[0])
         rate = self.weights[0] / dt
         stiffness = self.stiffness + self.damping * rate + self.mass * rate**2
-        ahead = NextForce(axial_wrench(self._force(depth, dt)[0]), axial_stiffness(stiffness))
+        ahead = PredictedForce(make_axial_wrench(self._force(depth, dt)[0]), make_axial_stiffness_matrix(stiffness))
         answer = ToolForce.axial(force, stiffness, ForceStatus.CONVERGED, inertial=self.mass > 0)
         return replace(answer, ahead=ahead) if self.mass > 0 and self.predicts_next else answer
 
@@ -279,7 +279,7 @@ def tissue_at(proxy, stiffness, looks_ahead=False):
     wrench, rows = (*force.tolist(), 0.1, 0.2, -0.3), tuple(map(tuple, matrix.tolist()))
     if not looks_ahead:
         return ToolForce(wrench, rows, ForceStatus.CONVERGED)
-    return ToolForce((9.0,) * 6, ((7.0,) * 6,) * 6, ForceStatus.CONVERGED, ahead=NextForce(wrench, rows))
+    return ToolForce((9.0,) * 6, ((7.0,) * 6,) * 6, ForceStatus.CONVERGED, ahead=PredictedForce(wrench, rows))
 
 
 def simulate(coupling, positions, stiffness, **options):
@@ -368,7 +368,8 @@ class OldStiffness(Load):
     def step(self, depth, dt):
         self.ticks += 1
         answer = super().step(depth, dt)
-        return replace(answer, stiffness_matrix=axial_stiffness(self.first), stiffness_age=1e-3 * self.ticks)
+        return replace(answer, stiffness_matrix=make_axial_stiffness_matrix(self.first),
+                       stiffness_age=1e-3 * self.ticks)
 
 
 @pytest.mark.parametrize("first", [0.0, 50.0, 1e4])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from haptics.safety.force_release import RELEASE, ForceRelease
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
-from tissue_sim.tool_force import ForceStatus, NextForce, ToolForce, axial_stiffness, axial_wrench
+from tissue_sim.tool_force import ForceStatus, PredictedForce, ToolForce, make_axial_stiffness_matrix, make_axial_wrench
 
 TICK = 1e-3
 STATUSES = [ForceStatus.CONVERGED, ForceStatus.LATE, ForceStatus.STOPPED, ForceStatus.REFUSED]
@@ -19,9 +19,11 @@ def answer(status=ForceStatus.CONVERGED, force=5.0, age=None):
     """An answer; without an equilibrium it extrapolates that of the last tick."""
     if age is None:
         age = 0.0 if status is ForceStatus.CONVERGED else TICK
-    return ToolForce(axial_wrench(force), axial_stiffness(800.0), status, 3, 1e-7, inertial=True, age=age,
-                     pose=Pose.at_depth(0.006), ahead=NextForce(axial_wrench(4.0), axial_stiffness(3000.0)),
-                     step_stiffness_matrix=axial_stiffness(3100.0))
+    return ToolForce(make_axial_wrench(force), make_axial_stiffness_matrix(800.0), status, 3, 1e-7, inertial=True,
+                     age=age,
+                     pose=Pose.at_depth(0.006), ahead=PredictedForce(make_axial_wrench(4.0),
+                                                                     make_axial_stiffness_matrix(3000.0)),
+                     step_stiffness_matrix=make_axial_stiffness_matrix(3100.0))
 
 
 @pytest.fixture

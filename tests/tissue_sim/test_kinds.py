@@ -74,7 +74,7 @@ def test_stress_is_against_the_strain(name):
     # l - 1/l = 1.5 at l = 2.
     ("simple_shear", 1.5, (0.5, 2.0)), ("simple_shear", -1.5, (0.5, 2.0))])
 def test_extreme_stretches(name, abscissa, stretches):
-    assert ts.KINDS[name].closed_form.extremes(abscissa, abscissa) == pytest.approx(stretches)
+    assert ts.KINDS[name].closed_form.find_extreme_stretches(abscissa, abscissa) == pytest.approx(stretches)
 
 
 def test_a_history_that_has_no_closed_form_is_refused():

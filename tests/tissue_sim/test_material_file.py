@@ -200,12 +200,12 @@ REFUSED = {
     "unknown key in an option": (put("valid_range", "strech", 1), "valid_range.strech", "did you mean 'stretch'"),
     "text for a number": (put("parameters", "C10", "value", "7"), "parameters.C10.value", "expected a number"),
     "number for an entry": (put("parameters", "C10", 7702.0), "parameters.C10", "expected an object"),
-    "nan": (put("parameters", "C10", "value", math.nan), "parameters.C10.value", "nan is not a finite number"),
+    "nan": (put("parameters", "C10", "value", math.nan), "parameters.C10.value", "number must be finite; got nan"),
     "infinite setting": (put("provenance", "settings", "x", [1, math.inf]), "provenance.settings.x[1]", "inf"),
     "huge": (put("parameters", "C10", "value", 10**400), "parameters.C10.value", "out of range"),
     "too large in Pa": (put("parameters", "C30", {"value": 1e308, "unit": "MPa"}), "parameters.C30", "inf"),
     "error too large in Pa": (put("parameters", "C30", {"value": 1.0, "unit": "MPa", "standard_error": 1e308}),
-                              "parameters.C30.standard_error", "inf is not a finite number"),
+                              "parameters.C30.standard_error", "number must be finite; got inf"),
     "negative error": (put("parameters", "C10", "standard_error", -1.0), "parameters.C10.standard_error",
                        "must be a standard deviation of 0 or more; got -1"),
     "parameter missing": (drop("parameters", "C10"), "parameters.C10", "C10 is missing"),
@@ -273,11 +273,11 @@ def test_damaged_files(tmp_path):
     error = refusal(path)
     assert error.line == 2 and "damaged JSON at column 9" in error.problem
     path.write_text('{"law": "a", "law": "b"}', encoding="utf-8")
-    assert "'law' appears twice" in refusal(path).problem
+    assert "key must appear once in an object; got 'law' twice" in refusal(path).problem
     path.write_text("[" * 100_000, encoding="utf-8")
     assert "damaged JSON" in refusal(path).problem
     path.write_text("[]", encoding="utf-8")
-    assert "expected an object" in refusal(path).problem
+    assert "file must contain an object" in refusal(path).problem
     path.write_bytes(b"\x00\x01")
     assert "binary" in refusal(path).problem
     assert "no such file" in refusal(tmp_path / "none.json").problem

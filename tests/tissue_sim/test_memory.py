@@ -13,7 +13,7 @@ from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
-from tissue_sim.simulation import _step_towards
+from tissue_sim.simulation import _iterate_steps_to_pose
 
 #: Name of the law.
 LAW = "reduced_polynomial_2"
@@ -220,7 +220,7 @@ class TestStepping:
         solver = build_solver(m, build_mesh(m.experiment))
 
         def go(depth, dt):
-            *_, step = _step_towards(solver, ts.Pose.at_depth(depth), dt)
+            *_, step = _iterate_steps_to_pose(solver, ts.Pose.at_depth(depth), dt)
             assert step.status is StepStatus.CONVERGED
             return step.force
 

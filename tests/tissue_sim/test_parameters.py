@@ -9,8 +9,15 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from tissue_sim.experiment.tools.tool import TOOLS
-from tissue_sim.material.parts import find_declaration, make_material, with_parts
-from tissue_sim.parameters import declared, find_parameters, parameter_values, parameters, value, with_values
+from tissue_sim.material.parts import find_material_declaration, make_material_from_numbers, with_material_parameters
+from tissue_sim.parameters import (
+    find_parameters,
+    list_field_declarations,
+    parameter_values,
+    parameters,
+    value,
+    with_values,
+)
 
 MATERIAL = ts.Material(
     "ogden_2", {"mu1": 1500.0, "alpha1": 3.0, "mu2": 800.0, "alpha2": -2.5}, ts.Bulk("bulk_ratio", 1e3), 1040.0,
@@ -33,7 +40,7 @@ def test_all_of_a_model_is_reached():
     # What is bonded slips at no coefficient; frictionless is one of 0.
     assert "experiment.friction_base" not in known and known["experiment.friction_wall"].value == 0.0
     assert known["material.viscoelastic.terms[1].tau"].symbol == "tau2"
-    assert known["material.layers[1].thickness"].file_path == "material.layers[1].thickness_mm"
+    assert known["material.layers[1].thickness"].path_in_file == "material.layers[1].thickness_mm"
     assert known["experiment.tool.radius"].declaration.factor == pytest.approx(1e-3)
 
 
@@ -78,7 +85,7 @@ def test_a_path_may_start_at_any_part():
                          ids=lambda kind: kind.__name__)
 def test_what_a_part_declares_is_sound(kind):
     names = {entry.name for entry in dataclasses.fields(kind)}
-    for name, what in declared(kind).items():
+    for name, what in list_field_declarations(kind).items():
         low, high = what.bounds
         assert name in names and low < high and what.factor > 0 and what.key and what.symbol
         # A key says its unit: SI alone, or a smaller one with its factor.
@@ -89,17 +96,17 @@ def test_what_a_part_declares_is_sound(kind):
 def test_a_material_is_made_of_its_numbers():
     values = parameter_values(MATERIAL)
     law = {name: values.pop(name) for name in MATERIAL.parameters}
-    assert make_material("ogden_2", law, values, density=1040.0) == MATERIAL
-    assert find_declaration("layers[3].thickness_mm") == (
-        "layers[3].thickness", declared(ts.Layer)["thickness"])
+    assert make_material_from_numbers("ogden_2", law, values, density=1040.0) == MATERIAL
+    assert find_material_declaration("layers[3].thickness_mm") == (
+        "layers[3].thickness", list_field_declarations(ts.Layer)["thickness"])
     for path, words in (("layers[0].thicknes", "did you mean"), ("viscoelastic.tau", "no material has"),
                         ("bulk.K", "no material has")):
         with pytest.raises(ts.InputError, match=words):
-            find_declaration(path)
+            find_material_declaration(path)
     with pytest.raises(ts.InputError, match=r"layers\[0\]\.thickness: is missing"):
-        make_material("neo_hooke", {"C10": 1.0}, {"layers[0].ratio": 2.0})
+        make_material_from_numbers("neo_hooke", {"C10": 1.0}, {"layers[0].ratio": 2.0})
     with pytest.raises(ts.InputError, match="numbered from 0 without gaps"):
-        make_material("neo_hooke", {"C10": 1.0}, {"layers[1].ratio": 2.0, "layers[1].thickness": 1e-3})
+        make_material_from_numbers("neo_hooke", {"C10": 1.0}, {"layers[1].ratio": 2.0, "layers[1].thickness": 1e-3})
 
 
 def test_the_numbers_of_a_region_say_its_law():
@@ -107,16 +114,16 @@ def test_the_numbers_of_a_region_say_its_law():
     bulk = ts.Bulk("bulk_ratio", 1e3)
     lump = {"regions.lump.C10": 900.0, "regions.lump.C20": 90.0, "regions.part:2.mu1": 500.0,
             "regions.part:2.alpha1": 3.0}
-    made = make_material("neo_hooke", {"C10": 100.0}, lump, bulk)
+    made = make_material_from_numbers("neo_hooke", {"C10": 100.0}, lump, bulk)
     assert made.regions == {"lump": ts.Material("reduced_polynomial_2", {"C10": 900.0, "C20": 90.0}, bulk),
                             "part:2": ts.Material("ogden_1", {"mu1": 500.0, "alpha1": 3.0}, bulk)}
     values = {path: value for path, value in parameter_values(made).items() if path.startswith("regions.")}
     assert {path: value for path, value in values.items() if "bulk" not in path} == lump
-    assert with_parts(ts.Material("neo_hooke", {"C10": 100.0}, bulk), lump) == made
-    assert find_declaration("regions.lump.C20")[1].unit == "Pa"
+    assert with_material_parameters(ts.Material("neo_hooke", {"C10": 100.0}, bulk), lump) == made
+    assert find_material_declaration("regions.lump.C20")[1].unit == "Pa"
     with pytest.raises(ts.InputError, match=r"regions.lump.C100: no law has a parameter 'C100'.*did you mean 'C10'"):
-        find_declaration("regions.lump.C100")
+        find_material_declaration("regions.lump.C100")
     with pytest.raises(ts.InputError, match=r"regions.lump: no law has the parameters C20 and no others"):
-        make_material("neo_hooke", {"C10": 100.0}, {"regions.lump.C20": 1.0})
+        make_material_from_numbers("neo_hooke", {"C10": 100.0}, {"regions.lump.C20": 1.0})
     with pytest.raises(ts.InputError, match=r"regions.lump.parameters"):
-        make_material("neo_hooke", {"C10": 100.0}, {"regions.lump.C10": -1.0})
+        make_material_from_numbers("neo_hooke", {"C10": 100.0}, {"regions.lump.C10": -1.0})

@@ -21,12 +21,12 @@ TOLERANCE = 1e-6
 def path(depths, times=None):
     made = PendingPath()
     for depth, dt in zip(depths, times or [TICK] * len(depths), strict=True):
-        made.extend(Pose.at_depth(depth), dt)
+        made.append_tick(Pose.at_depth(depth), dt)
     return made
 
 
 def merged(made, tolerance=TOLERANCE, timed=True):
-    made.merge(START, RADIUS, tolerance, 0.1, timed=timed)
+    made.merge_straight_ticks(START, RADIUS, tolerance, 0.1, timed=timed)
     return [(round(1e3 * tick.pose.depth, 6), round(1e3 * tick.dt, 6)) for tick in made.ticks]
 
 
@@ -49,18 +49,18 @@ def test_tissue_without_a_past_needs_no_path():
 
 def test_too_many_ticks_are_merged_and_the_path_is_lost_for_a_time():
     made = path([1e-3 * (k % 2) for k in range(MOST_TICKS + 3)])
-    total = made.time
+    total = made.elapsed_time
     merged(made)
-    assert len(made.ticks) == MOST_TICKS and made.lost == 0.1 and made.time == pytest.approx(total)
-    made.extend(Pose.at_depth(0.0), 0.2)
+    assert len(made.ticks) == MOST_TICKS and made.lost == 0.1 and made.elapsed_time == pytest.approx(total)
+    made.append_tick(Pose.at_depth(0.0), 0.2)
     assert made.lost == 0.0
 
 
 def test_poses_that_cannot_be_reached_leave_their_time():
     made = path([1e-3, 2e-3])
-    made.give_up()
-    assert not made.is_empty and made.time == pytest.approx(2e-3)
-    made.extend(Pose.at_depth(5e-4), TICK)
+    made.discard_unreachable_poses()
+    assert not made.is_empty and made.elapsed_time == pytest.approx(2e-3)
+    made.append_tick(Pose.at_depth(5e-4), TICK)
     assert [tick.dt for tick in made.ticks] == [pytest.approx(3e-3)]
 
 

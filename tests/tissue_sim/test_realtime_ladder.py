@@ -35,7 +35,7 @@ def test_finest_that_fits(ticks, chosen, measured):
         seen.append(level.resolution)
         return ticks["abcd".index(level.resolution)]
 
-    assert realtime_ladder.choose_level(LEVELS, 1, 1.0, tick_of).resolution == chosen
+    assert realtime_ladder.choose_finest_level_in_budget(LEVELS, 1, 1.0, tick_of).resolution == chosen
     assert "".join(seen) == measured
 
 
@@ -53,7 +53,7 @@ class Counting:
 @pytest.mark.parametrize("lifts", [True, False])
 def test_the_motion_that_is_measured(lifts):
     one = Counting()
-    assert realtime_ladder.measure_tick(one, 10e-3, lifts=lifts) >= 0.0
+    assert realtime_ladder.measure_tick_time(one, 10e-3, lifts=lifts) >= 0.0
     depths = np.array(one.depths)
     assert 4e-3 < depths.max() <= 5e-3 and (depths.min() < 0.0) == lifts
     assert 0.05 < np.abs(np.diff(depths)).max() / realtime_ladder.MOTION.tick < 0.2
@@ -62,14 +62,14 @@ def test_the_motion_that_is_measured(lifts):
 def test_a_mesh_that_does_not_fit_is_known_soon():
     """One tick in a hundred may take longer, however long; the fourth of three hundred ends it."""
     one = Counting()
-    assert realtime_ladder.measure_tick(one, 10e-3, lifts=False, budget=-1.0) == math.inf
+    assert realtime_ladder.measure_tick_time(one, 10e-3, lifts=False, budget=-1.0) == math.inf
     assert len(one.depths) == 4
 
 
 def led_to(monkeypatch, name: str, ticks, **how) -> ts.Simulator:
     """A simulator with a budget of 1 s, on a computer that takes so long (s) for the ticks of each level."""
     times = iter(ticks)
-    monkeypatch.setattr(simulator, "measure_tick", lambda *arguments, **options: next(times))
+    monkeypatch.setattr(simulator, "measure_tick_time", lambda *arguments, **options: next(times))
     return ts.Simulator(model(name), **{"budget": 1.0, "inertia": "off"} | how)
 
 

@@ -240,7 +240,7 @@ def test_header_of_a_written_file(tmp_path):
 
 @pytest.mark.parametrize(("labels", "metadata", "name", "message"), [
     ({}, {}, "r.txt", "must end in .csv"),
-    ({}, {"scores": [1.0, float("nan")]}, "r.csv", r"metadata\.scores\[1\]: nan is not a finite number"),
+    ({}, {"scores": [1.0, float("nan")]}, "r.csv", r"metadata\.scores\[1\]: number must be finite; got nan"),
     ({}, {"device": "\ud800"}, "r.csv", r"metadata\.device: .* surrogate"),
     ({}, {"object": object()}, "r.csv", "no equivalent in JSON"),
     ({"segment": ["a\nb"] * 5}, {}, "r.csv", "line breaks"),
@@ -283,8 +283,8 @@ def test_a_json_file_that_is_no_sidecar_is_not_replaced(tmp_path, content):
 
 @pytest.mark.parametrize(("text", "line", "message"), [
     ('{"tool": \n', 2, "damaged JSON"),
-    ("[1]", None, "expected an object"),
-    ('{"a": 1, "a": 2}', None, "appears twice"),
+    ("[1]", None, "file must contain an object"),
+    ('{"a": 1, "a": 2}', None, "key must appear once in an object; got 'a' twice"),
 ])
 def test_a_damaged_sidecar_is_refused(tmp_path, text, line, message):
     path = write(tmp_path, HEADER, *ROWS)

@@ -63,7 +63,7 @@ def test_there_is_no_pressure(fields):
 
 def test_what_is_published_is_where_the_nodes_are(solver, fields):
     shown = snapshot(solver)
-    assert isinstance(shown.fields, SolidFields) and shown.in_space and shown.skin is None
+    assert isinstance(shown.fields, SolidFields) and shown.is_three_dimensional and shown.skin is None
     (displacement,) = shown.arrays()
     np.testing.assert_array_equal(displacement[0], solver.displacement())
     again = shown.at(shown.pose, shown.datum, (0.5 * displacement,))

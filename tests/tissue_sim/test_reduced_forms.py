@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 import tissue_sim as ts
-from tissue_sim.tilt import tilted
+from tissue_sim.tilt import compute_tilted_recording
 
 #: Name of the law.
 LAW = "reduced_polynomial_2"
@@ -98,7 +98,7 @@ class TestTilt:
         """A linear force becomes a toe region followed by a constant lag of half the tilt."""
         depth, stiffness = np.linspace(0.0, 0.01, 101), 760.0
         line = ts.Recording({"time": np.arange(101.0), "displacement": depth, "force": stiffness * depth})
-        force = tilted(line, self.TILT, line.displacement).force
+        force = compute_tilted_recording(line, self.TILT, line.displacement).force
 
         def expected(d):
             def strip(x):
@@ -112,7 +112,7 @@ class TestTilt:
         # Strips of a disc: nearly a square, steeper at the very rim.
         slopes = np.diff(np.log(force[toe])) / np.diff(np.log(depth[toe]))
         assert (slopes > 1.9).all() and (slopes < 2.7).all()
-        assert tilted(line, 0.0, line.displacement) is line
+        assert compute_tilted_recording(line, 0.0, line.displacement) is line
 
     @pytest.mark.parametrize("friction", ["frictionless", "bonded"])
     def test_lag_of_a_simulated_plate(self, friction):

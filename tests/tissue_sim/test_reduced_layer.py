@@ -7,7 +7,7 @@ import tissue_sim as ts
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.frame import ToolFrame
-from tissue_sim.pose import turned
+from tissue_sim.pose import rotate_pose
 
 
 class TestLayer:
@@ -72,7 +72,7 @@ class TestLayer:
         """Derivatives of forces and wrench with respect to tool position and rotation, on fixed and moving tissue."""
         layer, at = self.contact(ts.Tool("round", radius=8e-3), mu), np.array([2e-3, 1e-3, 0.0])
         answer = np.zeros((3, 6))
-        pose = turned(ts.Pose((1e-4, 0.0, -3e-3)), (0.1, -0.05, 0.02))
+        pose = rotate_pose(ts.Pose((1e-4, 0.0, -3e-3)), (0.1, -0.05, 0.02))
         layer.evaluate_contact(at, ToolFrame(pose, 0.0), True)
         layer.commit_step()
         at = np.add(at, [3e-6, -1e-6, 2e-6])
@@ -85,7 +85,7 @@ class TestLayer:
             width = 1e-9 if axis < 3 else 1e-7
             pushes, wrenches = [], []
             for change in (width * np.eye(6)[axis], -width * np.eye(6)[axis]):
-                there = turned(ts.Pose(tuple(pose.position + change[:3]), pose.orientation), tuple(change[3:]))
+                there = rotate_pose(ts.Pose(tuple(pose.position + change[:3]), pose.orientation), tuple(change[3:]))
                 layer.evaluate_contact(at + answer @ change, ToolFrame(there, 0.0), True)
                 pushes.append(layer.get_modal_forces()[0])
                 wrenches.append(layer.wrench)

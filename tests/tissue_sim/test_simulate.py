@@ -12,7 +12,7 @@ from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 from tissue_sim.fem.fields import FIELD_UNITS, extrapolate_to_nodes
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh import cylinder_mesh
-from tissue_sim.simulation import _step_towards
+from tissue_sim.simulation import _iterate_steps_to_pose
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 SAMPLES = {2: 4, 5: 10, 10: 20}  # mm -> sample of the 21-point ramp to 10 mm
@@ -168,7 +168,7 @@ class TestRecordingOfASimulation:
                 return Step.axial(StepStatus.CONVERGED if good else StepStatus.SLOW, 1, 0.0, 0.0)
 
         solver, trials = Slow(), []
-        for _step in _step_towards(solver, ts.Pose.at_depth(10.0)):
+        for _step in _iterate_steps_to_pose(solver, ts.Pose.at_depth(10.0)):
             trials.append(solver.pose.depth)
         # 10 and 5 fail with and without extrapolation, 2.5 succeeds, 5 more fail, 2.5 succeeds, ...
         assert trials == [0.0] * 4 + [2.5] * 3 + [5.0] * 3 + [7.5, 10.0]
@@ -177,7 +177,7 @@ class TestRecordingOfASimulation:
             highest_order = 0
 
         solver = Plain()
-        trials = [solver.pose.depth for _step in _step_towards(solver, ts.Pose.at_depth(10.0))]
+        trials = [solver.pose.depth for _step in _iterate_steps_to_pose(solver, ts.Pose.at_depth(10.0))]
         # Where nothing is extrapolated, nothing is tried twice alike.
         assert trials == [0.0] * 2 + [2.5] * 2 + [5.0] * 2 + [7.5, 10.0]
 
@@ -190,7 +190,7 @@ class TestRecordingOfASimulation:
                 return iter(())
 
         stuck = Stuck()
-        tried = list(_step_towards(stuck, ts.Pose.at_depth(10.0)))
+        tried = list(_iterate_steps_to_pose(stuck, ts.Pose.at_depth(10.0)))
         assert len(tried) == 2 * 11  # 2^0 down to 2^-10 of the way, each twice
         assert stuck.crept == 8  # from 2^-3 on
 
@@ -208,7 +208,7 @@ class TestRecordingOfASimulation:
                 yield Step.axial(StepStatus.CONVERGED, 1, 0.0, 1.0)
 
         solver = Snaps()
-        *_, last = _step_towards(solver, ts.Pose.at_depth(8.0))
+        *_, last = _iterate_steps_to_pose(solver, ts.Pose.at_depth(8.0))
         assert last.status is StepStatus.CONVERGED and solver.pose.depth == 8.0
 
     def test_a_frictionless_plate_lifts_off(self):

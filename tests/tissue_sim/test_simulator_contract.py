@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.explicit_coupling import LightToolWarning, MotionCheck, least_tool_mass
+from tissue_sim.explicit_coupling import LightToolWarning, ToolReversalDetector, minimum_stable_tool_mass
 from tissue_sim.kernel_owner import BusyError, CopyError
 from tissue_sim.motion_limits import MotionLimits
-from tissue_sim.tool_force import ERROR_FLOOR, ERROR_SHARE, axial_stiffness, is_known_well
+from tissue_sim.tool_force import ERROR_FLOOR, ERROR_SHARE, is_force_accurate_enough, make_axial_stiffness_matrix
 
 SOFT = ts.Material("neo_hooke", {"C10": 2000.0}, ts.Bulk("bulk_ratio", 1e3))
 NAN = math.nan
@@ -174,7 +174,7 @@ class TestOwnership:
         sim, caught, inside, leave = needle(), [], threading.Event(), threading.Event()
 
         class Pausing(MotionLimits):
-            def require(self, pose, before, dt):
+            def require_valid_step(self, pose, before, dt):
                 inside.set()
                 leave.wait(30.0)
 
@@ -216,8 +216,9 @@ class TestAges:
 
     def test_an_error_decides_between_converged_and_late(self):
         wrench = (0.0, 0.6, 0.8, 0.0, 0.0, 0.0)
-        assert is_known_well(wrench, None) and is_known_well(wrench, ERROR_SHARE)
-        assert not is_known_well(wrench, 1.01 * ERROR_SHARE) and is_known_well((0.0,) * 6, ERROR_FLOOR)
+        assert is_force_accurate_enough(wrench, None) and is_force_accurate_enough(wrench, ERROR_SHARE)
+        assert not is_force_accurate_enough(wrench, 1.01 * ERROR_SHARE) and is_force_accurate_enough((0.0,) * 6,
+                                                                                                     ERROR_FLOOR)
 
 
 class TestLightTool:
@@ -225,7 +226,8 @@ class TestLightTool:
     def test_the_least_mass_is_where_the_coupling_becomes_unstable(self, added, stiffness):
         """The stated smallest mass is the stability limit of the linear recursion in the docstring of the module."""
         dt = 1e-3
-        least = least_tool_mass(axial_stiffness(stiffness), axial_stiffness(stiffness + 2.25 * added / dt**2), dt)
+        least = minimum_stable_tool_mass(make_axial_stiffness_matrix(stiffness),
+                                         make_axial_stiffness_matrix(stiffness + 2.25 * added / dt**2), dt)
         backward = np.convolve([1.5, -2.0, 0.5], [1.5, -2.0, 0.5])
 
         def growth(mass):
@@ -257,12 +259,12 @@ class TestLightTool:
         assert np.ptp(felt[-50:]) < 0.02 * felt[-1]
 
     def test_a_motion_that_turns_in_every_step_is_not_resolved(self):
-        check = MotionCheck()
+        check = ToolReversalDetector()
         for tick in range(20):
-            check.advance(0.0, 0.0, 1e-4 * math.cos(2.0 * math.pi * tick / 8), 1e-3, True)
+            check.register_step(0.0, 0.0, 1e-4 * math.cos(2.0 * math.pi * tick / 8), 1e-3, True)
         assert math.isinf(check.quiet)
         for tick in range(6):
-            check.advance(0.0, 0.0, 1e-4 * (-1) ** tick, 1e-3, True)
+            check.register_step(0.0, 0.0, 1e-4 * (-1) ** tick, 1e-3, True)
         assert check.quiet == 0.0
-        check.advance(0.0, 0.0, 1e-6, 0.2, False)
+        check.register_step(0.0, 0.0, 1e-6, 0.2, False)
         assert check.quiet == pytest.approx(0.2)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from solid_meshes import block
 
 import tissue_sim as ts
-from tissue_sim.bounded import bounded
+from tissue_sim.bounded import run_in_sandbox
 from tissue_sim.errors import MESSAGE_LIMITS
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid_file import convert_file_mesh, read_file_mesh, read_solid_mesh
@@ -95,7 +95,7 @@ def test_formats_and_elements(tmp_path, format, kind):
 def test_one_process_reads_one_mesh_after_the_other(tmp_path):
     """Loading the libraries takes a hundred times as long as reading a small mesh."""
     path = write(tmp_path)
-    processes = [(read_file_mesh(path), bounded(os.getpid, file=path))[1] for _ in range(3)]
+    processes = [(read_file_mesh(path), run_in_sandbox(os.getpid, file=path))[1] for _ in range(3)]
     assert len(set(processes)) == 1
 
 
@@ -351,7 +351,7 @@ def test_a_file_is_opened_once(tmp_path, monkeypatch, make):
 
         return opens
 
-    monkeypatch.setattr("tissue_sim.mesh.solid_file.bounded", lambda function, *words, file: function(*words))
+    monkeypatch.setattr("tissue_sim.mesh.solid_file.run_in_sandbox", lambda function, *words, file: function(*words))
     monkeypatch.setattr("os.open", counting(os.open))
     monkeypatch.setattr("builtins.open", counting(open))
     assert read_file_mesh(path).digest == hashlib.sha256(path.read_bytes()).hexdigest()

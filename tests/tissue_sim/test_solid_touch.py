@@ -15,7 +15,7 @@ from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.side_points import FaceInterpolation
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
-from tissue_sim.pose import Pose, turned
+from tissue_sim.pose import Pose, rotate_pose
 
 RADIUS = 8e-3
 LINE = np.linspace(-0.02, 0.02, 11)
@@ -72,7 +72,7 @@ def test_the_edge_of_a_leaning_face_touches_it(tool, degrees):
     rounding = tool.edge_radius
     for _ in range(4):
         way, place = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(-4e-3, 4e-3, 2)
-        pose = turned(Pose((*place, 0.0)), (angle * math.cos(way), angle * math.sin(way), 0.0))
+        pose = rotate_pose(Pose((*place, 0.0)), (angle * math.cos(way), angle * math.sin(way), 0.0))
         expected = (RADIUS - rounding) * math.sin(angle) + rounding * (1.0 - math.cos(angle))
         assert height(mesh, tool, pose) == pytest.approx(expected, abs=1e-10)
 
@@ -84,7 +84,7 @@ def test_a_face_that_holds_the_tissue_touches_it_too(tool):
     """Nodes outside the face may meet the shaft alone; the first touch is that of the whole tool."""
     mesh = block(LINE, LINE, [-0.02, 0.0], TET8P0)
     mesh.nodes[:, 2] += 1e-3 * np.sin(400.0 * mesh.nodes[:, 0]) * np.sin(300.0 * mesh.nodes[:, 1] + 1.0)
-    for pose in (Pose((0.3e-3, 0.2e-3, 0.0)), turned(Pose((0.3e-3, 0.2e-3, 0.0)), (0.1, 0.05, 0.0))):
+    for pose in (Pose((0.3e-3, 0.2e-3, 0.0)), rotate_pose(Pose((0.3e-3, 0.2e-3, 0.0)), (0.1, 0.05, 0.0))):
         assert height(mesh, tool, pose, first_line=1) == height(mesh, tool, pose)
 
 
@@ -98,7 +98,7 @@ def test_the_height_follows_the_nodes(tool):
     places[:, 2] += 0.5e-3 * np.cos(90.0 * places[:, 0] + 0.4) * np.cos(70.0 * places[:, 1])
     ways = 1e-3 * np.sin(60.0 * places[:, [1, 2, 0]] + rng.uniform(0.0, 6.0, 3))
     bodies = [RigidBody(tool.profile, mesh.sets["top"], (0.0, 0.0))]
-    pose = turned(Pose((1.1e-3, 0.4e-3, 0.0)), (0.2, 0.1, 0.0))
+    pose = rotate_pose(Pose((1.1e-3, 0.4e-3, 0.0)), (0.2, 0.1, 0.0))
     high, low = (find_first_touch(mesh, places + side * 1e-4 * ways, bodies, pose).height for side in (1.0, -1.0))
     assert find_first_touch(mesh, places, bodies, pose).differentiate_height(mesh,
                                                                              ways) == pytest.approx((high - low) / 2e-4,

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tissue_sim.step_clock import Allowance, StepClock, count_solves_in_budget
+from tissue_sim.step_clock import StepBudget, StepClock, count_solves_in_budget
 
 
 def followed(fixed, solve, noise=0.0, steps=600, seed=1):
     """A clock that has seen steps of 0 to 4 solves."""
     rng, clock = np.random.default_rng(seed), StepClock()
-    clock.begin(0.2e-3)
+    clock.restart_estimate(0.2e-3)
     for solves in rng.choice(5, steps, p=[0.2, 0.4, 0.2, 0.1, 0.1]):
         clock.update_estimate((fixed + solves * solve) * (1.0 + noise * rng.random()), int(solves))
     return clock
@@ -45,7 +45,7 @@ def test_one_slow_step_changes_the_estimate_only_briefly():
 
 def test_equal_steps_do_not_change_the_time_per_solve():
     clock = StepClock()
-    clock.begin(0.1e-3)
+    clock.restart_estimate(0.1e-3)
     for _ in range(1000):
         clock.update_estimate(0.5e-3, 1)
     assert clock.solve == 0.1e-3 and clock.fixed == pytest.approx(0.4e-3)
@@ -54,7 +54,7 @@ def test_equal_steps_do_not_change_the_time_per_solve():
 @given(st.lists(st.tuples(st.floats(0.0, 10.0), st.integers(0, 50)), max_size=100))
 def test_estimates_stay_positive_and_finite_for_any_steps(steps):
     clock = StepClock()
-    clock.begin(1e-4)
+    clock.restart_estimate(1e-4)
     for time, solves in steps:
         clock.update_estimate(time, solves)
         assert 0.0 < clock.fixed < 1e3 and 0.0 < clock.solve < 1e3
@@ -62,29 +62,29 @@ def test_estimates_stay_positive_and_finite_for_any_steps(steps):
 
 
 def test_stiffnesses_count_against_the_number_of_solves():
-    allowance = Allowance(StepClock(), 6, None)
+    allowance = StepBudget(StepClock(), 6, None)
     assert allowance.count_fitting_solves() == 5 and allowance.count_fitting_solves(answers=2) == 4
     allowance.subtract_solves(2)
     assert allowance.count_fitting_solves() == 2
     allowance.subtract_solves(0, answers=2)
     assert allowance.count_fitting_solves() == 0
-    assert Allowance(StepClock(), None, None).count_fitting_solves() > 10**8
+    assert StepBudget(StepClock(), None, None).count_fitting_solves() > 10**8
 
 
 def test_the_shorter_of_number_and_time_counts():
     clock = StepClock()
-    clock.begin(1.0)
+    clock.restart_estimate(1.0)
     now = perf_counter()
-    assert Allowance(clock, 3, now + 100.0).count_fitting_solves() == 2
-    assert Allowance(clock, 300, now + 10.5).count_fitting_solves() == 9
-    assert Allowance(clock, 300, now - 1.0).count_fitting_solves() < 1
+    assert StepBudget(clock, 3, now + 100.0).count_fitting_solves() == 2
+    assert StepBudget(clock, 300, now + 10.5).count_fitting_solves() == 9
+    assert StepBudget(clock, 300, now - 1.0).count_fitting_solves() < 1
 
 
 @pytest.mark.parametrize(("left", "fixed"), [(10, 0.5), (1, 1.0)], ids=["by time", "by number"])
 def test_estimate_is_lowered_only_if_time_was_the_limit(left, fixed):
     clock = StepClock()
-    clock.begin(1.0)
-    Allowance(clock, left, perf_counter() - 1.0).finish_parts()
+    clock.restart_estimate(1.0)
+    StepBudget(clock, left, perf_counter() - 1.0).finish_parts()
     assert clock.fixed == fixed
 
 

@@ -17,9 +17,9 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from scenes.commands.record.protocol_file import read_protocol_file
-from tissue_sim.bounded import bounded
+from tissue_sim.bounded import run_in_sandbox
 from tissue_sim.decode import read_json, read_toml
-from tissue_sim.errors import MESSAGE_LIMITS, sentence
+from tissue_sim.errors import MESSAGE_LIMITS, format_error_message
 from tissue_sim.files import read_bytes, read_text
 
 HEADER = "time [s],displacement [mm],force [N]\n"
@@ -253,13 +253,14 @@ def test_a_process_that_keeps_memory_is_replaced(tmp_path):
         return os.getpid()
 
     (path := tmp_path / "run.csv").write_text("1", encoding="utf-8")
-    processes = [bounded(keep, file=path) for _ in range(9)]
+    processes = [run_in_sandbox(keep, file=path) for _ in range(9)]
     assert processes[-1] != processes[0] and len(set(processes)) <= 5
 
 
 def test_what_cannot_travel_is_refused(tmp_path):
     lock = __import__("threading").Lock()
-    assert "cannot be sent to the process" in refused(lambda path: bounded(lock.acquire, file=path), tmp_path / "a")
+    assert "cannot be sent to the process" in refused(lambda path: run_in_sandbox(lock.acquire, file=path),
+                                                      tmp_path / "a")
 
 
 def test_a_module_beside_the_file_is_not_imported(tmp_path, monkeypatch):
@@ -280,7 +281,7 @@ def test_files_of_the_system_that_say_that_they_are_empty():
        line=st.none() | st.integers(0, 10**9))
 def test_every_error_is_one_short_printable_line(problem, file, field, line):
     error = ts.InputError(problem, file=file, field=field, line=line)
-    for each in (error, error.located(file="other", field="outer", part="part")):
+    for each in (error, error.with_location(file="other", field="outer", part="part")):
         said = str(each)
         assert len(said) <= MESSAGE_LIMITS.message and said.isprintable()
     assert (error.problem, error.file, error.field, error.line) == (problem, file, field, line)
@@ -290,7 +291,7 @@ def test_what_is_quoted_is_shortened_and_what_to_do_is_kept():
     said = str(ts.InputError(f"unknown law {'x' * 5000!r}; did you mean 'neo_hooke'?", file="/a/" * 200 + "c.toml",
                              field="fit.laws"))
     assert said.endswith("'; did you mean 'neo_hooke'?") and "c.toml" in said and "fit.laws" in said
-    assert sentence("short", ["file"]) == "file: short"
+    assert format_error_message("short", ["file"]) == "file: short"
 
 
 def test_text_of_a_device_file_is_refused(tmp_path):

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tissue_sim import InputError
-from tissue_sim.units import UNITS, split_header, to_si
+from tissue_sim.units import UNITS, get_si_factor_and_offset, split_header_with_brackets
 
 
 @pytest.mark.parametrize(("unit", "quantity", "value", "si"), [
@@ -15,7 +15,7 @@ from tissue_sim.units import UNITS, split_header, to_si
     ("N/mm²", "stress", 0.1, 1e5), ("N.mm", "torque", 5.0, 5e-3), ("%", "ratio", 14.0, 0.14), ("-", "ratio", 2.0, 2.0),
     ("degC", "temperature", 37.0, 310.15), ("°C", "temperature", 0.0, 273.15), ("K", "temperature", 300.0, 300.0)])
 def test_si(unit, quantity, value, si):
-    factor, offset = to_si(unit, quantity)
+    factor, offset = get_si_factor_and_offset(unit, quantity)
     assert value * factor + offset == pytest.approx(si, rel=1e-15)
 
 
@@ -26,7 +26,7 @@ def test_si(unit, quantity, value, si):
     ("n", "force", "unknown unit 'n'"), ("MM", "length", "unknown unit 'MM'")])
 def test_what_is_no_unit_here(unit, quantity, message):
     with pytest.raises(InputError) as caught:
-        to_si(unit, quantity)
+        get_si_factor_and_offset(unit, quantity)
     assert message in str(caught.value)
 
 
@@ -36,7 +36,7 @@ def test_what_is_no_unit_here(unit, quantity, message):
     ("Strain (true) [%]", ("Strain (true)", "%")), ("Load ( N )", ("Load", "N")), ("[mm]", ("", "mm")),
     ("Load (N) corrected", ("Load (N) corrected", None)), ("", ("", None)), ("Load ()", ("Load", ""))])
 def test_headers(header, parts):
-    assert split_header(header) == parts
+    assert split_header_with_brackets(header) == parts
 
 
 plain = st.text(st.characters(exclude_characters="[]()", categories=["L", "N", "P"]), min_size=1)
@@ -45,5 +45,5 @@ plain = st.text(st.characters(exclude_characters="[]()", categories=["L", "N", "
 @given(name=plain, unit=st.sampled_from(sorted(UNITS)), brackets=st.sampled_from(["[]", "()"]),
        gap=st.sampled_from(["", " "]))
 def test_any_header_is_taken_apart(name, unit, brackets, gap):
-    assert split_header(f"{name}{gap}{brackets[0]}{unit}{brackets[1]}") == (name, unit)
-    assert split_header(name) == (name, None)
+    assert split_header_with_brackets(f"{name}{gap}{brackets[0]}{unit}{brackets[1]}") == (name, unit)
+    assert split_header_with_brackets(name) == (name, None)

@@ -53,13 +53,13 @@ def test_increment_solves_the_rate_equation(dt):
     Q, change = np.array([4.0, -3.0]), 7.0
     solved = solve_ivp(lambda t, q: SERIES.g * change / dt - q / SERIES.tau, (0.0, dt), Q, rtol=1e-11, atol=1e-12)
     exact = solved.y[:, -1]
-    instant, decay, gain = SERIES.increment(dt)
+    instant, decay, gain = SERIES.compute_recursion_coefficients(dt)
     np.testing.assert_allclose(decay * Q + gain * change, exact, rtol=1e-8)
     assert instant == pytest.approx(1.0 - 0.5 + gain.sum(), rel=1e-14)
 
 
 def test_increment_at_its_ends():
-    instant, decay, gain = SERIES.increment(np.array([0.0, np.inf]))
+    instant, decay, gain = SERIES.compute_recursion_coefficients(np.array([0.0, np.inf]))
     np.testing.assert_array_equal(instant, [1.0, 0.5])
     np.testing.assert_array_equal(decay, [[1.0, 1.0], [0.0, 0.0]])
     np.testing.assert_array_equal(gain, [[0.3, 0.2], [0.0, 0.0]])
@@ -68,7 +68,7 @@ def test_increment_at_its_ends():
 def test_internal_stress_is_the_recursion():
     rng = np.random.default_rng(1)
     dt, S = rng.choice([0.0, 0.01, 1.0, 100.0, np.inf], 37), rng.normal(size=(37, 2))
-    _, decay, gain = SERIES.increment(dt)
+    _, decay, gain = SERIES.compute_recursion_coefficients(dt)
     expected, Q, before = [], np.zeros((2, 2)), np.zeros(2)
     for n in range(37):
         Q = decay[n] * Q + gain[n] * (S[n] - before)[:, None]

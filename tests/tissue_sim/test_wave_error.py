@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.tool_force import axial_stiffness
-from tissue_sim.wave_error import REVERBERATION, WaveError, WaveScale
+from tissue_sim.tool_force import make_axial_stiffness_matrix
+from tissue_sim.wave_error import REVERBERATION, WaveErrorEstimator, WaveTimeAndSpeed
 
 #: Shear modulus, Pa, density, kg/m3, radius of the tool, m.
 MODULUS = 4e3
@@ -40,18 +40,19 @@ def pressed(depths, dt=TICK, **options):
 
 def advanced(velocities, mass=1e-3, dt=TICK):
     """The estimate after steps of a tool that moves a mass, kg, at velocities in m/s."""
-    scale, waves = WaveScale.of(model(), DENSITY), WaveError()
+    scale, waves = WaveTimeAndSpeed.from_model(model(), DENSITY), WaveErrorEstimator()
     for velocity in velocities:
-        waves.advance(axial_stiffness(0.0), axial_stiffness(mass / dt**2), (0.0, 0.0, velocity * dt, 0.0, 0.0, 0.0),
+        waves.register_step_with_mass(make_axial_stiffness_matrix(0.0), make_axial_stiffness_matrix(mass / dt**2),
+                      (0.0, 0.0, velocity * dt, 0.0, 0.0, 0.0),
                       dt, scale)
     return waves
 
 
 def test_scale_is_the_transit_time_of_a_shear_wave_and_between_plates_of_a_pressure_wave():
-    scale = WaveScale.of(model(), DENSITY)
+    scale = WaveTimeAndSpeed.from_model(model(), DENSITY)
     assert scale.shear_speed == pytest.approx(2.0) and scale.duration == pytest.approx(RADIUS / 2.0)
     pressure_speed = math.sqrt((1e3 + 4 / 3) * MODULUS / DENSITY)
-    assert WaveScale.of(model(shape="plate"), DENSITY).duration == pytest.approx(0.030 / pressure_speed)
+    assert WaveTimeAndSpeed.from_model(model(shape="plate"), DENSITY).duration == pytest.approx(0.030 / pressure_speed)
 
 
 def test_an_impact_has_the_force_of_its_momentum_and_then_that_of_its_wave():
@@ -60,7 +61,7 @@ def test_an_impact_has_the_force_of_its_momentum_and_then_that_of_its_wave():
     assert advanced([velocity]).force == pytest.approx(impact)
     later = advanced([velocity] * 30)
     # The onset and the end of the impact are two changes of the inertial force.
-    wave = math.sqrt(2.0) * mass * velocity / WaveScale.of(model(), DENSITY).duration
+    wave = math.sqrt(2.0) * mass * velocity / WaveTimeAndSpeed.from_model(model(), DENSITY).duration
     assert later.force == pytest.approx(wave * math.exp(-0.0285 / REVERBERATION), rel=0.05)
 
 
@@ -74,8 +75,9 @@ def test_rest_forgets_the_waves_and_keeps_the_velocity():
     waves = advanced([0.05])
     waves.register_step_without_mass((0.0, 0.0, 0.05 * TICK, 0.0, 0.0, 0.0), TICK)
     assert waves.force == 0.0
-    waves.advance(axial_stiffness(0.0), axial_stiffness(1e3), (0.0, 0.0, 0.05 * TICK, 0.0, 0.0, 0.0), TICK,
-                  WaveScale.of(model(), DENSITY))
+    waves.register_step_with_mass(make_axial_stiffness_matrix(0.0), make_axial_stiffness_matrix(1e3),
+                  (0.0, 0.0, 0.05 * TICK, 0.0, 0.0, 0.0), TICK,
+                  WaveTimeAndSpeed.from_model(model(), DENSITY))
     assert waves.force == 0.0
 
 

@@ -52,7 +52,7 @@ _WEIGHTS = 0.5 * _LEGENDRE[1]
 
 
 @dataclass(frozen=True)
-class Settled:
+class SettledColumn:
     """Column in equilibrium under its own weight, without the plate.
 
     Attributes:
@@ -96,8 +96,8 @@ class Column:
 
     specimen: Specimen
 
-    def settle(self, law: Law, values) -> Settled:
-        """Compute the state at the start of the test.
+    def settle(self, law: Law, values) -> SettledColumn:
+        """Compute the equilibrium under the own weight, which is the state at the start of the test.
 
         Raises:
             InputError: no stable equilibrium under the weight exists.
@@ -108,18 +108,18 @@ class Column:
             raise InputError(f"{law.name} with these parameters does not carry the specimen's weight, {weight:.4g} Pa "
                              "at its base; check the units of density, height and parameters",
                              field="specimen.density")
-        return Settled(curve.moulded_height, float(curve.height[0]), float(curve.base_stretch[0]))
+        return SettledColumn(curve.moulded_height, float(curve.height[0]), float(curve.base_stretch[0]))
 
     def nominal_stress(self, law: Law, displacement, values) -> np.ndarray:
-        """Minus the force of the plate over the undeformed cross-section, Pa, shape of `displacement`."""
+        """Return minus the force of the plate over the undeformed cross-section, Pa, shape of `displacement`."""
         return self._evaluate_curve(law, displacement, values, lambda curve: curve.stress)
 
     def nominal_stress_slope(self, law: Law, displacement, values) -> np.ndarray:
-        """d(nominal stress)/d(displacement), Pa/m, shape of `displacement`."""
+        """Return d(nominal stress)/d(displacement), Pa/m, shape of `displacement`."""
         return self._evaluate_curve(law, displacement, values, lambda curve: curve.stress.derivative())
 
     def nominal_stress_derivatives(self, law: Law, displacement, values) -> np.ndarray:
-        """d(nominal stress)/d(parameter) at constant displacement, shape (*displacement.shape, m).
+        """Return d(nominal stress)/d(parameter) at constant displacement, shape (*displacement.shape, m).
 
         The sag depends on the parameters, and so does the undeformed height if the settled height is given.
         """
@@ -127,18 +127,18 @@ class Column:
                                     len(law.parameters))
 
     def base_stretch(self, law: Law, displacement, values) -> np.ndarray:
-        """Stretch of the slice on the base, the smallest of all, shape of `displacement`."""
+        """Return the stretch of the slice on the base, the smallest of all slices, shape of `displacement`."""
         return self._evaluate_curve(law, np.maximum(displacement, 0.0), values,
                                     lambda curve: CubicSpline(curve.displacement, curve.base_stretch))
 
-    def _compute_curve(self, law: Law, values, depth: float) -> _Curve:
+    def _compute_curve(self, law: Law, values, depth: float) -> _CompressionCurve:
         return _curve(self.specimen, law, tuple(law.as_array(values).tolist()), depth)
 
     def _evaluate_curve(self, law: Law, displacement, values, choose, *width: int) -> np.ndarray:
         displacement = np.asarray(displacement, dtype=float)
         curve = self._compute_curve(law, values, float(displacement.max(initial=0.0)))
         touching = displacement >= 0
-        reached = touching & (displacement <= curve.end)
+        reached = touching & (displacement <= curve.largest_displacement)
         result = np.zeros((*displacement.shape, *width))
         result[touching & ~reached] = np.nan
         if reached.any():
@@ -146,7 +146,7 @@ class Column:
         return result
 
 
-class _Curve:
+class _CompressionCurve:
     """States of the column from rest to at least `depth`, m, or to the end of the stable branch.
 
     Attributes:
@@ -160,8 +160,8 @@ class _Curve:
         self.specimen, self.law, self.values = specimen, law, np.array(values)
         # Extreme parameters overflow; the curve ends at the first value that is not finite.
         with np.errstate(all="ignore"):
-            branch = _Branch(law, self.values)
-            self.moulded_height, settled = self._settle(branch)
+            branch = _CompressiveBranch(law, self.values)
+            self.moulded_height, settled = self._find_settled_height(branch)
             # The top carries less than the mean of the slices, so that its stretch exceeds the mean stretch. The factor
             # 1.001 keeps the last displacement inside of the curve despite rounding.
             end = (settled - 1.001 * max(depth, 0.01 * specimen.height)) / self.moulded_height
@@ -169,13 +169,13 @@ class _Curve:
             self.pressure = -law.nominal_stress(np.exp(top), self.values)
             self.pressure[0] = 0.0
             base = branch.log_stretch(self.pressure + specimen.specific_weight * self.moulded_height)
-            self.stretches, weights, softness = _integrate_slices(law, self.values, top, base)
+            self.stretches, weights, softness = _compute_slice_stretches_and_weights(law, self.values, top, base)
             self.base_stretch = np.exp(base)
             self.height = self.moulded_height * np.sum(weights * self.stretches, axis=1)
             self.displacement = self.height[0] - self.height
             is_stable = np.isfinite(self.displacement)
             is_stable[1:] &= (np.diff(self.displacement) > 0) & (np.diff(self.pressure) > 0)
-        count = _count_leading(is_stable)
+        count = _count_true_before_first_false(is_stable)
         # d(displacement)/d(pressure) of each slice, m/Pa.
         self.softness = self.moulded_height * softness
         # Cubic splines need four points.
@@ -184,17 +184,17 @@ class _Curve:
             setattr(self, name, getattr(self, name)[: self.states])
 
     @property
-    def end(self) -> float:
+    def largest_displacement(self) -> float:
         """Largest displacement, m; minus infinity if the column has no equilibrium under its weight."""
         return float(self.displacement[-1]) if self.states else -np.inf
 
-    def _settle(self, branch: _Branch) -> tuple[float, float]:
-        """Undeformed height and height under the weight, m; NaN if no equilibrium is found."""
+    def _find_settled_height(self, branch: _CompressiveBranch) -> tuple[float, float]:
+        """Find the undeformed height and the height under the weight, m; NaN if no equilibrium is found."""
         given = height = self.specimen.height
         # The settled height is a concave function of the undeformed one: Newton's method from below does not overshoot.
         for _ in range(_SETTINGS.max_iterations):
             base = branch.log_stretch(np.array([self.specimen.specific_weight * height]))
-            stretches, weights, _ = _integrate_slices(self.law, self.values, np.zeros(1), base)
+            stretches, weights, _ = _compute_slice_stretches_and_weights(self.law, self.values, np.zeros(1), base)
             settled = height * float(np.sum(weights * stretches))
             if self.specimen.height_is == "moulded":
                 return height, settled
@@ -224,10 +224,10 @@ class _Curve:
 
 
 #: Cached because a fit evaluates stress, derivatives and slope at the same parameters in turn.
-_curve = lru_cache(maxsize=8)(_Curve)
+_curve = lru_cache(maxsize=8)(_CompressionCurve)
 
 
-class _Branch:
+class _CompressiveBranch:
     """Compressive branch of a law, inverted as far as its pressure increases from rest."""
 
     def __init__(self, law: Law, values: np.ndarray):
@@ -237,11 +237,11 @@ class _Branch:
         pressure[0] = 0.0
         rising = np.isfinite(pressure) & (law.nominal_stress_slope(np.exp(points), values) > 0)
         rising[1:] &= np.diff(pressure) > 0
-        count = _count_leading(rising)
+        count = _count_true_before_first_false(rising)
         self.points, self.pressure = points[:count], pressure[:count]
 
     def log_stretch(self, pressure: np.ndarray) -> np.ndarray:
-        """Logarithm of the stretch at pressures, Pa per undeformed area, shape (n,); NaN beyond the branch."""
+        """Return the logarithm of the stretch at nominal pressures, Pa, shape (n,); NaN beyond the branch."""
         result = np.full(pressure.shape, np.nan)
         if self.pressure.size < 2:
             return result
@@ -263,7 +263,8 @@ class _Branch:
         return result
 
 
-def _integrate_slices(law: Law, values: np.ndarray, top: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, ...]:
+def _compute_slice_stretches_and_weights(law: Law, values: np.ndarray, top: np.ndarray,
+                                         base: np.ndarray) -> tuple[np.ndarray, ...]:
     """Compute the stretches of the slices and their quadrature weights.
 
     Args:
@@ -285,6 +286,6 @@ def _integrate_slices(law: Law, values: np.ndarray, top: np.ndarray, base: np.nd
     return stretches, softness * slopes, softness
 
 
-def _count_leading(flags: np.ndarray) -> int:
-    """Number of true values before the first false one."""
+def _count_true_before_first_false(flags: np.ndarray) -> int:
+    """Return the number of true values before the first false value."""
     return flags.size if flags.all() else int(np.argmin(flags))

@@ -91,7 +91,7 @@ class HomogeneousHistory:
         return np.stack([np.ones_like(strain), strain], axis=-1)
 
     def _compute_elastic_stress(self, law: Law, values, factor: float, softening: Softening | None) -> np.ndarray:
-        """Two components of the elastic S, softened and not relaxed, Pa, shape (points, 2)."""
+        """Compute the two components of the elastic stress S with softening, without relaxation, Pa, (points, 2)."""
         strain = self._divided_history[1]
         if self.mode == "uniaxial":
             side = strain**-0.5
@@ -111,7 +111,7 @@ class HomogeneousHistory:
 
     def nominal_stress(self, law: Law, values, prony: Prony | None = None, softening: Softening | None = None,
                        factor: float = 1.0) -> np.ndarray:
-        """Nominal stress at the samples, Pa, shape (n,).
+        """Compute the nominal stress at the samples, Pa, shape (n,).
 
         Args:
             law: strain energy.
@@ -121,12 +121,12 @@ class HomogeneousHistory:
             factor: instantaneous moduli over those of `values`.
         """
         tau = np.zeros(0) if prony is None else prony.tau
-        elastic, relaxing = self.parts(law, values, tau, softening, factor)
-        return elastic if prony is None else (1.0 - prony.relaxing) * elastic + relaxing @ prony.g
+        elastic, relaxing = self.compute_stress_parts(law, values, tau, softening, factor)
+        return elastic if prony is None else (1.0 - prony.relaxing_fraction) * elastic + relaxing @ prony.g
 
-    def parts(self, law: Law, values, tau: np.ndarray, softening: Softening | None = None,
+    def compute_stress_parts(self, law: Law, values, tau: np.ndarray, softening: Softening | None = None,
               factor: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-        """Elastic and relaxing parts of the nominal stress, P = (1 - sum g_i) elastic + sum g_i relaxing_i.
+        """Compute the elastic and relaxing contributions to P = (1 - sum g_i) elastic + sum g_i relaxing_i.
 
         Args:
             law: strain energy.
@@ -165,7 +165,7 @@ def nominal_stress_history(material: Material, time, stretch, contact_radius: fl
         >>> nominal_stress_history(gel, [0.0, 0.01, 10.0], [1.0, 0.9, 0.9]).round(1)
         array([   0. , -668.7, -469.8])
     """
-    return stress_history("uniaxial", material, time, stretch, contact_radius)
+    return compute_stress_history("uniaxial", material, time, stretch, contact_radius)
 
 
 def shear_stress_history(material: Material, time, shear, contact_radius: float | None = None) -> np.ndarray:
@@ -179,11 +179,11 @@ def shear_stress_history(material: Material, time, shear, contact_radius: float 
         >>> shear_stress_history(gel, [0.0, 0.01, 10.0], [0.0, 0.1, 0.1]).round(1)
         array([  0. , 199.9, 140.4])
     """
-    return stress_history("simple_shear", material, time, shear, contact_radius)
+    return compute_stress_history("simple_shear", material, time, shear, contact_radius)
 
 
-def stress_history(mode: str, material: Material, time, strain, contact_radius: float | None) -> np.ndarray:
-    """Nominal stress of a mode of `HomogeneousHistory`; arguments and errors as in `nominal_stress_history`."""
+def compute_stress_history(mode: str, material: Material, time, strain, contact_radius: float | None) -> np.ndarray:
+    """Compute the nominal stress of a mode of `HomogeneousHistory`; arguments as in `nominal_stress_history`."""
     history = HomogeneousHistory(mode, time, strain)
     if material.regions:
         raise InputError("a specimen with regions does not deform homogeneously; use the finite elements",

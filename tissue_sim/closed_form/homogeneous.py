@@ -19,7 +19,7 @@ class ClosedForm:
 
     Attributes:
         law_mode: mode of `Law.nominal_stress`.
-        mode: mode of `tissue_sim.laws.Stability.limits` along which a law may lose its stability.
+        mode: mode of `tissue_sim.laws.StabilityRange.limits` along which a law may lose its stability.
         rest: abscissa of the undeformed specimen: 1 for a stretch, 0 for a shear strain of either sign.
         label: label of the abscissa, for tables and axes.
         lateral: exponent: the principal stretch farthest from a stretch l is l^-lateral.
@@ -32,7 +32,7 @@ class ClosedForm:
     lateral: float = 0.5
 
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
-        """Nominal stress, Pa, negative in compression, shape of `abscissa`.
+        """Return the nominal stress without history, Pa, negative in compression, shape of `abscissa`.
 
         Examples:
             >>> from tissue_sim import KINDS, find_law
@@ -51,7 +51,7 @@ class ClosedForm:
         return law.nominal_stress_derivatives(abscissa, values, self.law_mode)
 
     def history(self, material: Material, time: np.ndarray, abscissa: np.ndarray, contact_radius: float) -> np.ndarray:
-        """Nominal stress with relaxation, drainage and softening, Pa, shape (n,).
+        """Return the nominal stress of a motion with relaxation, drainage and softening, Pa, shape (n,).
 
         Args:
             material: the material.
@@ -62,12 +62,12 @@ class ClosedForm:
         Raises:
             InputError: the material has no closed form.
         """
-        from tissue_sim.closed_form.histories import stress_history
+        from tissue_sim.closed_form.histories import compute_stress_history
 
-        return stress_history(self.law_mode, material, time, abscissa, contact_radius)
+        return compute_stress_history(self.law_mode, material, time, abscissa, contact_radius)
 
-    def extremes(self, low: float, high: float) -> tuple[float, float]:
-        """Smallest and largest principal stretch between two abscissas, the rest state included."""
+    def find_extreme_stretches(self, low: float, high: float) -> tuple[float, float]:
+        """Return the smallest and largest principal stretch between two abscissas and the undeformed state."""
         if self.rest == 0.0:
             # A planar deformation and a rotation; principal stretches l and 1/l with l - 1/l = gamma.
             shear = max(abs(low), abs(high))

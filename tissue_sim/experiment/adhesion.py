@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.errors import InputError, require_length
+from tissue_sim.errors import InputError, require_positive_length
 from tissue_sim.experiment.contact_law import ContactLaw, Traction
 from tissue_sim.parameters import parameter
 
@@ -31,7 +31,7 @@ class Adhesion(ContactLaw):
     def __post_init__(self):
         if not (np.isfinite(self.force) and self.force >= 0):
             raise InputError(f"must be 0 or more; got {self.force:g} N.", field="adhesion.force")
-        require_length(self.length, "adhesion.length")
+        require_positive_length(self.length, "adhesion.length")
 
     @property
     def acts(self) -> bool:

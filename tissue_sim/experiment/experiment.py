@@ -15,7 +15,7 @@ from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.interfaces import AS_TOOL, LARGEST_FRICTION, validate_interface
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.public_names import OldName
@@ -71,7 +71,7 @@ class Experiment:
             raise InputError(f"must be one Tool; got {_describe_value_type(self.tool)}. An experiment has one tool: "
                              "make one experiment for each.", field="tool")
         given = self.contact_laws.values() if isinstance(self.contact_laws, Mapping) else self.contact_laws
-        object.__setattr__(self, "contact_laws", read_only({law.name: law for law in given}))
+        object.__setattr__(self, "contact_laws", make_read_only_copy({law.name: law for law in given}))
         if self.friction_base is None:
             object.__setattr__(self, "friction_base", self._choose_base_interface())
         for name in ("friction", "friction_base", "friction_wall"):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.errors import InputError, require_length
+from tissue_sim.errors import InputError, require_positive_length
 from tissue_sim.experiment.protocol_text import parse_protocol
 from tissue_sim.experiment.segments import MotionLeg, expand_legs, protocol_error
 from tissue_sim.public_names import OldName
@@ -106,7 +106,7 @@ class Protocol:
             >>> ramp.time, ramp.displacement
             (array([0., 1., 2.]), array([0.   , 0.001, 0.002]))
         """
-        require_length(depth, "protocol.depth")
+        require_positive_length(depth, "protocol.depth")
         _require_valid_sampling(points, speed)
         displacement = np.linspace(0.0, depth, points)
         return cls(displacement / speed, displacement)
@@ -203,6 +203,6 @@ def _compute_hold_sample_times(duration: float, step: float) -> np.ndarray:
 
 
 def _require_valid_sampling(points: int, speed: float) -> None:
-    require_length(speed, "protocol.speed")
+    require_positive_length(speed, "protocol.speed")
     if points < 2:
         raise InputError(f"must be at least 2; got {points}.", field="protocol.points")

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from decimal import Decimal
 from typing import Any
 
-from tissue_sim.errors import nearest
+from tissue_sim.errors import suggest_known_word
 from tissue_sim.experiment.segments import KINDS, ProtocolRepeat, ProtocolSegment, protocol_error
-from tissue_sim.public_names import old_names
+from tissue_sim.public_names import make_getattr_for_old_names
 
 #: Unit -> factor to m.
 _LENGTHS = {"mm": "0.001", "um": "0.000001", "m": "1"}
@@ -31,7 +31,7 @@ _BLANKS = re.compile(r"\s*")
 #: Largest number of characters of the text that a message quotes.
 _QUOTED = 16
 
-__getattr__ = old_names(__name__, {"write_protocol": "format_protocol"})
+__getattr__ = make_getattr_for_old_names(__name__, {"write_protocol": "format_protocol"})
 
 
 def parse_protocol(text: str) -> tuple[ProtocolSegment | ProtocolRepeat, ...]:
@@ -103,7 +103,7 @@ class _ProtocolParser:
             raise self._make_error(start, f"expected a segment, one of {', '.join(KINDS)} or repeat")
         if word not in KINDS:
             raise self._make_error(start, f"unknown segment {_quote_shortened_text(word)}"
-                                          f"{nearest(word, (*KINDS, 'repeat'))}")
+                                          f"{suggest_known_word(word, (*KINDS, 'repeat'))}")
         quantity, needed = KINDS[word]
         amount = self.read_amount(quantity, needed=needed, zero=word == "unload", after=word)
         speed = None

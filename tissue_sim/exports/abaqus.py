@@ -40,13 +40,14 @@ def export(material: Material) -> str:
         if part:
             raise InputError(f"Abaqus has no form for {what}; remove it from the material", field="to")
     moduli = "" if material.viscoelastic is None else material.viscoelastic.moduli.upper().replace("_", " ")
-    keyword, terms = _hyperelastic_options(material.law)
+    keyword, terms = _format_hyperelastic_options(material.law)
     K = material.bulk_modulus
     volumetric = [0.0] * terms if material.bulk.kind == "incompressible" else [2.0 / K, *[_ABSENT] * (terms - 1)]
     law = material.energy_law
     own = law.kernel_coefficients(material.values) if law.name in _POLYNOMIALS else material.values
     numbers = [*own, *volumetric]
-    lines = [f"*MATERIAL, NAME={_make_label(material)}", f"*HYPERELASTIC, {keyword}{moduli and f', MODULI={moduli}'}"]
+    lines = [f"*MATERIAL, NAME={_make_abaqus_label(material)}",
+             f"*HYPERELASTIC, {keyword}{moduli and f', MODULI={moduli}'}"]
     lines += [", ".join(f"{number:.12g}" for number in numbers[i:i + _PER_LINE])
               for i in range(0, len(numbers), _PER_LINE)]
     if material.viscoelastic is not None:
@@ -57,7 +58,7 @@ def export(material: Material) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _hyperelastic_options(name: str) -> tuple[str, int]:
+def _format_hyperelastic_options(name: str) -> tuple[str, int]:
     """Return the options of the keyword *HYPERELASTIC for a law, and the number of volumetric terms."""
     if name in _POLYNOMIALS:
         return f"POLYNOMIAL, N={_POLYNOMIALS[name]}", _POLYNOMIALS[name]
@@ -69,7 +70,7 @@ def _hyperelastic_options(name: str) -> tuple[str, int]:
     raise InputError(f"Abaqus has no keyword for the law {name!r}; write a user subroutine", field="to")
 
 
-def _make_label(material: Material) -> str:
-    """Label for Abaqus: letters, digits and underscores, first a letter, at most 80 characters."""
+def _make_abaqus_label(material: Material) -> str:
+    """Convert a name to a label for Abaqus: letters, digits and underscores, first a letter, at most 80 characters."""
     label = re.sub(r"\W+", "_", material.name or material.law, flags=re.ASCII).strip("_").upper()[:80]
     return label if label[:1].isalpha() else f"TISSUE_{label}"[:80]

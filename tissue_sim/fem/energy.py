@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.laws.derivation import derived
+from tissue_sim.laws.derivation import load_or_derive_function
 from tissue_sim.public_names import LazyModule
 
 if TYPE_CHECKING:
@@ -20,19 +20,19 @@ else:
 _NEAR = 0.3
 
 
-def make_expression_function(derive_expressions, kept_as: tuple | None, source: str):
+def make_expression_function(derive_expressions, cache_key: tuple | None, source: str):
     """Return a Python function that builds Taichi expressions from symbolic (sympy) expressions.
 
     A kernel calls the function while it is compiled, on Taichi variables.
 
     Args:
         derive_expressions: function that returns the arguments and the expressions (sympy).
-        kept_as: key of the function in the cache; None: not cached.
+        cache_key: key of the function in the cache; None: not cached.
         source: file that defines `derive_expressions`; see `tissue_sim.laws.derivation`.
     """
     ti = initialise()
     names = {name: getattr(ti, name) for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "tanh")}
-    return derived(derive_expressions, kept_as=kept_as, source=source, names=names)
+    return load_or_derive_function(derive_expressions, cache_key=cache_key, source=source, names=names)
 
 
 def make_invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
@@ -64,7 +64,7 @@ def make_stretch_derivatives(energy: KernelEnergy):
 
 def _derivation_cache_key(energy: KernelEnergy, *what) -> tuple | None:
     """Return the cache key of the derivatives of an energy; None if they are not cached."""
-    return None if energy.kept_as is None else (*energy.kept_as, "energy", *what)
+    return None if energy.cache_key is None else (*energy.cache_key, "energy", *what)
 
 
 @cache

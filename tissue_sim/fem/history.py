@@ -85,7 +85,7 @@ class MaterialMemory:
             self.past[MemoryCoefficient.INSTANT] = 1.0
             return
         if dt != self._known:
-            self._increment, self._known = self._prony.increment(dt), dt
+            self._increment, self._known = self._prony.compute_recursion_coefficients(dt), dt
         self.past[MemoryCoefficient.INSTANT], decay, gain = self._increment
         self.step = decay, gain
         np.multiply(self.before, -gain.sum(), out=self.inherited)
@@ -114,7 +114,7 @@ class MaterialMemory:
         """
         if self._prony is None:
             return self.stresses.copy()
-        return (1.0 - self._prony.relaxing) * self.before + self.internal.sum(axis=0)
+        return (1.0 - self._prony.relaxing_fraction) * self.before + self.internal.sum(axis=0)
 
     @property
     def state_arrays(self) -> tuple[np.ndarray, ...]:

@@ -7,7 +7,7 @@ from itertools import chain
 
 import numpy as np
 
-from tissue_sim.errors import InputError, located
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.fem.taichi.trace import TRIED, KernelFormula, trace_values
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
@@ -85,7 +85,7 @@ def require_valid_formula(formula: KernelFormula[PointEffect]) -> None:
     parameters = trace_values([TRIED] * len(formula.parameter_names), lanes=False)
     C, state, (dt,) = trace_values([TRIED] * 6,
                                    True), trace_values([TRIED] * len(kind.rest), True), trace_values([TRIED], False)
-    with located(field=field):
+    with add_location_to_errors(field=field):
         stress, tangent, found = formula.with_parameters(parameters).response(C, state, dt)
     shape = len(stress), len(tangent), {len(row) for row in tangent}, len(found)
     if shape != (6, 6, {6}, len(kind.rest)):

@@ -22,9 +22,9 @@ from tissue_sim.fem.result_views import Surface as Surface
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw
-from tissue_sim.public_names import OldName, adopt_old_names, old_names
+from tissue_sim.public_names import OldName, adopt_old_names, make_getattr_for_old_names
 from tissue_sim.registry import Registry
-from tissue_sim.tool_force import Matrix, NextForce, axial_stiffness, axial_wrench
+from tissue_sim.tool_force import Matrix, PredictedForce, make_axial_stiffness_matrix, make_axial_wrench
 
 #: Members of `Solver` that plug-ins may still define by their old names: old name -> new name.
 _OLD_MEMBERS = {"doubts": "warnings", "follow": "project_pose", "takes": "accepts_pose",
@@ -34,7 +34,7 @@ _OLD_MEMBERS = {"doubts": "warnings", "follow": "project_pose", "takes": "accept
                 "unchanged": "equilibria_since_contact_change", "relaxes": "is_time_dependent",
                 "identity": "mesh_digest", "height_above": "height_above_tissue",
                 "place_tool": "place_tool_at_first_touch", "stand_still": "stop_tissue_motion"}
-__getattr__ = old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimate",
+__getattr__ = make_getattr_for_old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimate",
                                    "OwnStiffness": "StaticStiffnessRequest", "Derivatives": "ForceDerivatives",
                                    "SpatialDerivatives": "ForceVectorDerivatives"})
 
@@ -119,8 +119,8 @@ class Step:
     def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,
               slipping: int = 0, stiffness: float | None = None) -> Step:
         """Return the result of a solver with axial motion only, from force along z, N, and axial stiffness, N/m."""
-        return cls(status, iterations, residual, axial_wrench(force),
-                   None if stiffness is None else axial_stiffness(stiffness), violation, slipping)
+        return cls(status, iterations, residual, make_axial_wrench(force),
+                   None if stiffness is None else make_axial_stiffness_matrix(stiffness), violation, slipping)
 
     @property
     def force(self) -> float:
@@ -322,7 +322,7 @@ class Solver(FreeTool, ABC):
         """
         return False
 
-    def predict_next_force(self, dt: float) -> NextForce | None:
+    def predict_next_force(self, dt: float) -> PredictedForce | None:
         """Predict the force of the next step, directly after an inertial step that converged.
 
         Args:

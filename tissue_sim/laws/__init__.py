@@ -10,8 +10,11 @@ from tissue_sim.laws.mooney_rivlin import MooneyRivlin
 from tissue_sim.laws.neo_hooke import NeoHooke
 from tissue_sim.laws.ogden import Ogden
 from tissue_sim.laws.reduced_polynomial import ReducedPolynomial
-from tissue_sim.laws.stability import Stability, check_stability
+from tissue_sim.laws.stability import StabilityRange, check_stability
+from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.registry import Registry
+
+__getattr__ = make_getattr_for_old_names(__name__, {"Stability": "StabilityRange"})
 
 #: Name -> law.
 LAWS: Registry[Law] = Registry("law", "tissue_sim.laws", {law.name: law for law in (
@@ -45,5 +48,5 @@ def find_law(name: str) -> Law:
     return LAWS.find(name, "law")
 
 
-__all__ = ["LAWS", "InvariantLaw", "KernelEnergy", "Law", "Stability", "StretchLaw", "check_stability", "find_law",
+__all__ = ["LAWS", "InvariantLaw", "KernelEnergy", "Law", "StabilityRange", "StretchLaw", "check_stability", "find_law",
            "register"]

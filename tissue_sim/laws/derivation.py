@@ -19,19 +19,20 @@ import numpy as np
 
 from tissue_sim.atomic_write import write_text
 from tissue_sim.errors import InputError
-from tissue_sim.files import cache_folder
+from tissue_sim.files import get_cache_folder
 
 #: Name that sympy's lambdify gives to its functions.
 _NAME = "_lambdifygenerated"
 
 
-def derived(derive: Callable[[], tuple[Any, Any] | None], *, kept_as: tuple | None, source: str | None = None,
+def load_or_derive_function(derive: Callable[[], tuple[Any, Any] | None], *, cache_key: tuple | None,
+                            source: str | None = None,
             names: Mapping[str, Any] | None = None) -> Callable | None:
     """Return a function of expressions that sympy derives, from the cache if possible.
 
     Args:
         derive: returns the arguments and the list of expressions, or None if the function does not exist.
-        kept_as: key of the function among all that the source files derive; None: not cached.
+        cache_key: key of the function among all that the source files derive; None: not cached.
         source: file that contains `derive`, if it is not in this package.
         names: name -> function (exp, log, ...) for the expressions; None: those of numpy.
 
@@ -39,7 +40,7 @@ def derived(derive: Callable[[], tuple[Any, Any] | None], *, kept_as: tuple | No
         The function; None if `derive` returns None.
     """
     namespace = dict(vars(np) if names is None else names)
-    path = _cache_path(kept_as, source)
+    path = _make_cache_path(cache_key, source)
     if path is not None:
         try:
             exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), namespace)
@@ -56,9 +57,9 @@ def derived(derive: Callable[[], tuple[Any, Any] | None], *, kept_as: tuple | No
     return function
 
 
-def print_with_cache(write: Callable[[], str], *, kept_as: tuple | None) -> str:
-    """Return a text that sympy prints, from the cache if possible; `kept_as` as in `derived`."""
-    path = _cache_path(kept_as)
+def load_or_print_text(write: Callable[[], str], *, cache_key: tuple | None) -> str:
+    """Return a text that sympy prints, from the cache if possible; `cache_key` as in `load_or_derive_function`."""
+    path = _make_cache_path(cache_key)
     if path is not None:
         with suppress(OSError, ValueError):
             if text := path.read_text(encoding="utf-8"):
@@ -68,13 +69,13 @@ def print_with_cache(write: Callable[[], str], *, kept_as: tuple | None) -> str:
     return text
 
 
-def _cache_path(kept_as: tuple | None, source: str | None = None) -> Path | None:
-    """Path of a cached function or text; None if it is not cached."""
-    if kept_as is None:
+def _make_cache_path(cache_key: tuple | None, source: str | None = None) -> Path | None:
+    """Return the path of a cached function or text; None for the key None, which is not cached."""
+    if cache_key is None:
         return None
     files = (*sorted(Path(__file__).parent.glob("*.py")), *([] if source is None else [Path(source)]))
-    key = sha256(repr((_compute_source_digest(files), kept_as)).encode()).hexdigest()
-    return cache_folder() / "formulas" / key[:32]
+    key = sha256(repr((_compute_source_digest(files), cache_key)).encode()).hexdigest()
+    return get_cache_folder() / "formulas" / key[:32]
 
 
 def _write_cache_file(path: Path | None, text: str) -> None:
@@ -86,7 +87,7 @@ def _write_cache_file(path: Path | None, text: str) -> None:
 
 @cache
 def _compute_source_digest(files: tuple[Path, ...]) -> str:
-    """Digest of the source files and the version of sympy."""
+    """Return the SHA-256 of the source files and the version of sympy, which invalidates the cache after a change."""
     try:
         release = version("sympy")
     except PackageNotFoundError:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissue_sim.errors import InputError, nearest
-from tissue_sim.laws.derivation import derived, print_with_cache
+from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.laws.derivation import load_or_derive_function, load_or_print_text
 from tissue_sim.public_names import LazyModule
 
 if TYPE_CHECKING:
@@ -60,8 +60,8 @@ class KernelEnergy:
         return len(self.coefficients)
 
     @property
-    def kept_as(self) -> tuple | None:
-        """Key of derived functions in the cache, see `derived`; None: not cached."""
+    def cache_key(self) -> tuple | None:
+        """Key of derived functions in the cache, see `load_or_derive_function`; None: not cached."""
         return None
 
 
@@ -87,18 +87,18 @@ class Law:
         return tuple(sp.Symbol(name, real=True) for name in self.parameters)
 
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
-        """W at three principal stretches with l1 l2 l3 = 1; arguments are symbols or numbers."""
+        """Return W as an expression of three principal stretches with l1 l2 l3 = 1, which are symbols or numbers."""
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
     @property
-    def kept_as(self) -> tuple | None:
-        """Key of derived functions in the cache, see `derived`; None for a law of another package."""
+    def cache_key(self) -> tuple | None:
+        """Key of derived functions in the cache, see `load_or_derive_function`; None for a law of another package."""
         kind = type(self)
         return (kind.__name__, self.name) if kind.__module__.startswith("tissue_sim.laws.") else None
 
-    def derived(self, what: str, derive):
-        """Return the function of the arguments and expressions that `derive` returns; see `derived`."""
-        return derived(derive, kept_as=None if self.kept_as is None else (*self.kept_as, what))
+    def derive_function(self, what: str, derive):
+        """Return the function of the arguments and expressions that `derive` returns; see `load_or_derive_function`."""
+        return load_or_derive_function(derive, cache_key=None if self.cache_key is None else (*self.cache_key, what))
 
     @property
     def kernel_energy(self) -> KernelEnergy:
@@ -106,7 +106,7 @@ class Law:
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
     def kernel_coefficients(self, values) -> np.ndarray:
-        """Coefficients of `kernel_energy` for parameters, shape (number of coefficients,)."""
+        """Return the values of the coefficients of `kernel_energy` for parameters, shape (number of coefficients,)."""
         return self.as_array(values)
 
     def as_array(self, values) -> np.ndarray:
@@ -123,8 +123,8 @@ class Law:
         if isinstance(values, Mapping):
             for name in values:
                 if name not in self.units:
-                    raise InputError(f"law {self.name} has no parameter {name!r}{nearest(name, self.parameters)}",
-                                     field=f"parameters.{name}")
+                    hint = suggest_known_word(name, self.parameters)
+                    raise InputError(f"law {self.name} has no parameter {name!r}{hint}", field=f"parameters.{name}")
             for name in self.parameters:
                 if name not in values:
                     raise InputError(f"law {self.name} needs {', '.join(self.parameters)}; {name} is missing",
@@ -139,15 +139,15 @@ class Law:
                 raise InputError(f"{name} is {value}, expected a finite number", field=f"parameters.{name}")
         return array
 
-    def at_limit(self, values) -> list[str]:
-        """Sentences on parameters at a limit of the law, where the formula takes another form; none by default."""
+    def describe_parameters_at_limit(self, values) -> list[str]:
+        """Return a sentence for each parameter at a limit, where the formula takes another form; none by default."""
         return []
 
     def as_mapping(self, values) -> dict[str, float]:
         """Convert parameters to name -> value, without the replacements of `as_array` at a limit of the formula."""
         return {name: float(value) for name, value in zip(self.parameters, Law.as_array(self, values), strict=True)}
 
-    def _evaluate(self, mode, stretch, values) -> list[np.ndarray]:
+    def _evaluate_mode(self, mode, stretch, values) -> list[np.ndarray]:
         """Nominal stress, slope and parameter derivatives, each with the shape of `stretch`."""
         stretch = np.asarray(stretch, dtype=float)
         results = _compile_mode_functions(self, mode)(stretch, *self.as_array(values))
@@ -168,15 +168,15 @@ class Law:
             >>> find_law("neo_hooke").nominal_stress([0.9, 1.0, 1.1], {"C10": 1000.0}).round(1)
             array([-669.1,    0. ,  547.1])
         """
-        return np.array(self._evaluate(mode, stretch, values)[0])
+        return np.array(self._evaluate_mode(mode, stretch, values)[0])
 
     def nominal_stress_slope(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
         """d(nominal stress)/d(stretch), Pa, shape of `stretch`; arguments as in `nominal_stress`."""
-        return np.array(self._evaluate(mode, stretch, values)[1])
+        return np.array(self._evaluate_mode(mode, stretch, values)[1])
 
     def nominal_stress_derivatives(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
         """d(nominal stress)/d(parameter), shape (*stretch.shape, m); arguments as in `nominal_stress`."""
-        return np.stack(self._evaluate(mode, stretch, values)[2:], axis=-1)
+        return np.stack(self._evaluate_mode(mode, stretch, values)[2:], axis=-1)
 
     def principal_response(self, stretches, values) -> tuple[np.ndarray, np.ndarray]:
         """Energy density and deviatoric Kirchhoff stresses tau_i = l_i dW/dl_i of the isochoric part.
@@ -215,8 +215,8 @@ class Law:
 
     def _print_formula(self, by: str) -> str:
         """Formula from a printer function of sympy, given by its name."""
-        return print_with_cache(lambda: self._print_in_parameter_order(getattr(sp, by)),
-                                kept_as=None if self.kept_as is None else (*self.kept_as, by))
+        return load_or_print_text(lambda: self._print_in_parameter_order(getattr(sp, by)),
+                                cache_key=None if self.cache_key is None else (*self.cache_key, by))
 
     def _print_in_parameter_order(self, write) -> str:
         """Formula with its terms in the order of the parameters; sympy would sort them otherwise."""
@@ -233,8 +233,8 @@ class Law:
 
 @lru_cache
 def _compile_mode_functions(law: Law, mode: str):
-    """Compiled nominal stress, its slope and its parameter derivatives along a mode."""
-    return law.derived(mode, lambda: _derive_mode_stress(law, mode))
+    """Return the compiled nominal stress, its slope and its parameter derivatives along a mode of `MODES`."""
+    return law.derive_function(mode, lambda: _derive_mode_stress(law, mode))
 
 
 def _derive_mode_stress(law: Law, mode: str):
@@ -254,8 +254,8 @@ def _derive_mode_stress(law: Law, mode: str):
 
 @lru_cache
 def _compile_principal_functions(law: Law):
-    """Compiled energy and its derivatives with respect to the logarithms of the three stretches."""
-    return law.derived("principal", lambda: _derive_principal_slopes(law))
+    """Return the compiled energy and its derivatives with respect to the logarithms of the three stretches."""
+    return law.derive_function("principal", lambda: _derive_principal_slopes(law))
 
 
 def _derive_principal_slopes(law: Law):
@@ -300,7 +300,7 @@ class InvariantLaw(Law):
 
     @cached_property
     def _polynomial_function(self):
-        return self.derived("polynomial", self._polynomial_coefficients)
+        return self.derive_function("polynomial", self._polynomial_coefficients)
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
@@ -356,7 +356,7 @@ def _invariant_symbols() -> tuple[sp.Symbol, ...]:
     return tuple(sp.symbols("I1 I2", positive=True))
 
 
-class _Polynomial(KernelEnergy):
+class _PolynomialKernelEnergy(KernelEnergy):
     """Energy of the kernel that polynomial laws share; the symbols are made on demand, since sympy imports slowly."""
 
     def __init__(self):
@@ -364,7 +364,7 @@ class _Polynomial(KernelEnergy):
         object.__setattr__(self, "family", "invariants")
 
     def __eq__(self, other):
-        return isinstance(other, _Polynomial)
+        return isinstance(other, _PolynomialKernelEnergy)
 
     def __hash__(self):
         return hash(self.key)
@@ -387,8 +387,8 @@ class _Polynomial(KernelEnergy):
         return len(POWERS)
 
     @property
-    def kept_as(self) -> tuple | None:
+    def cache_key(self) -> tuple | None:
         return (self.key,)
 
 
-_POLYNOMIAL = _Polynomial()
+_POLYNOMIAL = _PolynomialKernelEnergy()

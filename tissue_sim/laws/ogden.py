@@ -11,7 +11,7 @@ from tissue_sim.laws.law import KernelEnergy, StretchLaw
 MAX_TERMS = 3
 
 @dataclass(frozen=True)
-class ExponentSettings:
+class SmallExponentSettings:
     """Treatment of exponents near 0, by which the formula cannot divide.
 
     The limit for alpha -> 0 is W = mu (ln^2 l1 + ln^2 l2 + ln^2 l3), the energy of Hencky (1928).
@@ -28,7 +28,7 @@ class ExponentSettings:
 
 
 #: Settings of all orders.
-EXPONENTS = ExponentSettings()
+EXPONENTS = SmallExponentSettings()
 
 
 class Ogden(StretchLaw):
@@ -47,15 +47,15 @@ class Ogden(StretchLaw):
         return sum(2 * mu / alpha**2 * (stretch**alpha - 1) for mu, alpha in pairs)
 
     def as_array(self, values) -> np.ndarray:
-        """Return the values as `Law.as_array`; exponents below `ExponentSettings.smallest` are replaced by it."""
+        """Return the values as `Law.as_array`; exponents below `SmallExponentSettings.smallest` are replaced by it."""
         array = np.array(super().as_array(values))
         exponents = array[1::2]
         small = np.abs(exponents) < EXPONENTS.smallest
         exponents[small] = np.copysign(EXPONENTS.smallest, exponents[small])
         return array
 
-    def at_limit(self, values) -> list[str]:
-        """Sentences on exponents that are 0 within `ExponentSettings.limit`; see `Law.at_limit`."""
+    def describe_parameters_at_limit(self, values) -> list[str]:
+        """Return one sentence for each exponent that is 0 within `SmallExponentSettings.limit`."""
         exponents = super().as_array(values)[1::2]
         return [f"alpha{i} is at its limit 0, where the term is mu{i} (ln^2 l1 + ln^2 l2 + ln^2 l3)"
                 for i, alpha in enumerate(exponents, start=1) if abs(alpha) < EXPONENTS.limit]

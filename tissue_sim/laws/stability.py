@@ -14,7 +14,7 @@ STRETCH_RANGE = (0.3, 3.0)
 
 
 @dataclass(frozen=True)
-class Stability:
+class StabilityRange:
     """Range of stretches in which a law is stable.
 
     Attributes:
@@ -60,8 +60,8 @@ class Stability:
 
 @lru_cache
 def _compile_hessian(law: Law):
-    """Compiled Hessian d2W/(de_i de_j) in the logarithmic strains as independent variables: 11, 22, 33, 12, 13, 23."""
-    return law.derived("hessian", lambda: _derive_hessian(law))
+    """Return the compiled Hessian d2W/(de_i de_j) in the logarithmic strains; entries 11, 22, 33, 12, 13, 23."""
+    return law.derive_function("hessian", lambda: _derive_hessian(law))
 
 
 def _derive_hessian(law: Law):
@@ -97,7 +97,7 @@ def _is_stable(law: Law, values: np.ndarray, strains: np.ndarray) -> np.ndarray:
 
 
 def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRETCH_RANGE,
-                    points: int = 400) -> Stability:
+                    points: int = 400) -> StabilityRange:
     """Check Drucker's criterion: positive work of every additional strain, d(tau) : d(e) > 0.
 
     With the Kirchhoff stress tau and the logarithmic strain e, the 2 x 2 matrix d(tau)/d(e) of an incompressible solid
@@ -139,4 +139,4 @@ def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRET
         return float(good)
 
     low, high = stretch_range
-    return Stability({mode: (limit(low, mode), limit(high, mode)) for mode in MODES}, (float(low), float(high)))
+    return StabilityRange({mode: (limit(low, mode), limit(high, mode)) for mode in MODES}, (float(low), float(high)))

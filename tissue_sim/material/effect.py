@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissue_sim.parameters import accepts_declared
+from tissue_sim.parameters import make_declared_class_check
 from tissue_sim.registry import Registry
 
 
@@ -113,7 +113,7 @@ class PointEffect(TissueEffect):
         """
 
 
-class ReducedForce:
+class ReducedForceFactor:
     """Factor of all effects in reduced form on the force of a tool, and the tool's history.
 
     Args:
@@ -127,22 +127,27 @@ class ReducedForce:
         self._effects = tuple(effects)
         self.history = ToolHistory(-inf, -inf)
 
-    def share(self, depth: float, dt: float = 0.0) -> float:
-        """Factor on the force, or its derivative, at a trial depth, m, reached in dt s."""
-        here = self._history_at(depth, dt)
+    def compute_factor(self, depth: float, dt: float = 0.0) -> float:
+        """Return the factor on the force of the tool at a trial depth, m, reached dt s after the last accepted depth.
+
+        The history is not changed.
+        """
+        here = self._make_history_at(depth, dt)
         return prod((effect.share(here) for effect in self._effects), start=1.0)
 
-    def commit(self, depth: float, dt: float = 0.0) -> float:
-        """Accept a depth, m, reached in dt s; returns the factor there."""
-        share, self.history = self.share(depth, dt), self._history_at(depth, dt)
+    def accept_depth(self, depth: float, dt: float = 0.0) -> float:
+        """Add a depth, m, reached dt s after the last one, to the history; return the factor on the force."""
+        share, self.history = self.compute_factor(depth, dt), self._make_history_at(depth, dt)
         return share
 
-    def _history_at(self, depth: float, dt: float) -> ToolHistory:
+    def _make_history_at(self, depth: float, dt: float) -> ToolHistory:
+        """Return the history with the tool at a depth, m, dt s later."""
         return ToolHistory(depth, max(self.history.deepest, depth), self.history.time + dt)
 
 
 #: Name -> class of an effect.
 EFFECTS: Registry[type[TissueEffect]] = Registry(
     "effect of the tissue", "tissue_sim.effects",
-    {"stiffness_scale": "tissue_sim.material.stiffness_scale:StiffnessScale"}, accepts=accepts_declared(TissueEffect),
+    {"stiffness_scale": "tissue_sim.material.stiffness_scale:StiffnessScale"},
+                                                 accepts=make_declared_class_check(TissueEffect),
     expected="a frozen dataclass that derives from tissue_sim.TissueEffect and declares its parameters")

@@ -15,12 +15,25 @@ import msgspec
 import numpy as np
 
 from tissue_sim.atomic_write import write_text
-from tissue_sim.decode import as_json_types, decode, read_json, require_schema, require_writable
-from tissue_sim.errors import InputError, located, nearest
+from tissue_sim.decode import (
+    convert_to_json_types,
+    decode_struct,
+    read_json,
+    require_file_schema,
+    require_valid_json_values,
+)
+from tissue_sim.errors import InputError, add_location_to_errors, suggest_known_word
 from tissue_sim.laws import Law, check_stability, find_law
-from tissue_sim.material.law_entry import BulkEntry, Entry, ParameterEntry, law_entries, parameters_in_SI, values_of
+from tissue_sim.material.law_entry import (
+    BulkEntry,
+    MaterialFileEntry,
+    ParameterEntry,
+    convert_parameters_to_si,
+    list_parameter_values,
+    make_law_entries,
+)
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.material.population import PopulationEntry, check_and_convert_population, population_entry
+from tissue_sim.material.population import PopulationEntry, check_and_convert_population, make_population_entry
 from tissue_sim.material.schema import (
     CovarianceEntry,
     LayerEntry,
@@ -33,10 +46,10 @@ from tissue_sim.material.schema import (
     ValidRange,
     ViscoelasticEntry,
     check_covariance,
-    entries_of,
-    parts_of,
+    make_component_entries,
+    make_components_from_entries,
 )
-from tissue_sim.parameters import Parameter, parameters, split_path
+from tissue_sim.parameters import Parameter, parameters, split_parameter_path
 from tissue_sim.version import __version__
 
 #: Version of the format; files of version 1 (law and bulk response only) are valid files of version 2.
@@ -47,7 +60,7 @@ SCHEMA = f"tissue_sim/material/{VERSION}"
 EFFECTS = ("viscoelastic", "softening", "layers", "poroelasticity", "puncture", "effects", "regions")
 
 
-class MaterialFile(Entry, frozen=True, kw_only=True):
+class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
     """Material with uncertainty, population statistics and provenance.
 
     Files may state stresses in Pa, kPa or MPa. In a `MaterialFile` that was read, or made by `of`, the parameters of
@@ -99,12 +112,13 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
             >>> file.standard_errors
             {'C10': 20.0}
         """
-        law, known = material.energy_law, _with_errors(material)
+        law, known = material.energy_law, _list_parameters_with_errors(material)
         errors = {name: float(error) for name, error in (standard_errors or {}).items()}
         for name in (*errors, *others):
             if name not in known:
                 field = f"standard_errors.{name}" if name in errors else "covariance.order"
-                raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field=field)
+                raise InputError(f"this material has no parameter {name!r}{suggest_known_word(name, known)}",
+                                 field=field)
         stated = None
         if covariance is not None:
             matrix = np.asarray(covariance, dtype=float)
@@ -112,34 +126,35 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
             check_covariance(matrix, len(order))
             errors = errors or dict(zip(order, np.sqrt(np.diag(matrix)).tolist(), strict=True))
             factors = np.array([known[name].declaration.factor for name in order])
-            stated = CovarianceEntry(order=tuple(known[name].file_path for name in order),
-                                     matrix=_to_tuples(matrix / np.outer(factors, factors)))
+            stated = CovarianceEntry(order=tuple(known[name].path_in_file for name in order),
+                                     matrix=_convert_lists_to_tuples(matrix / np.outer(factors, factors)))
         stability = check_stability(law, material.values)
-        specimens = None if population is None else population_entry(population, known)
-        given = as_json_types(provenance or {})
+        specimens = None if population is None else make_population_entry(population, known)
+        given = convert_to_json_types(provenance or {})
         history = {"software": "tissue-sim", "version": __version__,
                    "date": datetime.now(UTC).isoformat(timespec="seconds"), **given}
         return check_material_file(cls(
-            schema=SCHEMA, name=material.name, **law_entries(material, errors),
-            covariance=stated, population=specimens, **entries_of(material, errors),
+            schema=SCHEMA, name=material.name, **make_law_entries(material, errors),
+            covariance=stated, population=specimens, **make_component_entries(material, errors),
             density_kg_m3=material.density,
-            valid_range=decode(as_json_types(valid_range), ValidRange | None, "valid_range"),
+            valid_range=decode_struct(convert_to_json_types(valid_range), ValidRange | None, "valid_range"),
             stability=StabilityEntry(stable_from=stability.stable_from, stable_to=stability.stable_to,
                                      stretch_range=stability.stretch_range, text=stability.describe()),
-            provenance=decode(history, Provenance, "provenance")))
+            provenance=decode_struct(history, Provenance, "provenance")))
 
     @property
     def material(self) -> Material:
         """Material for `tissue_sim.Model`."""
-        return Material(self.law, values_of(self.parameters), self.bulk.part, self.density_kg_m3, self.name,
-                        **parts_of(self._effects))
+        return Material(self.law, list_parameter_values(self.parameters), self.bulk.make_bulk(), self.density_kg_m3,
+                        self.name,
+                        **make_components_from_entries(self._effects))
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """Known standard errors, SI, by path as in `tissue_sim.parameters`; for a file in SI."""
+        """Path of a parameter -> standard error, SI; only for a file that was read or checked, which is in SI."""
         stated, content = {}, msgspec.to_builtins(self)
-        for path, each in _with_errors(self.material).items():
-            *place, key = split_path(each.file_path)
+        for path, each in _list_parameters_with_errors(self.material).items():
+            *place, key = split_parameter_path(each.path_in_file)
             entry = reduce(getitem, place, content)
             own = entry.get("parameters", {})
             error = own[key].get("standard_error") if key in own else entry.get("standard_errors", {}).get(key)
@@ -152,7 +167,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
         """Paths of parameters and their covariance, SI, shape (m, m); None if the file has none."""
         if self.covariance is None:
             return None
-        known = {each.file_path: each for each in _with_errors(self.material).values()}
+        known = {each.path_in_file: each for each in _list_parameters_with_errors(self.material).values()}
         stated = [known[name] for name in self.covariance.order]
         factors = np.array([each.declaration.factor for each in stated])
         return tuple(each.path for each in stated), np.outer(factors, factors) * np.array(self.covariance.matrix)
@@ -176,7 +191,7 @@ def read_material_file(path: str | Path) -> MaterialFile:
     """
     path = Path(path)
     data = read_json(path, "a material file (JSON)")
-    with located(file=path):
+    with add_location_to_errors(file=path):
         return decode_material_file(data)
 
 
@@ -193,7 +208,7 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
         >>> load_material("gel.material.json") == gel
         True
     """
-    with located(file=path):
+    with add_location_to_errors(file=path):
         data = msgspec.to_builtins(check_material_file(material_file))
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     # Lists of numbers on one line: a line break inside brackets is never part of a JSON string.
@@ -203,24 +218,24 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
 
 def decode_material_file(data: Any) -> MaterialFile:
     """Make a `MaterialFile` from decoded JSON; see `read_material_file`."""
-    require_schema(data, "material", VERSION)
-    _decode_one_by_one(data, "parameters", ParameterEntry)
+    require_file_schema(data, "material", VERSION)
+    _decode_map_values(data, "parameters", ParameterEntry)
     regions = data.get("regions")
     if isinstance(regions, dict):
         for name, entry in regions.items():
-            with located(field=f"regions.{name}"):
+            with add_location_to_errors(field=f"regions.{name}"):
                 if isinstance(entry, dict):
-                    _decode_one_by_one(entry, "parameters", ParameterEntry)
-                decode(entry, RegionEntry)
-    return check_material_file(decode(data, MaterialFile, ""))
+                    _decode_map_values(entry, "parameters", ParameterEntry)
+                decode_struct(entry, RegionEntry)
+    return check_material_file(decode_struct(data, MaterialFile, ""))
 
 
-def _decode_one_by_one(data: dict[str, Any], key: str, kind: type[Entry]) -> None:
-    """Decode the values of a map one by one, because msgspec's messages do not name the keys of maps."""
+def _decode_map_values(data: dict[str, Any], key: str, kind: type[MaterialFileEntry]) -> None:
+    """Decode each value of a map separately, so that errors name the key, which msgspec's messages do not."""
     entries = data.get(key)
     if isinstance(entries, dict):
         for name, entry in entries.items():
-            decode(entry, kind, f"{key}.{name}")
+            decode_struct(entry, kind, f"{key}.{name}")
 
 
 def check_material_file(file: MaterialFile) -> MaterialFile:
@@ -230,15 +245,15 @@ def check_material_file(file: MaterialFile) -> MaterialFile:
         InputError: an invalid value, with the dotted path of the field.
     """
     content = msgspec.to_builtins(file)
-    require_schema(content, "material", VERSION)
-    require_writable(content)
+    require_file_schema(content, "material", VERSION)
+    require_valid_json_values(content)
     law = find_law(file.law)
-    parameters, factors = parameters_in_SI(law.name, file.parameters)
+    parameters, factors = convert_parameters_to_si(law.name, file.parameters)
     regions = {}
     for name, region in (file.regions or {}).items():
-        regions[name], more = region.in_SI(f"regions.{name}")
+        regions[name], more = region.convert_to_si(f"regions.{name}")
         factors |= more
-    _ = file.bulk.part
+    _ = file.bulk.make_bulk()
     _check_ranges(file)
     if file.provenance is not None and file.provenance.date is not None:
         try:
@@ -250,37 +265,41 @@ def check_material_file(file: MaterialFile) -> MaterialFile:
     _ = file.material  # checks missing parameters, shear modulus, bulk response and density
     if file.covariance is not None:
         order = file.covariance.order
-        _check_order(order, law, [each.file_path for each in _with_errors(file.material).values()])
+        _check_parameter_order(order, law, [each.path_in_file
+                                            for each in _list_parameters_with_errors(file.material).values()])
         scale = np.array([factors.get(name, 1.0) for name in order])
         if (lengths := [len(row) for row in file.covariance.matrix]) != [len(order)] * len(order):
             raise InputError(f"must have {len(order)} rows of {len(order)} numbers; got rows of {lengths}.",
                              field="covariance.matrix")
         matrix = np.outer(scale, scale) * np.array(file.covariance.matrix, dtype=float)
         check_covariance(matrix, len(order))
-        file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_to_tuples(matrix)))
+        file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order,
+                                                                        matrix=_convert_lists_to_tuples(matrix)))
     if file.population is not None:
-        known = {each.file_path: factors.get(each.file_path, 1.0) for each in _with_errors(file.material).values()}
+        known = {each.path_in_file: factors.get(each.path_in_file, 1.0)
+                 for each in _list_parameters_with_errors(file.material).values()}
         file = msgspec.structs.replace(file, population=check_and_convert_population(file.population, known))
-    require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa overflows in Pa
+    require_valid_json_values(msgspec.to_builtins(file))  # a number near 1e308 MPa overflows in Pa
     return file
 
 
-def _with_errors(material: Material) -> dict[str, Parameter]:
-    """Parameters whose uncertainty a file can state, by path: all but the bulk response."""
+def _list_parameters_with_errors(material: Material) -> dict[str, Parameter]:
+    """Return path -> parameter for the parameters whose uncertainty a file can state: all but the bulk response."""
     return {path: each for path, each in parameters(material).items() if each.part is not Bulk}
 
 
-def _check_order(order: Sequence[str], law: Law, known: Sequence[str]) -> None:
+def _check_parameter_order(order: Sequence[str], law: Law, known: Sequence[str]) -> None:
     m = len(law.parameters)
     if tuple(order[:m]) != law.parameters or len(set(order)) != len(order):
         raise InputError(f"must be the parameters of {law.name} in its order, {', '.join(law.parameters)}, then "
                          f"others, each once; got {', '.join(order)}.", field="covariance.order")
     for name in order[m:]:
         if name not in known:
-            raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field="covariance.order")
+            raise InputError(f"this material has no parameter {name!r}{suggest_known_word(name, known)}",
+                             field="covariance.order")
 
 
-def _to_tuples(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+def _convert_lists_to_tuples(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
 
 

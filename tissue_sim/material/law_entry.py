@@ -7,17 +7,17 @@ from typing import Any
 
 import msgspec
 
-from tissue_sim.errors import InputError, located, nearest
+from tissue_sim.errors import InputError, add_location_to_errors, suggest_known_word
 from tissue_sim.laws import find_law
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.units import UNITS, to_si
+from tissue_sim.units import UNITS, get_si_factor_and_offset
 
 
-class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class MaterialFileEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Base of all entries of a file: unknown keys are errors, and default values are not written."""
 
 
-class ParameterEntry(Entry, frozen=True, kw_only=True):
+class ParameterEntry(MaterialFileEntry, frozen=True, kw_only=True):
     """Parameter of a law; value and standard error have the same unit."""
 
     value: float
@@ -25,7 +25,7 @@ class ParameterEntry(Entry, frozen=True, kw_only=True):
     standard_error: float | None = None
 
 
-class BulkEntry(Entry, frozen=True, kw_only=True):
+class BulkEntry(MaterialFileEntry, frozen=True, kw_only=True):
     """Bulk response: exactly one of the four keys; see `tissue_sim.Bulk`."""
 
     K_Pa: float | None = None
@@ -33,8 +33,7 @@ class BulkEntry(Entry, frozen=True, kw_only=True):
     bulk_ratio: float | None = None
     incompressible: bool | None = None
 
-    @property
-    def part(self) -> Bulk:
+    def make_bulk(self) -> Bulk:
         """The bulk response.
 
         Raises:
@@ -48,7 +47,7 @@ class BulkEntry(Entry, frozen=True, kw_only=True):
         return Bulk(kind, None if kind == "incompressible" else value)
 
 
-def law_entries(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
+def make_law_entries(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
     """Make the entries of law, parameters and bulk response by their keys; `errors`: path -> standard error, SI."""
     law, bulk = material.energy_law, material.bulk
     stated: dict[str, Any] = {bulk.kind: True if bulk.value is None else float(bulk.value)}
@@ -57,7 +56,7 @@ def law_entries(material: Material, errors: Mapping[str, float]) -> dict[str, An
                 float(errors[name]) if name in errors else None)) for name, value in material.parameters.items()}}
 
 
-def parameters_in_SI(law: str, parameters: Mapping[str, ParameterEntry]) -> tuple[
+def convert_parameters_to_si(law: str, parameters: Mapping[str, ParameterEntry]) -> tuple[
         dict[str, ParameterEntry], dict[str, float]]:
     """Convert the parameters of a law to SI.
 
@@ -75,10 +74,10 @@ def parameters_in_SI(law: str, parameters: Mapping[str, ParameterEntry]) -> tupl
     factors, in_SI = {}, {}
     for name, entry in parameters.items():
         if name not in found.units:
-            raise InputError(f"law {law} has no parameter {name!r}{nearest(name, found.parameters)}",
+            raise InputError(f"law {law} has no parameter {name!r}{suggest_known_word(name, found.parameters)}",
                              field=f"parameters.{name}")
-        with located(field=f"parameters.{name}.unit"):
-            factor, _ = to_si(entry.unit, UNITS[found.units[name]][0])
+        with add_location_to_errors(field=f"parameters.{name}.unit"):
+            factor, _ = get_si_factor_and_offset(entry.unit, UNITS[found.units[name]][0])
         error = entry.standard_error
         if error is not None and error < 0:
             raise InputError(f"must be a standard deviation of 0 or more; got {error:g}.",
@@ -89,6 +88,6 @@ def parameters_in_SI(law: str, parameters: Mapping[str, ParameterEntry]) -> tupl
     return in_SI, factors
 
 
-def values_of(parameters: Mapping[str, ParameterEntry]) -> dict[str, float]:
+def list_parameter_values(parameters: Mapping[str, ParameterEntry]) -> dict[str, float]:
     """Return the values of parameters in SI by name."""
     return {name: entry.value for name, entry in parameters.items()}

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.laws import Law, find_law
 from tissue_sim.material.effect import ReducedEffect, TissueEffect
 from tissue_sim.material.layer import Layer
@@ -35,8 +35,8 @@ MEMORY_TIMES = 5.0
 EXPONENT_BOUND = 50.0
 
 
-def incompressible_ratio(radius: float, height: float) -> float:
-    """K / mu0 that the finite elements use for a cylinder of a material that is stated as incompressible.
+def get_ratio_of_incompressible_material(radius: float, height: float) -> float:
+    """Return the ratio K / mu0 that the finite elements use for a cylinder of an incompressible material.
 
     Compressibility reduces the force in proportion to (radius / height)^2 mu0 / K. With this ratio bonded compression
     loses 1e-5 of its force at radius 40 and height 70 mm. Flat specimens get the highest verified ratio; the loss is
@@ -136,7 +136,7 @@ class Material:
     regions: Mapping[str, Material] = field(default_factory=dict)
 
     def __post_init__(self):
-        object.__setattr__(self, "regions", read_only(dict(self.regions)))
+        object.__setattr__(self, "regions", make_read_only_copy(dict(self.regions)))
         for name, own in self.regions.items():
             if not name or set(name) & set(".[]"):
                 raise InputError(f"the name of a region must not be empty or contain dots or brackets, which separate "
@@ -145,8 +145,8 @@ class Material:
             if own.layers or own.regions or own.effects or own.puncture is not None:
                 raise InputError("a region has no layers, regions, effects or puncture; leave them out",
                                  field=f"regions.{name}")
-        object.__setattr__(self, "effects", read_only(_index_by_name(self.effects)))
-        object.__setattr__(self, "parameters", read_only(self.energy_law.as_mapping(self.parameters)))
+        object.__setattr__(self, "effects", make_read_only_copy(_index_effects_by_name(self.effects)))
+        object.__setattr__(self, "parameters", make_read_only_copy(self.energy_law.as_mapping(self.parameters)))
         object.__setattr__(self, "layers", tuple(self.layers))
         if not self.mu0 > 0:
             raise InputError(f"must give a positive shear modulus at rest; got {self.mu0:g} Pa.",
@@ -163,7 +163,8 @@ class Material:
 
     def own_parameters(self) -> dict[str, tuple[Declaration, float]]:
         """Declarations and values of the law's parameters by name; see `tissue_sim.parameters`."""
-        return {name: (law_declaration(self.energy_law, name), value) for name, value in self.parameters.items()}
+        return {name: (get_law_parameter_declaration(self.energy_law, name), value) for name,
+                value in self.parameters.items()}
 
     def with_own_parameters(self, values: Mapping[str, float], **changes: Any) -> Material:
         """Return the material with other parameters of the law, and other fields."""
@@ -171,14 +172,14 @@ class Material:
 
     @property
     def ages(self) -> bool:
-        """Whether the force depends on time."""
+        """Whether the force depends on time, by relaxation, drainage, an effect or a region."""
         return (self.viscoelastic is not None or self.poroelasticity is not None
                 or any(effect.ages for effect in self.effects.values())
                 or any(own.ages for own in self.regions.values()))
 
     @property
     def remembers(self) -> bool:
-        """Whether the force depends on the path of the tool."""
+        """Whether the force depends on the previous path of the tool: time dependence or softening."""
         return (self.ages or self.softening is not None
                 or any(effect.remembers for effect in self.effects.values())
                 or any(own.remembers for own in self.regions.values()))
@@ -211,7 +212,7 @@ class Material:
     @property
     def mu_long_term(self) -> float:
         """Initial shear modulus in very slow loading, Pa: all terms relaxed, pores drained; mu0 (1 - sum g - phi)."""
-        relaxing = 0.0 if self.viscoelastic is None else self.viscoelastic.relaxing
+        relaxing = 0.0 if self.viscoelastic is None else self.viscoelastic.relaxing_fraction
         return self.mu0 * (1.0 - relaxing - self._drained)
 
     @property
@@ -230,7 +231,7 @@ class Material:
         return self.bulk.modulus(self.mu0)
 
     def memory_time(self, contact_radius: float | None) -> float:
-        """Time after which tissue without a tool has forgotten its path, s: `MEMORY_TIMES` relaxation times.
+        """Return the time after which unloaded tissue has relaxed, s: `MEMORY_TIMES` relaxation times.
 
         Args:
             contact_radius: contact radius of the test, m, for the time of drainage.
@@ -245,7 +246,7 @@ class Material:
         return max([MEMORY_TIMES * longest, *(own.memory_time(contact_radius) for own in self.regions.values())])
 
     def relaxation(self, contact_radius: float | None) -> Prony | None:
-        """Prony series of all relaxing terms in a test: viscoelastic terms, then drainage.
+        """Return the Prony series of all relaxing terms in a test: viscoelastic terms, then drainage.
 
         Args:
             contact_radius: contact radius of the test, m.
@@ -270,20 +271,20 @@ class Material:
         return 3.0 * mu if np.isinf(K) else 9.0 * K * mu / (3.0 * K + mu)
 
 
-def bulk_declaration(kind: str) -> Declaration | None:
-    """Declaration of the number of a kind of bulk response; None for an unknown kind."""
+def get_bulk_declaration(kind: str) -> Declaration | None:
+    """Return the declaration of the parameter of a kind of bulk response; None for an unknown kind."""
     return _BULK.get(kind)
 
 
-def law_declaration(law: Law, name: str) -> Declaration:
-    """Declaration of a parameter of a law."""
+def get_law_parameter_declaration(law: Law, name: str) -> Declaration:
+    """Return the declaration (symbol, unit, bounds) of a parameter of a law."""
     unit = law.units[name]
     reach = EXPONENT_BOUND if unit == "1" else np.inf
     return Declaration(name, unit, (-reach, reach), key=name)
 
 
-def _index_by_name(effects: Mapping[str, TissueEffect] | Iterable[TissueEffect]) -> dict[str, TissueEffect]:
-    """Return effects by their names.
+def _index_effects_by_name(effects: Mapping[str, TissueEffect] | Iterable[TissueEffect]) -> dict[str, TissueEffect]:
+    """Return name -> effect for effects given as a sequence or a mapping.
 
     Raises:
         InputError: two effects of one name, or an object that is not a `TissueEffect`.

@@ -7,16 +7,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from tissue_sim.errors import InputError, located, nearest
+from tissue_sim.errors import InputError, add_location_to_errors, suggest_known_word
 from tissue_sim.laws import LAWS
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.material.layer import Layer
-from tissue_sim.material.material import Bulk, Material, bulk_declaration, law_declaration
+from tissue_sim.material.material import Bulk, Material, get_bulk_declaration, get_law_parameter_declaration
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony, PronyTerm
-from tissue_sim.parameters import Declaration, declared, parameters, split_path, with_values
+from tissue_sim.parameters import Declaration, list_field_declarations, parameters, split_parameter_path, with_values
 
 #: Path -> class of the parts that a material has at most once.
 SINGLE: dict[str, type] = {"softening": Softening, "poroelasticity": Poroelasticity, "puncture": Puncture}
@@ -27,12 +27,13 @@ _OF_REGION = re.compile(r"regions\.([^.\[\]]+)\.([^.\[\]]+)")
 #: Path of one of several parts: path of the list, index.
 _NUMBERED = re.compile(r"(.*)\[(?:0|[1-9]\d*)\]")
 #: Paths among which messages name the nearest to an unknown path.
-_EXAMPLES = (*(f"{place}[0].{name}" for place, kind in SEVERAL.items() for name in declared(kind)),
-             *(f"{place}.{name}" for place, kind in SINGLE.items() for name in declared(kind)), "bulk.bulk_ratio")
+_EXAMPLES = (*(f"{place}[0].{name}" for place, kind in SEVERAL.items() for name in list_field_declarations(kind)),
+             *(f"{place}.{name}" for place, kind in SINGLE.items() for name in list_field_declarations(kind)),
+             "bulk.bulk_ratio")
 
 
-def find_declaration(path: str) -> tuple[str, Declaration]:
-    """Find the declaration of a parameter that a material may have, by its path; parameters of the law excepted.
+def find_material_declaration(path: str) -> tuple[str, Declaration]:
+    """Find the full path and declaration of a parameter that a material may have, except those of its law.
 
     Args:
         path: path of the attribute, or as in files: ``viscoelastic.terms[0].tau`` or ``...tau_s``; for a region a
@@ -47,24 +48,25 @@ def find_declaration(path: str) -> tuple[str, Declaration]:
     if (of_region := _OF_REGION.fullmatch(path)) is not None:
         return path, _find_law_declaration(of_region[2], path)
     place, _, last = path.rpartition(".")
-    if place == "bulk" and (found := bulk_declaration(last)) is not None:
+    if place == "bulk" and (found := get_bulk_declaration(last)) is not None:
         return path, found
-    kind = _find_part_class(place)
-    for name, found in (declared(kind) if kind else {}).items():
+    kind = _find_component_class(place)
+    for name, found in (list_field_declarations(kind) if kind else {}).items():
         if last in (name, found.key):
             return f"{place}.{name}", found
-    raise InputError(f"no material has a parameter {path!r}{nearest(path, _EXAMPLES)}", field=path)
+    raise InputError(f"no material has a parameter {path!r}{suggest_known_word(path, _EXAMPLES)}", field=path)
 
 
-def region_of(path: str) -> str | None:
-    """Name of the region whose parameter a path names; None for other paths."""
+def find_region_name(path: str) -> str | None:
+    """Return the name of the mesh region whose parameter a path names; None for other paths."""
     found = _OF_REGION.fullmatch(path)
     return None if found is None else found[1]
 
 
-def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str, float], bulk: Bulk | None = None,
+def make_material_from_numbers(law: str, parameters: Mapping[str, float], others: Mapping[str, float],
+                               bulk: Bulk | None = None,
                   **options: Any) -> Material:
-    """Make a material from numbers.
+    """Make a material from a law and numbers by path.
 
     Args:
         law: name of the law.
@@ -83,7 +85,7 @@ def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str
     effects: dict[str, dict[str, float]] = {}
     regions: dict[str, dict[str, float]] = {}
     for path, value in others.items():
-        *place, last = split_path(find_declaration(path)[0])
+        *place, last = split_parameter_path(find_material_declaration(path)[0])
         match place:
             case ["bulk"]:
                 response = Bulk(str(last), value)
@@ -95,19 +97,19 @@ def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str
                 terms[".".join(map(str, outer))].setdefault(index, {})[str(last)] = value
             case _:
                 single.setdefault(str(place[0]), {})[str(last)] = value
-    parts: dict[str, Any] = {place: _make_part(SINGLE[place], place, numbers) for place, numbers in single.items()}
+    parts: dict[str, Any] = {place: _make_component(SINGLE[place], place, numbers) for place, numbers in single.items()}
     prony = tuple(_sort_numbered_terms(terms, "viscoelastic.terms"))
     if prony:
-        with located(field="viscoelastic"):
+        with add_location_to_errors(field="viscoelastic"):
             parts["viscoelastic"] = Prony(prony)
-    added = {name: _make_part(EFFECTS[name], f"effects.{name}", numbers) for name, numbers in effects.items()}
+    added = {name: _make_component(EFFECTS[name], f"effects.{name}", numbers) for name, numbers in effects.items()}
     return Material(law, parameters, response, layers=tuple(_sort_numbered_terms(terms, "layers")), effects=added,
                     regions={name: _make_region_material(name, numbers, response)
                              for name, numbers in regions.items()}, **parts, **options)
 
 
-def with_parts(material: Material, values: Mapping[str, float]) -> Material:
-    """Return a material with changed numbers, and with new parts if the paths name parts that the material lacks.
+def with_material_parameters(material: Material, values: Mapping[str, float]) -> Material:
+    """Return a material with changed parameters; components that the material lacks are added.
 
     Args:
         material: material to change.
@@ -125,12 +127,13 @@ def with_parts(material: Material, values: Mapping[str, float]) -> Material:
                                  "layers": material.layers}
 
     def renumbered(path: str) -> str:
-        place, _, last = find_declaration(path)[0].rpartition(".")
+        place, _, last = find_material_declaration(path)[0].rpartition(".")
         if (numbered := _NUMBERED.fullmatch(place)) is None:
             return path
         return f"{numbered[1]}[{int(place[len(numbered[1]) + 1:-1]) - len(several[numbered[1]])}].{last}"
 
-    made = make_material("neo_hooke", {"C10": 1.0}, {renumbered(path): value for path, value in new.items()},
+    made = make_material_from_numbers("neo_hooke", {"C10": 1.0},
+                                      {renumbered(path): value for path, value in new.items()},
                          material.bulk)
     changes: dict[str, Any] = {name: part for name in SINGLE if (part := getattr(made, name)) is not None}
     if made.viscoelastic is not None:
@@ -142,7 +145,7 @@ def with_parts(material: Material, values: Mapping[str, float]) -> Material:
                    regions={**material.regions, **made.regions}, **changes)
 
 
-def _find_part_class(place: str) -> type | None:
+def _find_component_class(place: str) -> type | None:
     numbered = _NUMBERED.fullmatch(place)
     if numbered:
         return SEVERAL.get(numbered[1])
@@ -152,12 +155,12 @@ def _find_part_class(place: str) -> type | None:
 
 
 def _find_law_declaration(name: str, path: str) -> Declaration:
-    """Declaration of a parameter that at least one law has."""
+    """Return the declaration of a parameter that at least one registered law has."""
     for law in LAWS.values():
         if name in law.parameters:
-            return law_declaration(law, name)
+            return get_law_parameter_declaration(law, name)
     known = dict.fromkeys(each for law in LAWS.values() for each in law.parameters)
-    raise InputError(f"no law has a parameter {name!r}{nearest(name, known)}", field=path)
+    raise InputError(f"no law has a parameter {name!r}{suggest_known_word(name, known)}", field=path)
 
 
 def _make_region_material(name: str, numbers: Mapping[str, float], bulk: Bulk) -> Material:
@@ -176,14 +179,14 @@ def _sort_numbered_terms(terms: Mapping[str, Mapping[int, Mapping[str, float]]],
     numbered = terms[place]
     if sorted(numbered) != list(range(len(numbered))):
         raise InputError(f"must be numbered from 0 without gaps, as {place}[0], {place}[1].", field=place)
-    return (_make_part(SEVERAL[place], f"{place}[{index}]", numbered[index]) for index in range(len(numbered)))
+    return (_make_component(SEVERAL[place], f"{place}[{index}]", numbered[index]) for index in range(len(numbered)))
 
 
-def _make_part(kind: type, place: str, numbers: Mapping[str, float]) -> Any:
+def _make_component(kind: type, place: str, numbers: Mapping[str, float]) -> Any:
     try:
         return kind(**numbers)
     except InputError as refused:
         raise InputError(refused.problem, field=f"{place}.{refused.field}") from None
     except TypeError:
-        missing = next(name for name in declared(kind) if name not in numbers)
+        missing = next(name for name in list_field_declarations(kind) if name not in numbers)
         raise InputError("is missing; add it", field=f"{place}.{missing}") from None

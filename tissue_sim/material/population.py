@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.decode import as_json_types, decode
-from tissue_sim.errors import InputError, nearest
-from tissue_sim.material.schema import Entry, Range, check_covariance
+from tissue_sim.decode import convert_to_json_types, decode_struct
+from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.material.law_entry import MaterialFileEntry
+from tissue_sim.material.schema import Range, check_covariance
 from tissue_sim.parameters import Parameter
 
 _LISTS = ("mean", "spread", "mean_interval95", "spread_interval95")
 
 
-class PopulationEntry(Entry, frozen=True, kw_only=True):
+class PopulationEntry(MaterialFileEntry, frozen=True, kw_only=True):
     """Statistics of the specimens whose mean is the material, for its parameters in `order`.
 
     One number for each parameter, in the units of the file: `mean`, `spread` (standard deviation between specimens),
@@ -32,12 +33,12 @@ class PopulationEntry(Entry, frozen=True, kw_only=True):
     mean_interval95: tuple[Range, ...] | None = None
     spread_interval95: tuple[Range, ...] | None = None
 
-    def scaled(self, order: Sequence[str], factors: Sequence[float]) -> PopulationEntry:
+    def convert_units(self, order: Sequence[str], factors: Sequence[float]) -> PopulationEntry:
         """Return the entry with other names of the parameters, and multiplied by the factors of other units."""
         sizes = np.asarray(factors)
         lists = {key: None if getattr(self, key) is None else (np.transpose(getattr(self, key)) * sizes).T.tolist()
                  for key in _LISTS}
-        return decode(as_json_types({
+        return decode_struct(convert_to_json_types({
             "order": list(order), **{key: value for key, value in lists.items() if value is not None},
             "between_specimens": (np.outer(sizes, sizes) * np.array(self.between_specimens)).tolist(),
             "specimens": {name: (sizes * values).tolist() for name, values in self.specimens.items()},
@@ -45,7 +46,7 @@ class PopulationEntry(Entry, frozen=True, kw_only=True):
             PopulationEntry, "population")
 
 
-def population_entry(stated: Mapping[str, Any], known: Mapping[str, Parameter]) -> PopulationEntry:
+def make_population_entry(stated: Mapping[str, Any], known: Mapping[str, Parameter]) -> PopulationEntry:
     """Make the entry of a population.
 
     Args:
@@ -55,9 +56,9 @@ def population_entry(stated: Mapping[str, Any], known: Mapping[str, Parameter]) 
     Raises:
         InputError: a parameter that the material does not have, or a wrong shape; with the field.
     """
-    entry = decode(as_json_types(stated), PopulationEntry, "population")
-    _require_valid_entry(entry, known)
-    return entry.scaled([known[name].file_path for name in entry.order],
+    entry = decode_struct(convert_to_json_types(stated), PopulationEntry, "population")
+    _check_population_entry(entry, known)
+    return entry.convert_units([known[name].path_in_file for name in entry.order],
                         [1.0 / known[name].declaration.factor for name in entry.order])
 
 
@@ -71,14 +72,15 @@ def check_and_convert_population(entry: PopulationEntry, known: Mapping[str, flo
     Raises:
         InputError: an unknown parameter, a wrong shape, or a matrix that is not a covariance.
     """
-    _require_valid_entry(entry, known)
-    return entry.scaled(entry.order, [known[name] for name in entry.order])
+    _check_population_entry(entry, known)
+    return entry.convert_units(entry.order, [known[name] for name in entry.order])
 
 
-def _require_valid_entry(entry: PopulationEntry, known: Mapping[str, Any]) -> None:
+def _check_population_entry(entry: PopulationEntry, known: Mapping[str, Any]) -> None:
     for name in entry.order:
         if name not in known:
-            raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field="population.order")
+            raise InputError(f"this material has no parameter {name!r}{suggest_known_word(name, known)}",
+                             field="population.order")
     rows: dict[str, Any] = {key: getattr(entry, key) for key in _LISTS if getattr(entry, key) is not None}
     rows |= {f"specimens.{name}": values for name, values in entry.specimens.items()}
     for key, values in (*rows.items(), *((f"between_specimens[{i}]", row)

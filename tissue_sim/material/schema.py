@@ -13,30 +13,37 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
 import msgspec
 import numpy as np
 
-from tissue_sim.decode import decode
-from tissue_sim.errors import InputError, located
+from tissue_sim.decode import decode_struct
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.material.effect import EFFECTS
-from tissue_sim.material.law_entry import BulkEntry, Entry, ParameterEntry, law_entries, parameters_in_SI, values_of
+from tissue_sim.material.law_entry import (
+    BulkEntry,
+    MaterialFileEntry,
+    ParameterEntry,
+    convert_parameters_to_si,
+    list_parameter_values,
+    make_law_entries,
+)
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import Material
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import FORM, Prony, PronyTerm
-from tissue_sim.parameters import declared, from_keys
+from tissue_sim.parameters import list_field_declarations, make_from_file_keys
 
 #: Lowest and highest value.
 Range = tuple[float, float]
 
 
-class CovarianceEntry(Entry, frozen=True, kw_only=True):
+class CovarianceEntry(MaterialFileEntry, frozen=True, kw_only=True):
     """Covariance of the parameters in `order`; units are products of those of the parameters."""
 
     order: tuple[str, ...]
     matrix: tuple[tuple[float, ...], ...]
 
 
-class ValidRange(Entry, frozen=True, kw_only=True):
+class ValidRange(MaterialFileEntry, frozen=True, kw_only=True):
     """Ranges, (lowest, highest), of the data to which the parameters were fitted."""
 
     stretch: Range | None = None
@@ -44,7 +51,7 @@ class ValidRange(Entry, frozen=True, kw_only=True):
     temperature_degC: Range | None = None
 
 
-class StabilityEntry(Entry, frozen=True, kw_only=True):
+class StabilityEntry(MaterialFileEntry, frozen=True, kw_only=True):
     """Range of Drucker stability; see `tissue_sim.check_stability`."""
 
     stable_from: float
@@ -53,14 +60,14 @@ class StabilityEntry(Entry, frozen=True, kw_only=True):
     text: str = ""
 
 
-class SourceRecording(Entry, frozen=True, kw_only=True):
+class SourceRecording(MaterialFileEntry, frozen=True, kw_only=True):
     """File and SHA-256 of a recording from which the parameters were determined."""
 
     file: str
     sha256: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
-class Provenance(Entry, frozen=True, kw_only=True):
+class Provenance(MaterialFileEntry, frozen=True, kw_only=True):
     """Origin of the parameters; `residual` such as ``{"RMSE_Pa": 12.0}``, `date` in ISO 8601."""
 
     recordings: tuple[SourceRecording, ...] = ()
@@ -72,15 +79,15 @@ class Provenance(Entry, frozen=True, kw_only=True):
     settings: dict[str, Any] = {}
 
 
-class PartEntry(Entry, frozen=True, kw_only=True):
-    """Part of a material in the units of the file; `standard_errors` by the file's keys and in its units."""
+class ComponentEntry(MaterialFileEntry, frozen=True, kw_only=True):
+    """Component of a material, such as a layer, in the units of the file; `standard_errors` by key, in these units."""
 
-    #: Class of the part.
+    #: Class of the component.
     noun: ClassVar[type]
     standard_errors: dict[str, float] = {}
 
     @classmethod
-    def of(cls, part: Any, place: str, errors: Mapping[str, float]) -> PartEntry:
+    def from_component(cls, part: Any, place: str, errors: Mapping[str, float]) -> ComponentEntry:
         """Make the entry of a part.
 
         Args:
@@ -88,12 +95,12 @@ class PartEntry(Entry, frozen=True, kw_only=True):
             place: path of the part.
             errors: path of a parameter -> standard error, SI.
         """
-        known = declared(cls.noun).items()
+        known = list_field_declarations(cls.noun).items()
         mine = {what.key: errors[f"{place}.{name}"] / what.factor for name, what in known
                 if f"{place}.{name}" in errors}
         return cls(**{what.key: getattr(part, name) / what.factor for name, what in known}, standard_errors=mine)
 
-    def part(self, field: str) -> Any:
+    def make_component(self, field: str) -> Any:
         """Make the part of a material.
 
         Args:
@@ -102,7 +109,7 @@ class PartEntry(Entry, frozen=True, kw_only=True):
         Raises:
             InputError: an invalid value or standard error, with its path.
         """
-        keys = [what.key for what in declared(self.noun).values()]
+        keys = [what.key for what in list_field_declarations(self.noun).values()]
         for key, error in self.standard_errors.items():
             if key not in keys:
                 raise InputError(f"must be the key of a parameter: {', '.join(keys)}.",
@@ -110,35 +117,35 @@ class PartEntry(Entry, frozen=True, kw_only=True):
             if error < 0:
                 raise InputError(f"must be a standard deviation of 0 or more; got {error:g}.",
                                  field=f"{field}.standard_errors.{key}")
-        return from_keys(self.noun, {key: getattr(self, key) for key in keys}, field)
+        return make_from_file_keys(self.noun, {key: getattr(self, key) for key in keys}, field)
 
 
 @cache
-def entry_of(noun: type) -> type[PartEntry]:
-    """Make the class of entries of a class of parts: one key for each declared parameter."""
+def make_entry_class(noun: type) -> type[ComponentEntry]:
+    """Make the msgspec class of the file entry of a component: one key for each parameter that the class declares."""
     keys: list[tuple[str, type] | tuple[str, type, Any]] = []
     for entry in fields(noun):
-        what = declared(noun).get(entry.name)
+        what = list_field_declarations(noun).get(entry.name)
         if what is not None:
             keys.append((what.key, float) if entry.default is MISSING else
                         (what.key, float, entry.default / what.factor))
-    made = msgspec.defstruct(f"{noun.__name__}Entry", keys, bases=(PartEntry,), namespace={"noun": noun},
+    made = msgspec.defstruct(f"{noun.__name__}Entry", keys, bases=(ComponentEntry,), namespace={"noun": noun},
                              frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True)
-    return cast(type[PartEntry], made)
+    return cast(type[ComponentEntry], made)
 
 
-if TYPE_CHECKING:  # type checkers do not accept a class from a function as a type; PartEntry has all that they need
-    LayerEntry = PartEntry
-    PoroelasticityEntry = PartEntry
-    PronyTermEntry = PartEntry
-    PunctureEntry = PartEntry
-    SofteningEntry = PartEntry
+if TYPE_CHECKING:  # type checkers do not accept a class from a function as a type
+    LayerEntry = ComponentEntry
+    PoroelasticityEntry = ComponentEntry
+    PronyTermEntry = ComponentEntry
+    PunctureEntry = ComponentEntry
+    SofteningEntry = ComponentEntry
 else:
     SofteningEntry, LayerEntry, PoroelasticityEntry, PunctureEntry, PronyTermEntry = map(
-        entry_of, (Softening, Layer, Poroelasticity, Puncture, PronyTerm))
+        make_entry_class, (Softening, Layer, Poroelasticity, Puncture, PronyTerm))
 
 
-class ViscoelasticEntry(Entry, frozen=True, kw_only=True, omit_defaults=False):
+class ViscoelasticEntry(MaterialFileEntry, frozen=True, kw_only=True, omit_defaults=False):
     """Prony series, see `tissue_sim.material.viscoelasticity.Prony`; the convention is always written."""
 
     terms: tuple[PronyTermEntry, ...]
@@ -146,52 +153,56 @@ class ViscoelasticEntry(Entry, frozen=True, kw_only=True, omit_defaults=False):
     form: Literal["isochoric_second_piola"] = FORM
 
     @classmethod
-    def of(cls, prony: Prony, place: str, errors: Mapping[str, float]) -> ViscoelasticEntry:
-        """Make the entry of a Prony series; arguments as in `PartEntry.of`."""
-        terms = (PronyTermEntry.of(term, f"{place}.terms[{i}]", errors) for i, term in enumerate(prony.terms))
+    def from_component(cls, prony: Prony, place: str, errors: Mapping[str, float]) -> ViscoelasticEntry:
+        """Make the entry of a Prony series; arguments as in `ComponentEntry.from_component`."""
+        terms = (PronyTermEntry.from_component(term, f"{place}.terms[{i}]", errors) for i,
+                 term in enumerate(prony.terms))
         return cls(terms=tuple(terms), moduli=prony.moduli)
 
-    def part(self, field: str) -> Prony:
-        """Make the Prony series; errors as in `PartEntry.part`."""
-        terms = tuple(term.part(f"{field}.terms[{i}]") for i, term in enumerate(self.terms))
-        with located(field=field):
+    def make_component(self, field: str) -> Prony:
+        """Make the Prony series; errors as in `ComponentEntry.make_component`."""
+        terms = tuple(term.make_component(f"{field}.terms[{i}]") for i, term in enumerate(self.terms))
+        with add_location_to_errors(field=field):
             return Prony(terms, self.moduli)
 
 
-def entries_of(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
-    """Make the entries of all parts of a material besides law and bulk response, by their keys in the file.
+def make_component_entries(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
+    """Make the entries of all components of a material except law and bulk response, by their keys in the file.
 
     Args:
         material: the material.
         errors: path -> standard error, SI.
     """
-    def entry(part: Any, place: str) -> PartEntry:
-        return entry_of(part.__class__).of(part, place, errors)
+    def entry(part: Any, place: str) -> ComponentEntry:
+        return make_entry_class(part.__class__).from_component(part, place, errors)
 
     single = {key: None if (part := getattr(material, key)) is None else entry(part, key)
               for key in ("softening", "poroelasticity", "puncture")}
     prony = material.viscoelastic
     return {**single,
-            "viscoelastic": None if prony is None else ViscoelasticEntry.of(prony, "viscoelastic", errors),
+            "viscoelastic": None if prony is None else ViscoelasticEntry.from_component(prony, "viscoelastic", errors),
             "layers": tuple(entry(layer, f"layers[{i}]") for i, layer in enumerate(material.layers)) or None,
             "effects": {name: msgspec.to_builtins(entry(effect, f"effects.{name}"))
                         for name, effect in material.effects.items()} or None,
-            "regions": {name: RegionEntry.of(own, f"regions.{name}", errors)
+            "regions": {name: RegionEntry.from_component(own, f"regions.{name}", errors)
                         for name, own in material.regions.items()} or None}
 
 
-def parts_of(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Make the keyword arguments of `Material` from the entries of a file; errors as in `PartEntry.part`."""
-    single = {key: entry.part(key) for key, entry in entries.items()
+def make_components_from_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """Make the keyword arguments of `Material`, except law and bulk response, from the entries of a file.
+
+    Errors are those of `ComponentEntry.make_component`.
+    """
+    single = {key: entry.make_component(key) for key, entry in entries.items()
               if entry is not None and key not in ("layers", "effects", "regions")}
-    layers = tuple(layer.part(f"layers[{i}]") for i, layer in enumerate(entries["layers"] or ()))
-    effects = {name: _decode_effect(name, content).part(f"effects.{name}")
+    layers = tuple(layer.make_component(f"layers[{i}]") for i, layer in enumerate(entries["layers"] or ()))
+    effects = {name: _decode_effect(name, content).make_component(f"effects.{name}")
                for name, content in (entries["effects"] or {}).items()}
-    regions = {name: entry.part(f"regions.{name}") for name, entry in (entries["regions"] or {}).items()}
+    regions = {name: entry.make_component(f"regions.{name}") for name, entry in (entries["regions"] or {}).items()}
     return {**single, "layers": layers, "effects": effects, "regions": regions}
 
 
-class RegionEntry(Entry, frozen=True, kw_only=True):
+class RegionEntry(MaterialFileEntry, frozen=True, kw_only=True):
     """Material of a region of the mesh."""
 
     name: str = ""
@@ -204,30 +215,34 @@ class RegionEntry(Entry, frozen=True, kw_only=True):
     density_kg_m3: float | None = None
 
     @classmethod
-    def of(cls, material: Material, place: str, errors: Mapping[str, float]) -> RegionEntry:
-        """Make the entry of a region's material; arguments as in `PartEntry.of`."""
+    def from_component(cls, material: Material, place: str, errors: Mapping[str, float]) -> RegionEntry:
+        """Make the entry of a region's material; arguments as in `ComponentEntry.from_component`."""
         mine = {path.removeprefix(f"{place}."): error for path, error in errors.items()
                 if path.startswith(f"{place}.")}
-        parts = {key: entry for key, entry in entries_of(material, mine).items() if entry is not None}
-        return cls(name=material.name, **law_entries(material, mine), **parts, density_kg_m3=material.density)
+        parts = {key: entry for key, entry in make_component_entries(material, mine).items() if entry is not None}
+        return cls(name=material.name, **make_law_entries(material, mine), **parts, density_kg_m3=material.density)
 
-    def in_SI(self, field: str) -> tuple[RegionEntry, dict[str, float]]:
-        """Return the entry in SI, and path -> factor of the unit of its parameters; errors as in `parameters_in_SI`."""
-        with located(field=field):
-            parameters, factors = parameters_in_SI(self.law, self.parameters)
+    def convert_to_si(self, field: str) -> tuple[RegionEntry, dict[str, float]]:
+        """Return the entry in SI, and path -> factor of the unit of its parameters.
+
+        Errors are those of `convert_parameters_to_si`.
+        """
+        with add_location_to_errors(field=field):
+            parameters, factors = convert_parameters_to_si(self.law, self.parameters)
         return (msgspec.structs.replace(self, parameters=parameters),
                 {f"{field}.{name}": factor for name, factor in factors.items()})
 
-    def part(self, field: str) -> Material:
-        """Make the material of an entry in SI; errors as in `PartEntry.part` and `Material`."""
-        with located(field=field):
-            parts = {key: entry.part(key) for key in ("viscoelastic", "softening", "poroelasticity")
+    def make_component(self, field: str) -> Material:
+        """Make the material of an entry in SI; errors as in `ComponentEntry.make_component` and `Material`."""
+        with add_location_to_errors(field=field):
+            parts = {key: entry.make_component(key) for key in ("viscoelastic", "softening", "poroelasticity")
                      if (entry := getattr(self, key)) is not None}
-            return Material(self.law, values_of(self.parameters), self.bulk.part, self.density_kg_m3, self.name,
+            return Material(self.law, list_parameter_values(self.parameters), self.bulk.make_bulk(),
+                            self.density_kg_m3, self.name,
                             **parts)
 
 
-def _decode_effect(name: str, content: Any) -> PartEntry:
+def _decode_effect(name: str, content: Any) -> ComponentEntry:
     """Decode the entry of an additional effect.
 
     Raises:
@@ -237,7 +252,7 @@ def _decode_effect(name: str, content: Any) -> PartEntry:
         raise InputError(f"must be the name of a registered effect: {', '.join(EFFECTS) or 'none'}. Install or "
                          "register the package that defines it", field=f"effects.{name}")
     kind: type = EFFECTS[name]
-    return decode(content, entry_of(kind), f"effects.{name}")
+    return decode_struct(content, make_entry_class(kind), f"effects.{name}")
 
 
 def check_covariance(matrix: np.ndarray, m: int, field: str = "covariance.matrix") -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter
+from tissue_sim.public_names import OldName
 
 #: Largest number of relaxing terms, drainage included; the finite elements store one stress for each.
 MOST_TERMS = 4
@@ -64,9 +65,9 @@ class Prony:
         if not 1 <= len(self.terms) <= MOST_TERMS:
             raise InputError(f"must have 1 to {MOST_TERMS} terms; got {len(self.terms)}. Leave viscoelasticity out",
                              field="terms")
-        if not self.relaxing < 1:
+        if not self.relaxing_fraction < 1:
             raise InputError(f"the sum of all g must be below 1, or no stress remains under constant strain; got "
-                             f"{self.relaxing:g}.", field="terms")
+                             f"{self.relaxing_fraction:g}.", field="terms")
         if self.moduli not in MODULI:
             raise InputError(f"unknown {self.moduli!r}; known: {', '.join(MODULI)}", field="moduli")
 
@@ -80,23 +81,26 @@ class Prony:
         """Relaxation times, s, shape (terms,)."""
         return np.array([term.tau for term in self.terms])
 
+    relaxing = OldName("relaxing_fraction")
+    increment = OldName("compute_recursion_coefficients")
+
     @property
-    def relaxing(self) -> float:
+    def relaxing_fraction(self) -> float:
         """Sum of the relaxing fractions g_i, 1."""
         return float(sum(term.g for term in self.terms))
 
     @property
     def instantaneous_factor(self) -> float:
         """Instantaneous modulus over the modulus of the law: 1, or 1 / (1 - sum g_i) for long-term parameters."""
-        return 1.0 if self.moduli == "instantaneous" else 1.0 / (1.0 - self.relaxing)
+        return 1.0 if self.moduli == "instantaneous" else 1.0 / (1.0 - self.relaxing_fraction)
 
     def modulus(self, time) -> np.ndarray:
-        """Relaxation modulus over the instantaneous modulus, `time` s after a step of strain; shape of `time`."""
+        """Return relaxation modulus over instantaneous modulus, `time` s after a strain step, shape of `time`."""
         relaxed = -np.expm1(-np.asarray(time, dtype=float)[..., None] / self.tau)
         return 1.0 - relaxed @ self.g
 
-    def increment(self, dt) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Coefficients of the recursion Q_i^{n+1} = decay_i Q_i^n + gain_i (S^{n+1} - S^n), exact for S linear in time.
+    def compute_recursion_coefficients(self, dt) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Compute the coefficients of Q_i^{n+1} = decay_i Q_i^n + gain_i (S^{n+1} - S^n), exact for S linear in time.
 
         Args:
             dt: length of the step, s, any shape; 0 for a sudden step, infinity for full relaxation.
@@ -110,7 +114,7 @@ class Prony:
         """
         decay, gain = _compute_step_coefficients(dt, self.tau)
         gain = self.g * gain
-        return 1.0 - self.relaxing + gain.sum(axis=-1), decay, gain
+        return 1.0 - self.relaxing_fraction + gain.sum(axis=-1), decay, gain
 
 
 def compute_internal_stress(dt: np.ndarray, elastic: np.ndarray, tau: np.ndarray) -> np.ndarray:

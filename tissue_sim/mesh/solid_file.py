@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tissue_sim.atomic_write import write_bytes
-from tissue_sim.bounded import bounded
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.bounded import run_in_sandbox
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.files import read_bytes
 from tissue_sim.mesh.element_conversion import merge_shared_nodes
 from tissue_sim.mesh.formats.checks import require_specimen_size, require_valid_mesh, select_volume_cells
@@ -79,7 +79,7 @@ def read_file_mesh(path: str | Path, unit: str = "mm") -> FileMesh:
     """
     path = Path(path)
     if unit not in MESH_UNITS:
-        raise InputError(f"unknown unit {unit!r}{nearest(unit, MESH_UNITS)}", field="mesh_unit")
+        raise InputError(f"unknown unit {unit!r}{suggest_known_word(unit, MESH_UNITS)}", field="mesh_unit")
     if path.suffix.lower() not in ENDINGS:
         raise InputError(f"has the ending {path.suffix!r}, expected a mesh with one of {', '.join(ENDINGS)}", file=path)
     data = read_bytes(path, "a mesh", LARGEST_MESH)
@@ -88,7 +88,7 @@ def read_file_mesh(path: str | Path, unit: str = "mm") -> FileMesh:
         copy = Path(folder) / path.name
         write_bytes(copy, data)
         try:
-            mesh: FileMesh = bounded(_read, copy, unit, file=copy)
+            mesh: FileMesh = run_in_sandbox(_read, copy, unit, file=copy)
         except InputError as error:
             raise InputError(error.problem.replace(str(copy), path.name), file=path, line=error.line,
                              field=error.field) from None
@@ -267,9 +267,8 @@ def find_base_and_top(mesh: FileMesh, base: str | None, top: str | None) -> tupl
 def _find_named_faces(mesh: FileMesh, name: str, field: str) -> np.ndarray:
     known = {each.upper(): members for each, members in mesh.named_sides.items()}
     if name.upper() not in known:
-        raise InputError(f"no sides on the surface of the mesh are named {name!r}"
-                         f"{nearest(name, mesh.named_sides) if mesh.named_sides else '; the file names none'}",
-                         field=field)
+        hint = suggest_known_word(name, mesh.named_sides) if mesh.named_sides else "; the file names none"
+        raise InputError(f"no sides on the surface of the mesh are named {name!r}{hint}", field=field)
     return known[name.upper()]
 
 
@@ -284,4 +283,4 @@ def read_solid_mesh(path: str | Path, unit: str = "mm", order: int = 2, *, base:
     try:
         return convert_file_mesh(mesh, order, base=base, top=top)
     except InputError as error:
-        raise error.located(file=path) from None
+        raise error.with_location(file=path) from None

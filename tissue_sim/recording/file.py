@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.atomic_write import write_bytes, write_text
-from tissue_sim.bounded import bounded
-from tissue_sim.decode import as_json_types, read_json, require_writable
-from tissue_sim.errors import InputError, located
+from tissue_sim.bounded import run_in_sandbox
+from tissue_sim.decode import convert_to_json_types, read_json, require_valid_json_values
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.files import open_file
 from tissue_sim.recording.constant_speed import complete_motion_from_speed
 from tissue_sim.recording.formats import FORMATS
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
-from tissue_sim.units import to_si
+from tissue_sim.units import get_si_factor_and_offset
 
 #: Quantity -> unit in the CSV file.
 _FILE_UNITS = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "-",
@@ -87,7 +87,7 @@ def read_recordings(path: str | Path, *, format: str = "native", columns: Mappin
             raise InputError(f"files of format {format!r} have no {key}; leave it out", field=key)
     with open_file(path, "a recording"):  # refuses a folder, a pipe or a device before the reader starts
         pass
-    answer = bounded(partial(reader, path, **options), file=path)
+    answer = run_in_sandbox(partial(reader, path, **options), file=path)
     several = answer if isinstance(answer, tuple) else (answer,)
     recordings = tuple(_add_time_and_metadata(each, path, speed, kind) for each in several)
     if len(recordings) == 1:
@@ -135,12 +135,12 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     metadata = {key: value for key, value in recording.metadata.items() if key != "source"}
     metadata["sha256"] = hashlib.sha256(data).hexdigest()
     try:
-        metadata = as_json_types(metadata)
+        metadata = convert_to_json_types(metadata)
     except TypeError as error:
         raise InputError(f"the metadata cannot be written as JSON ({error}); keep text, finite numbers, lists and maps",
                          file=path, field="metadata") from error
-    with located(file=path):
-        require_writable(metadata, "metadata")
+    with add_location_to_errors(file=path):
+        require_valid_json_values(metadata, "metadata")
     # A crash between the two leaves a sidecar whose SHA-256 does not match, which the reader reports.
     write_bytes(path, data)
     write_text(path.with_suffix(".json"), json.dumps(metadata, indent=2, ensure_ascii=False) + "\n")
@@ -170,7 +170,7 @@ def _format_csv(recording: Recording, path: Path) -> str:
     cells: list[Iterable[str]] = []
     for name in (name for name in CHANNELS if name in recording):
         unit = _FILE_UNITS[CHANNELS[name]]
-        factor, offset = to_si(unit)
+        factor, offset = get_si_factor_and_offset(unit)
         values = (recording.channel(name) - offset) / factor
         if not np.isfinite(values).all():
             raise InputError(f"must be finite in {unit}, the unit of this channel in the file; got a value that is too "

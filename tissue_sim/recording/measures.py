@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.recording.recording import Recording
 
 ENGINEERING = "engineering"
@@ -142,7 +142,7 @@ def require_valid_measure(measure: object, channel: str, channels: Mapping[str, 
     if measure not in names:
         expected = f"one of {', '.join(names)}" if names else "left out: the channel has one measure only"
         raise InputError(f"measure of {channel} must be {expected}; got {measure!r}"
-                         f"{nearest(str(measure), names) if names else ''}", field=f"{field}.measure")
+                         f"{suggest_known_word(str(measure), names) if names else ''}", field=f"{field}.measure")
     if channel == "nominal stress" and not {"stretch", "shear strain"} & channels.keys():
         raise InputError(f"{MEASURES[str(measure)].title} needs the stretch to become a nominal stress; name a column "
                          "of stretch or strain too", field=f"{field}.measure")

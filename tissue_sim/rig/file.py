@@ -9,9 +9,9 @@ from typing import Any
 import msgspec
 
 from tissue_sim.atomic_write import write_text
-from tissue_sim.decode import decode, read_json, require_schema, require_writable
-from tissue_sim.errors import located
-from tissue_sim.parameters import declared, from_keys, to_keys
+from tissue_sim.decode import decode_struct, read_json, require_file_schema, require_valid_json_values
+from tissue_sim.errors import add_location_to_errors
+from tissue_sim.parameters import convert_to_file_keys, list_field_declarations, make_from_file_keys
 from tissue_sim.rig.fault import FAULTS
 from tissue_sim.rig.rig import Rig
 
@@ -19,7 +19,7 @@ from tissue_sim.rig.rig import Rig
 VERSION = 1
 #: Value of the key ``schema``.
 SCHEMA = f"tissue_sim/rig/{VERSION}"
-_KEYS = [what.key for what in declared(Rig).values()]
+_KEYS = [what.key for what in list_field_declarations(Rig).values()]
 _RigFile = msgspec.defstruct(
     "RigFile", [("schema", str), *((key, float | None, None) for key in _KEYS), ("seed", int, 0),
                 ("faults", dict[str, dict[str, float]] | None, None)],
@@ -34,7 +34,7 @@ def load_rig(path: str | Path) -> Rig:
             or out of its range; with the file and the key.
     """
     path = Path(path)
-    with located(file=path):
+    with add_location_to_errors(file=path):
         return _decode_rig(read_json(path, "a rig file (JSON)"))
 
 
@@ -50,23 +50,23 @@ def write_rig(rig: Rig, path: str | Path) -> None:
         >>> load_rig("bench.rig.json") == bench
         True
     """
-    absent = to_keys(Rig())
+    absent = convert_to_file_keys(Rig())
     data: dict[str, Any] = {"schema": SCHEMA}
-    data |= {key: value for key, value in to_keys(rig).items() if value != absent.get(key)}
+    data |= {key: value for key, value in convert_to_file_keys(rig).items() if value != absent.get(key)}
     if rig.seed:
         data["seed"] = int(rig.seed)
     if rig.faults:
-        data["faults"] = {name: to_keys(fault) for name, fault in rig.faults.items()}
-    with located(file=path):
-        require_writable(data)
+        data["faults"] = {name: convert_to_file_keys(fault) for name, fault in rig.faults.items()}
+    with add_location_to_errors(file=path):
+        require_valid_json_values(data)
     write_text(path, json.dumps(data, indent=2) + "\n")
 
 
 def _decode_rig(data) -> Rig:
-    require_schema(data, "rig", VERSION)
-    file = decode(data, _RigFile)
-    require_writable(data)
+    require_file_schema(data, "rig", VERSION)
+    file = decode_struct(data, _RigFile)
+    require_valid_json_values(data)
     stated = {key: number for key in _KEYS if (number := getattr(file, key)) is not None}
-    faults = {name: from_keys(FAULTS.find(name, f"faults.{name}"), content, f"faults.{name}")
+    faults = {name: make_from_file_keys(FAULTS.find(name, f"faults.{name}"), content, f"faults.{name}")
               for name, content in (file.faults or {}).items()}
-    return from_keys(Rig, stated, "", seed=file.seed, faults=faults)
+    return make_from_file_keys(Rig, stated, "", seed=file.seed, faults=faults)

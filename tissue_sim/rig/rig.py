@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.frozen_mapping import read_only
-from tissue_sim.parameters import declared, parameter
+from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.parameters import list_field_declarations, parameter
 from tissue_sim.public_names import OldName
 from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.backlash import compute_nut_motion
@@ -100,10 +100,10 @@ class Rig:
     def __post_init__(self):
         given = self.faults.values() if isinstance(self.faults, Mapping) else self.faults
         faults = {fault.name: fault for fault in given}
-        object.__setattr__(self, "faults", read_only(faults))
+        object.__setattr__(self, "faults", make_read_only_copy(faults))
         if not isinstance(self.seed, Integral) or isinstance(self.seed, bool) or self.seed < 0:
             raise InputError(f"must be an integer of 0 or more; got {self.seed!r}.", field="rig.seed")
-        for name, what in declared(type(self)).items():
+        for name, what in list_field_declarations(type(self)).items():
             value, low = getattr(self, name), what.bounds[0]
             if name == "sampling_rate" and value is None:
                 continue

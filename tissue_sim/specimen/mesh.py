@@ -100,7 +100,7 @@ class MeshSpecimen(Specimen):
         try:
             held, met = find_base_and_top(mesh, self.mesh_base, self.mesh_top)
         except InputError as error:
-            raise error.located(file=self.mesh_file) from None
+            raise error.with_location(file=self.mesh_file) from None
         return VerticalProjection(mesh.points - find_top_centre(mesh, met), mesh.sides[met], mesh.sides[held],
                                   mesh.sides)
 
@@ -152,7 +152,7 @@ class MeshSpecimen(Specimen):
         try:
             mesh = convert_file_mesh(self._mesh, grading.element.order, base=self.mesh_base, top=self.mesh_top)
         except InputError as error:
-            raise error.located(file=self.mesh_file) from None
+            raise error.with_location(file=self.mesh_file) from None
         if grading.radius is None:
             return mesh
         mesh = add_tool_node_sets(mesh, grading.radius, grading.centre)

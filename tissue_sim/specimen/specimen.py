@@ -14,9 +14,9 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from tissue_sim.errors import InputError, require_length
+from tissue_sim.errors import InputError, require_positive_length
 from tissue_sim.files import read_bytes
-from tissue_sim.parameters import Declaration, declared, parameter
+from tissue_sim.parameters import Declaration, list_field_declarations, parameter
 from tissue_sim.public_names import OldName, adopt_old_names
 from tissue_sim.registry import Registry
 
@@ -111,9 +111,9 @@ class Specimen(metaclass=_SpecimenShapeMeta):
         adopt_old_names(cls, {"depth_at": "vertical_thickness"})
 
     def __post_init__(self):
-        for name, what in declared(type(self)).items():
+        for name, what in list_field_declarations(type(self)).items():
             if what.shapes_mesh and what.absent is None:
-                require_length(getattr(self, name), f"specimen.{name}")
+                require_positive_length(getattr(self, name), f"specimen.{name}")
         if self.density is not None and not (math.isfinite(self.density) and self.density > 0):
             raise InputError(f"must be positive and finite; got {self.density:g} kg/m3.", field="specimen.density")
         if not (math.isfinite(self.gravity) and self.gravity >= 0):
@@ -145,7 +145,7 @@ class Specimen(metaclass=_SpecimenShapeMeta):
     def sizes(self) -> dict[str, float]:
         """Sizes of the shape: key in files -> value in the unit of the key."""
         return {what.key: float(f"{getattr(self, name) / what.factor:.15g}")
-                for name, what in declared(type(self)).items() if name not in _COMMON}
+                for name, what in list_field_declarations(type(self)).items() if name not in _COMMON}
 
     @property
     def stated(self) -> dict[str, float | str]:
@@ -173,7 +173,7 @@ class Specimen(metaclass=_SpecimenShapeMeta):
     def in_words(self) -> str:
         """Sizes in words, such as ``radius 40 mm, height 70 mm``."""
         return ", ".join(f"{_spell_name(name)} {getattr(self, name) / what.factor:g} {what.key.rpartition('_')[2]}"
-                         for name, what in declared(type(self)).items() if name not in _COMMON)
+                         for name, what in list_field_declarations(type(self)).items() if name not in _COMMON)
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
         """Distance of a point from the edge of the top, in plan view, m; negative outside."""
@@ -258,7 +258,7 @@ def specimen_sizes() -> dict[str, SpecimenSize]:
     """
     found: dict[str, SpecimenSize] = {}
     for shape, kind in SPECIMENS.items():
-        for name, what in declared(kind).items():
+        for name, what in list_field_declarations(kind).items():
             if name in _COMMON:
                 continue
             first = found.get(what.key, SpecimenSize(what, name, ()))
@@ -271,7 +271,7 @@ def specimen_sizes() -> dict[str, SpecimenSize]:
 
 def get_shape_sizes(shape: str) -> dict[str, Declaration]:
     """Return the declarations of the sizes of a shape, in order, by their keys in files."""
-    return {what.key: what for name, what in declared(SPECIMENS.find(shape, "specimen.shape")).items()
+    return {what.key: what for name, what in list_field_declarations(SPECIMENS.find(shape, "specimen.shape")).items()
             if name not in _COMMON}
 
 
@@ -318,7 +318,8 @@ def make_specimen_from_keys(shape: str, stated: Mapping[str, float | str], **com
                         for key, value in stated.items()})
     except InputError as error:
         field = (error.field or "").removeprefix("specimen.")
-        keys = {what.key: name for name, what in declared(SPECIMENS[shape]).items()} if shape in SPECIMENS else {}
+        declarations = list_field_declarations(SPECIMENS[shape]) if shape in SPECIMENS else {}
+        keys = {what.key: name for name, what in declarations.items()}
         keys |= {key: size.field for key, size in known.items() if key not in keys} | dict(texts)
         raise InputError(error.problem, file=error.file, line=error.line,
                          field=next((key for key, name in keys.items() if name == field), field)) from None

@@ -16,7 +16,7 @@ from scenes.commands.shared.parsing import (
     parse_interface,
     parse_positive_number,
 )
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.specimen import specimen_sizes
 from tissue_sim.specimen.specimen import add_article, get_shape_keys
@@ -108,7 +108,7 @@ def run(arguments) -> int:
         InputError: files that cannot be read, contradictory flags, or an output file that cannot be written.
     """
     from calibration.importing.files import import_files
-    from calibration.importing.imported import to_json
+    from calibration.importing.imported import convert_import_to_json
 
     if arguments.overwrite and arguments.output is None:
         raise InputError("has an effect only with -o. Leave this flag out, or add -o",
@@ -116,12 +116,12 @@ def run(arguments) -> int:
     imported = import_files(arguments.files, arguments.output, _make_import_options(arguments),
                             overwrite=arguments.overwrite)
     if arguments.json:
-        print_json(to_json(imported))
+        print_json(convert_import_to_json(imported))
     else:
         from scenes.commands.import_files.results import print_import_result
 
         print_import_result(imported, make_results_console())
-    return ExitCode.DONE if imported.complete else ExitCode.GOAL_MISSED
+    return ExitCode.DONE if imported.is_complete else ExitCode.GOAL_MISSED
 
 
 def _make_import_options(arguments):
@@ -134,12 +134,12 @@ def _make_import_options(arguments):
     from tissue_sim.laws import LAWS
     from tissue_sim.recording.formats import FORMATS
     from tissue_sim.recording.formats.guesses import ColumnHints
-    from tissue_sim.units import to_si
+    from tissue_sim.units import get_si_factor_and_offset
 
     units, scales = _parse_channel_values(arguments.unit, "--unit"), _parse_channel_values(arguments.scale, "--scale")
     for channel, unit in units.items():
         try:
-            to_si(unit)
+            get_si_factor_and_offset(unit)
         except InputError as error:
             raise InputError(f"{channel}: {error.problem}", field="--unit") from None
     signs = {channel: _parse_flag_number(text, "--sign")
@@ -202,7 +202,7 @@ def _parse_channel_values(texts: Sequence[str], flag: str) -> dict[str, str]:
         if not equals or not value:
             raise InputError(f"must have the form CHANNEL=VALUE, such as force=3; got {text!r}", field=flag)
         if name not in _CHANNELS:
-            raise InputError(f"unknown channel {name!r}{nearest(name, _CHANNELS)}", field=flag)
+            raise InputError(f"unknown channel {name!r}{suggest_known_word(name, _CHANNELS)}", field=flag)
         if _CHANNELS[name] in found:
             raise InputError(f"{name} is given twice. Give it once", field=flag)
         found[_CHANNELS[name]] = value

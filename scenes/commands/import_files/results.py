@@ -6,21 +6,21 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from calibration.importing.assumption_table import HEADINGS, list_unused_columns, make_assumption_rows
+from calibration.importing.assumption_table import HEADINGS, describe_unused_columns, make_assumption_rows
 from scenes.commands.shared.text_table import TABLES, make_text_table, print_sentence
 from tissue_sim.units import get_display_unit
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from calibration.importing.imported import Imported, Part
-    from calibration.importing.motion import Motion
+    from calibration.importing.imported import ImportResult, ReplicateFile
+    from calibration.importing.motion import RecordedMotion
 
 #: Delimiter -> its name.
 _DELIMITER_NAMES = {"\t": "tab", " ": "spaces", ",": "comma", ";": "semicolon", "|": "bar", None: ""}
 
 
-def print_import_result(imported: Imported, console: Console) -> None:
+def print_import_result(imported: ImportResult, console: Console) -> None:
     """Print the recordings, the assumptions, warnings, written files and missing information of an import."""
     files = make_text_table("file", "format", "test", "samples", "Hz", "reaches", "contact", "cycles", "segments",
                             text=3)
@@ -34,7 +34,8 @@ def print_import_result(imported: Imported, console: Console) -> None:
         files.add_row(part.file.name + several, _describe_file_format(part), name,
                       str(len(part.reading.recordings[number - 1])),
                       "-" if motion.rate is None else f"{motion.rate:.3g}", _format_largest_motion(part, motion),
-                      _format_contact_displacement(motion), str(motion.cycles), ", ".join(_summarise_segments(motion)))
+                      _format_contact_displacement(motion), str(motion.loading_cycle_count),
+                      ", ".join(_summarise_segments(motion)))
     console.print(files)
     if len(rows) > TABLES.max_recordings:
         print_sentence(console, f"and {len(rows) - TABLES.max_recordings} more recordings")
@@ -42,7 +43,7 @@ def print_import_result(imported: Imported, console: Console) -> None:
     _print_assumption_table(imported, console)
     for test in imported.tests:
         print_sentence(console, f"{test.name}: {test.kind or 'kind unknown'}; {test.reason}")
-    for each in list_unused_columns(imported.tests):
+    for each in describe_unused_columns(imported.tests):
         print_sentence(console, f"columns not used: {each}")
     for warning in imported.warnings:
         print_sentence(console, f"note: {warning}")
@@ -59,22 +60,22 @@ def print_import_result(imported: Imported, console: Console) -> None:
         print_sentence(console, f"next: tissue-sim calibrate {imported.output} -o results")
 
 
-def _print_assumption_table(imported: Imported, console: Console) -> None:
+def _print_assumption_table(imported: ImportResult, console: Console) -> None:
     """Print the table of the assumptions, without columns that are empty in all rows."""
-    rows = [row.cells for row in make_assumption_rows(imported.tests)]
+    rows = [row.cell_texts for row in make_assumption_rows(imported.tests)]
     if not rows:
         return
-    used = [i for i in range(len(HEADINGS)) if any(cells[i] for cells in rows)]
+    used = [i for i in range(len(HEADINGS)) if any(cell_texts[i] for cell_texts in rows)]
     table = make_text_table(*(HEADINGS[i] for i in used), text=len(used))
     for column in table.columns:
         column.no_wrap, column.overflow = False, "fold"
-    for cells in rows:
-        table.add_row(*(escape(cells[i]) for i in used))
+    for cell_texts in rows:
+        table.add_row(*(escape(cell_texts[i]) for i in used))
     console.print(table)
     console.print()
 
 
-def _describe_file_format(part: Part) -> str:
+def _describe_file_format(part: ReplicateFile) -> str:
     """Return format, delimiter, number style and encoding of a file, such as ``bluehill, comma``."""
     understood = part.understanding
     mark = _DELIMITER_NAMES.get(understood.delimiter, str(understood.delimiter))
@@ -85,7 +86,7 @@ def _describe_file_format(part: Part) -> str:
     return ", ".join(filter(None, (understood.format, mark, comma, thousands, encoding)))
 
 
-def _format_largest_motion(part: Part, motion: Motion) -> str:
+def _format_largest_motion(part: ReplicateFile, motion: RecordedMotion) -> str:
     """Return the largest displacement, stretch or shear strain of a motion in its display unit.
 
     A question mark follows a value whose unit is unknown.
@@ -96,19 +97,19 @@ def _format_largest_motion(part: Part, motion: Motion) -> str:
     return f"{max(motion.reach, key=abs) * factor:.4g} {unit}".strip()
 
 
-def _format_contact_displacement(motion: Motion) -> str:
+def _format_contact_displacement(motion: RecordedMotion) -> str:
     """Return the displacement of the first contact, as in the file, with its 95 % interval."""
     contact = motion.contact
     if contact is None or contact.status == "none":
         return "-"
-    if not motion.air:
-        return "?" if motion.air is None else "no air"
+    if not motion.starts_in_air:
+        return "?" if motion.starts_in_air is None else "no air"
     factor, unit = (1e3, " mm") if motion.channel == "displacement" else (1.0, "")
     low, high = (factor * end for end in contact.interval)
     return f"{factor * contact.displacement:.3g} ({low:.3g} to {high:.3g}){unit}"
 
 
-def _summarise_segments(motion: Motion) -> list[str]:
+def _summarise_segments(motion: RecordedMotion) -> list[str]:
     """Return the names of the segments; of more than four segments the number of each, such as ``8 ramp``."""
     names = [segment.name for segment in motion.segments]
     if len(names) <= 4:

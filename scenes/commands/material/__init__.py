@@ -189,7 +189,7 @@ def parse_prony_terms(terms: list[str], moduli: Literal["instantaneous", "long_t
     try:
         return Prony(tuple(PronyTerm(*pair) for pair in pairs), moduli)
     except InputError as error:
-        raise error.located(field="--prony") from None
+        raise error.with_location(field="--prony") from None
 
 
 def load_region_materials(regions: list[str]) -> dict[str, Material]:
@@ -270,7 +270,7 @@ def export_material_file(arguments) -> int:
     try:
         text = write(material)
     except InputError as error:
-        raise error.located(file=arguments.file) from None
+        raise error.with_location(file=arguments.file) from None
     write_text(arguments.output, text)
     if arguments.json:
         print_json({"file": str(arguments.output), "to": arguments.to})

@@ -100,9 +100,9 @@ def _select_tests(protocol: ProtocolFile, name: str | None) -> list[Any]:
     """
     tests = [test for test in protocol.campaign.tests if name in (None, test.name)]
     if not tests:
-        from tissue_sim.errors import nearest
+        from tissue_sim.errors import suggest_known_word
 
-        raise InputError(f"unknown test {name!r}{nearest(str(name), list(protocol.plans))}", field="--test")
+        raise InputError(f"unknown test {name!r}{suggest_known_word(str(name), list(protocol.plans))}", field="--test")
     return tests
 
 

@@ -12,14 +12,14 @@ from typing import Any, Literal
 import msgspec
 
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.named_files import list_named_files, rename_files
+from calibration.campaign.named_files import list_named_files, replace_file_names
 from calibration.campaign.schema import PRISM
 from calibration.report.additions import format_toml
 from haptics.recorder.lag import measure_lag
 from haptics.recorder.plan import IndentationPlan
 from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits
-from tissue_sim.decode import decode, read_toml
-from tissue_sim.errors import InputError, located
+from tissue_sim.decode import decode_struct, read_toml
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.experiment.protocol import STUDY_SPEED
 from tissue_sim.experiment.protocol_text import parse_protocol
 from tissue_sim.experiment.segments import expand_legs
@@ -197,7 +197,7 @@ class ProtocolFile:
                 tests.append({**entry, "name": name, "recordings": recordings[name]})
         defaults = {key: value for key, value in content.get("defaults", {}).items() if key != "protocol"}
         content = {**content, "test": tests, **({"defaults": defaults} if defaults else {})}
-        content = rename_files(content, self.path.parent, file_name)
+        content = replace_file_names(content, self.path.parent, file_name)
         return f"# Recorded by {self.path.name}.\n{format_toml(content)}"
 
 
@@ -209,11 +209,11 @@ def read_protocol_file(path: Path) -> ProtocolFile:
     """
     content, text = read_toml(path, _EXPECTED), read_text(path, _EXPECTED)
     tables_content = {key: content[key] for key in PROTOCOL_TABLES if key in content}
-    with located(file=path):
+    with add_location_to_errors(file=path):
         if "limits" not in tables_content:
             raise InputError("is required, because a motor moves. Give force_N, lowest_mm, highest_mm, speed_mm_s, "
                              "duration_s, stiffness_N_per_mm and force_margin_N", field="limits")
-        tables = decode(tables_content, _ProtocolTables)
+        tables = decode_struct(tables_content, _ProtocolTables)
         campaign = _read_planned_campaign(path, content)
         lag = _measure_sensor_lag(tables.record, path.parent)
         plans = {test.name: _make_test_plan(test, tables.record, lag, number, content,

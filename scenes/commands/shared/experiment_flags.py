@@ -16,7 +16,7 @@ from scenes.commands.shared.parsing import (
     parse_non_negative_number,
     parse_positive_number,
 )
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.experiment.tools.tool import (
     TOOLS,
     Tool,
@@ -164,7 +164,7 @@ def require_known_scene(name: str) -> None:
         InputError: unknown scene; the message names the nearest one.
     """
     if name not in SCENES:
-        raise InputError(f"unknown scene {name!r}{nearest(name, SCENES)}")
+        raise InputError(f"unknown scene {name!r}{suggest_known_word(name, SCENES)}")
 
 
 def make_protocol_from_flags(arguments) -> Protocol:
@@ -280,7 +280,7 @@ def _parse_contact_law(text: str) -> ContactLaw:
         InputError: another form, an unknown law, or a key or value that the law does not accept.
     """
     from tissue_sim.experiment.contact_law import CONTACT_LAWS
-    from tissue_sim.parameters import from_keys
+    from tissue_sim.parameters import make_from_file_keys
 
     name, _, rest = text.partition(":")
     try:
@@ -289,7 +289,7 @@ def _parse_contact_law(text: str) -> ContactLaw:
     except ValueError:
         raise InputError(f"must have the form NAME:KEY=N,...; got {text!r}. Example: adhesion:adhesion_N=0.02,"
                          "adhesion_length_mm=0.1", field="--contact-law") from None
-    return from_keys(CONTACT_LAWS.find(name, "--contact-law"), content, f"--contact-law {name}")
+    return make_from_file_keys(CONTACT_LAWS.find(name, "--contact-law"), content, f"--contact-law {name}")
 
 
 def _make_size_parser(declaration: Declaration):

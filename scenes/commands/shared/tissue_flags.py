@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scenes.commands.shared.parsing import CommandParser
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 
 if TYPE_CHECKING:
     from tissue_sim import Material, ReducedModel
@@ -86,7 +86,7 @@ def require_known_solver(name: str) -> None:
     from tissue_sim.fem.solver import SOLVERS
 
     if name not in SOLVERS:
-        raise InputError(f"unknown solver {name!r}{nearest(name, SOLVERS)}", field="--solver")
+        raise InputError(f"unknown solver {name!r}{suggest_known_word(name, SOLVERS)}", field="--solver")
 
 
 def load_material_or_default(path: Path | None) -> Material:

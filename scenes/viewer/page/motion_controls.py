@@ -219,7 +219,7 @@ class MotionControls:
             self._source.options = sources
         depth = frame.target if frame.motion == "hand" or frame.readouts is None else frame.readouts.depth
         depth = round(depth * 1e3, 2)
-        in_space = (frame.snapshot is not None and frame.snapshot.in_space
+        in_space = (frame.snapshot is not None and frame.snapshot.is_three_dimensional
                     and frame.scene.lateral_range[0][0] < frame.scene.lateral_range[0][1])
         for handle in (*(coordinate.slider for coordinate in self._across), self._drags):
             if handle.visible != in_space:

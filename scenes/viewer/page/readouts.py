@@ -94,7 +94,7 @@ def readouts_html(frame: SessionFrame) -> str:
              ("solution", "force status", "–" if now is None else now.status),
              ("doubtful", "ticks not converged", "–" if now is None else f"{now.unconverged} in the last second"),
              ("mesh", "mesh", "–" if now is None else now.mesh or "–")]
-    if frame.snapshot is not None and frame.snapshot.in_space:
+    if frame.snapshot is not None and frame.snapshot.is_three_dimensional:
         small.insert(0, ("across", "force along x and y", "–" if now is None else
                          " and ".join(f"{_format_decimals(part, 3)} N" for part in now.across)))
     badge = ""

@@ -176,7 +176,7 @@ class ScenePicture:
             return changed
         # Solvers of plug-ins may give fields of an unknown kind.
         fields: Any = snapshot.fields if can_draw_fields(snapshot.fields) else None
-        surface, self._in_space = frame.surface, snapshot.in_space
+        surface, self._in_space = frame.surface, snapshot.is_three_dimensional
         if fields is not None and fields.mesh is not self._mesh_drawn:
             changed = True
         if changed:

@@ -80,7 +80,7 @@ class ViewControls:
     def update_controls(self, frame: SessionFrame) -> None:
         """Update the list of fields, and keep the frame for the camera presets."""
         self._frame = frame
-        in_space = frame.snapshot is not None and frame.snapshot.in_space
+        in_space = frame.snapshot is not None and frame.snapshot.is_three_dimensional
         if self._ahead.visible != in_space:
             self._ahead.visible = in_space
         shown = None if frame.snapshot is None else frame.snapshot.fields

@@ -65,19 +65,19 @@ def test_candidates_are_within_bounds_and_can_be_added(plain, name):
         assert set(candidate.bounds) >= set(candidate.sizes)
         for path, size in candidate.sizes.items():
             low, high = candidate.bounds[path]
-            absent = candidate.absent_value(plain.campaign, path)
+            absent = candidate.find_value_without_effect(plain.campaign, path)
             assert low <= min(absent, size) and max(absent, size) <= high and size != absent, path
         for path, value in candidate.shape.items():
             low, high = candidate.bounds.get(path, (-np.inf, np.inf))
             assert low <= value <= high, path
         for free in (True, False):
-            fit = candidate.add_to(plain.campaign, free=free).fit
+            fit = candidate.add_to_campaign(plain.campaign, free=free).fit
             held, varied = (fit.start, fit.fixed) if free else (fit.fixed, fit.start)
             expected = {*candidate.sizes, *candidate.shape} - {candidate.jump}
             assert expected <= set(held) and not set(candidate.sizes) & set(varied)
             # Gradient descent cannot move a jump, so the depth of the jump is fixed.
             assert candidate.jump in {"", *fit.fixed}
-        assert all(candidate.symbols(plain.campaign).values())
+        assert all(candidate.list_symbols(plain.campaign).values())
 
 
 @pytest.mark.slow
@@ -91,7 +91,7 @@ def test_effect_changes_the_force_and_is_absent_at_its_absent_value(plain, name)
     changed = np.abs(with_it - force).max() / force.max()
     # The trial value of gravity is its full value, so its change is larger.
     assert 5e-4 < changed < (0.3 if name == "self_weight" else 0.12), changed
-    absent = {path: candidate.absent_value(plain.campaign, path) for path in candidate.sizes}
+    absent = {path: candidate.find_value_without_effect(plain.campaign, path) for path in candidate.sizes}
     if name == "viscoelasticity":
         # A Prony term with g = 0 is refused.
         absent = dict.fromkeys(absent, 1e-12)
@@ -141,7 +141,7 @@ class TestRefusals:
 
     def test_population_has_one_factor_per_specimen_except_the_first(self, plates):
         candidate, = candidates(plates, "population")
-        named = candidate.add_to(plates.campaign, free=True).fit.named["effects.stiffness_scale.ratio"]
+        named = candidate.add_to_campaign(plates.campaign, free=True).fit.named["effects.stiffness_scale.ratio"]
         assert named.scope == "per_specimen" and named.tests == candidate.tests == ("plates_two",)
 
     @pytest.mark.parametrize(("law", "name", "words"), [
@@ -168,7 +168,7 @@ class TestRefusals:
 class TestWiderLaw:
     def test_missing_parameters_are_fixed_at_zero(self, plain):
         candidate, = candidates(plain.situation, "strain_stiffening")
-        fit = candidate.add_to(plain.campaign, free=True).fit
+        fit = candidate.add_to_campaign(plain.campaign, free=True).fit
         assert fit.laws == ("biderman",) and fit.fixed["C01"] == 0.0 and "C01" not in fit.start
         assert fit.start["C30"] == candidate.sizes["C30"] and "C10" not in fit.fixed
 
@@ -201,10 +201,10 @@ def test_bulk_modulus_scales_by_its_inverse(plain):
     """Half the change of K = 100 mu is that of K = 200 mu; negative factors keep a positive modulus."""
     (candidate,) = candidates(plain.situation, "compressibility")
     (path, tried), = candidate.sizes.items()
-    absent = {path: candidate.absent_value(plain.campaign, path)}
-    assert candidate.inverse and candidate.scaled_sizes(absent, 1.0)[path] == pytest.approx(tried)
-    assert candidate.scaled_sizes(absent, 0.0) == pytest.approx(absent)
+    absent = {path: candidate.find_value_without_effect(plain.campaign, path)}
+    assert candidate.inverse and candidate.scale_trial_values(absent, 1.0)[path] == pytest.approx(tried)
+    assert candidate.scale_trial_values(absent, 0.0) == pytest.approx(absent)
     half = 2.0 / (1.0 / tried + 1.0 / absent[path])
-    assert candidate.scaled_sizes(absent, 0.5)[path] == pytest.approx(half)
-    assert tried > candidate.scaled_sizes(absent, 3.0)[path] > 0
-    assert absent[path] < candidate.scaled_sizes(absent, -5.0)[path] < 10 * absent[path]
+    assert candidate.scale_trial_values(absent, 0.5)[path] == pytest.approx(half)
+    assert tried > candidate.scale_trial_values(absent, 3.0)[path] > 0
+    assert absent[path] < candidate.scale_trial_values(absent, -5.0)[path] < 10 * absent[path]

@@ -90,7 +90,7 @@ def test_puncture_is_a_jump_at_a_sample(plain):
     (drop,), (depth,) = candidate.sizes.values(), candidate.shape.values()
     problem, _ = add_effect_to_problem(plain.problem, plain.campaign, candidate, free=True)
     theta = np.array([TRUTH.get(each.name, {**candidate.sizes, **candidate.shape}.get(each.path))
-                      for each in problem.space.varied])
+                      for each in problem.space.free_parameters])
     base = np.array([TRUTH[name] for name in plain.problem.space.free])
     for test, before in zip(problem.tests, plain.problem.tests, strict=True):
         force, rates, _ = test.evaluate_force(test.solve(problem.space, theta, problem.solves), 0, 0.0)

@@ -72,7 +72,7 @@ def test_an_invalid_upload_names_the_field(change, message):
 @pytest.mark.parametrize(("content", "message"), [
     (b"{\n  \"schema\": ", r"^x\.json:2: damaged JSON"),
     (b"\x89PNG\r\n\x1a\n\x00\x00", r"^x\.json"),
-    (b"[]", r"^x\.json: expected an object"),
+    (b"[]", r"^x\.json: file must contain an object"),
     (b"", r"^x\.json"),
     (b" " * (LARGEST_UPLOAD + 1), r"^x\.json: must be at most 1 MB; got 1\.0 MB"),
 ])

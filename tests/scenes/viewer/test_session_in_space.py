@@ -64,7 +64,8 @@ def at(place):
 @pytest.mark.slow
 def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
     first = session.frame()
-    assert first.phase is Phase.RUNNING and first.snapshot.in_space and can_draw_fields(first.snapshot.fields)
+    assert first.phase is Phase.RUNNING
+    assert first.snapshot.is_three_dimensional and can_draw_fields(first.snapshot.fields)
     assert first.snapshot.skin is None and first.surface is None
     assert first.across == (OFFSET, 0.0)
     np.testing.assert_allclose(first.snapshot.pose.position, (OFFSET, 0.0, 0.0), atol=1e-9)

@@ -13,9 +13,9 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from tissue_sim.errors import InputError, require_length
+from tissue_sim.errors import InputError, require_positive_length
 from tissue_sim.experiment.tools.outline import Profile
-from tissue_sim.parameters import Declaration, declared
+from tissue_sim.parameters import Declaration, list_field_declarations
 from tissue_sim.registry import Registry
 
 
@@ -111,7 +111,7 @@ class Tool(metaclass=_ToolShapeMeta):
             InputError: the tool has no radius, or the radius is not a positive finite length.
         """
         radius = self.radius or 0.0
-        require_length(radius, "tool.radius")
+        require_positive_length(radius, "tool.radius")
         return radius
 
     def require_sizes(self, *roundings: str) -> None:
@@ -172,7 +172,7 @@ def tool_sizes() -> dict[str, ToolSize]:
     """
     found: dict[str, ToolSize] = {}
     for shape, kind in TOOLS.items():
-        for name, what in declared(kind).items():
+        for name, what in list_field_declarations(kind).items():
             first = found.get(what.key, ToolSize(what, name, ()))
             if (first.declaration.factor, first.field) != (what.factor, name):
                 raise InputError(f"the shapes {first.shapes[0]} and {shape} use the key {what.key} for different "

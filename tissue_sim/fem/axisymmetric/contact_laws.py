@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.errors import InputError, located
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.experiment.contact_law import ContactLaw, Traction
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import TRIED, KernelFormula, extract_expressions, trace_values
@@ -63,7 +63,7 @@ def _sum_law_tractions(formulas: tuple[KernelFormula[ContactLaw], ...], place: l
     for formula in formulas:
         reach, *parameters = numbers[: 1 + len(formula.parameter_names)]
         numbers = numbers[1 + len(formula.parameter_names):]
-        with located(field=f"contact_laws.{formula.kind.name}"):
+        with add_location_to_errors(field=f"contact_laws.{formula.kind.name}"):
             found = formula.with_parameters(parameters).traction(gap, pressure, (slip, 0.0), face)
             if not isinstance(found, Traction):
                 raise InputError(f"traction() must return a tissue_sim.Traction; got {type(found).__name__}.")

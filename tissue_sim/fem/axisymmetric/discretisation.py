@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissue_sim.errors import ConvergenceError, InputError, nearest
+from tissue_sim.errors import ConvergenceError, InputError, suggest_known_word
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.fem.axisymmetric.contact_pairs import build_contact_pairs
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, STUDY_SLENDERNESS, UNMEASURED, MeshResolution
@@ -62,7 +62,8 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Quadri
     """
     chosen = RESOLUTIONS.get(UNMEASURED.get(resolution, resolution))
     if chosen is None:
-        raise InputError(f"unknown resolution {resolution!r}{nearest(resolution, [*UNMEASURED, *RESOLUTIONS])}",
+        known = [*UNMEASURED, *RESOLUTIONS]
+        raise InputError(f"unknown resolution {resolution!r}{suggest_known_word(resolution, known)}",
                          field="resolution")
     mesh = _make_unlayered_mesh(experiment, chosen, element, small=experiment.homogeneous and not layers)
     if not layers:

@@ -29,7 +29,7 @@ from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.trace import KernelFormula
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
+from tissue_sim.material.material import BULK_RATIOS, Material, get_ratio_of_incompressible_material
 from tissue_sim.material.viscoelasticity import Prony
 from tissue_sim.mesh import Mesh
 
@@ -167,7 +167,7 @@ class EquilibriumEquations:
         radius, height = np.ptp(self.mesh.nodes, axis=0)
         K = material.bulk_modulus
         if np.isinf(K):
-            K = incompressible_ratio(radius, height) * material.mu0
+            K = get_ratio_of_incompressible_material(radius, height) * material.mu0
         moduli = np.ones(len(self.mesh.connectivity))
         if self._element_layers is not None:
             moduli = np.array([*(layer.ratio for layer in material.layers), 1.0])[self._element_layers]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate_to_nodes, volume_quantile
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
@@ -89,7 +89,7 @@ class Fields:
             InputError: unknown field.
         """
         if name not in FIELD_UNITS:
-            raise InputError(f"unknown field {name!r}{nearest(name, FIELD_UNITS)}", field="field")
+            raise InputError(f"unknown field {name!r}{suggest_known_word(name, FIELD_UNITS)}", field="field")
         if name == "displacement":
             shapes, _ = self.mesh.element.evaluate_shape_functions(self.mesh.element.quadrature[0])
             u = np.einsum("qa,eai->eqi", shapes, self.displacement(sample)[self.mesh.connectivity])

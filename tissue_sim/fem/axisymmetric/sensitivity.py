@@ -178,7 +178,8 @@ class MaterialSensitivity:
             rates = np.zeros(len(self._relaxations)), np.zeros_like(self._decay_rates), np.zeros_like(self._gain_rates)
             for k, (up, down, width) in enumerate(self._relaxations):
                 if up != down and up is not None and down is not None:
-                    for rate, more, less in zip(rates, up.increment(dt), down.increment(dt), strict=True):
+                    for rate, more, less in zip(rates, up.compute_recursion_coefficients(dt),
+                                                down.compute_recursion_coefficients(dt), strict=True):
                         rate[k] = (np.asarray(more) - np.asarray(less)) / width
             self._stored[dt] = rates
         return self._stored[dt]

@@ -34,7 +34,7 @@ from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 from tissue_sim.model import Model
 from tissue_sim.pose import NO_ROTATION, Pose
-from tissue_sim.tool_force import NextForce, axial_stiffness, axial_wrench, depth_of
+from tissue_sim.tool_force import PredictedForce, get_depth_of_pose, make_axial_stiffness_matrix, make_axial_wrench
 
 if TYPE_CHECKING:
     from tissue_sim.fem.axisymmetric.sensitivity import MaterialSensitivity
@@ -130,7 +130,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         state, rate = self.committed, 0.0
         if state.motion is not None and inertial:
             rate = state.motion.prepare_step(state.latest_state, dt)
-        return self.solve_depth_step(depth_of(pose), dt, tolerance, max_iterations, predictor_order, rate,
+        return self.solve_depth_step(get_depth_of_pose(pose), dt, tolerance, max_iterations, predictor_order, rate,
                                      inertial=inertial, resumes=resumes, own_stiffness=own_stiffness)
 
     def solve_depth_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
@@ -171,7 +171,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
             is_due = StaticStiffnessRequest.is_stiffness_due(own_stiffness, iterations < max_iterations)
             own = equations.compute_static_stiffness() if is_due else None
             result = replace(result, step_stiffness_matrix=result.stiffness_matrix,
-                             stiffness_matrix=None if own is None else axial_stiffness(own))
+                             stiffness_matrix=None if own is None else make_axial_stiffness_matrix(own))
         if result.status is StepStatus.CONVERGED:
             if inertial or rate == 0.0:  # the force of artificial damping is no load
                 state.largest_force = max(state.largest_force, abs(force))
@@ -185,7 +185,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def step_with_damping(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9,
                           max_iterations: int = 20, allowed: Callable[[], int] | None = None) -> Generator[Step]:
         """Step to a depth (m), or to the depth of a pose, with decreasing damping; see `Solver.step_with_damping`."""
-        return iterate_damped_steps(self, depth_of(pose), dt, tolerance, max_iterations, allowed)
+        return iterate_damped_steps(self, get_depth_of_pose(pose), dt, tolerance, max_iterations, allowed)
 
     def enable_inertia(self, density: float) -> bool:
         """Enable inertial steps with a mass density, kg/m3; returns True, because the solver supports inertia."""
@@ -195,7 +195,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         self._masses = density * equations.compute_dof_volumes()
         return True
 
-    def predict_next_force(self, dt: float) -> NextForce | None:
+    def predict_next_force(self, dt: float) -> PredictedForce | None:
         """Predict the force of the next inertial step if the tool stays; see `Solver.predict_next_force`.
 
         Let D be the displacement of all degrees of freedom per depth of the tool, f the internal forces and a the
@@ -209,7 +209,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
             return None
         more, stiffer = map(float, motion.predict_inertial_force_change(self.committed.latest_state, dt, self._masses,
                                                 equations.compute_displacement_per_depth()))
-        return NextForce(axial_wrench(force + more), axial_stiffness(max(stiffness + stiffer, 0.0)))
+        return PredictedForce(make_axial_wrench(force + more),
+                              make_axial_stiffness_matrix(max(stiffness + stiffer, 0.0)))
 
     def ask_for_stiffness(self) -> None:
         """Enable the computation of the stiffness (derivative of the force with respect to the depth) in every step."""

@@ -15,9 +15,9 @@ import msgspec
 import numpy as np
 
 from tissue_sim.atomic_write import write_bytes
-from tissue_sim.bounded import bounded
+from tissue_sim.bounded import run_in_sandbox
 from tissue_sim.decode import parse_json
-from tissue_sim.errors import InputError, located
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import Protocol
@@ -32,7 +32,7 @@ from tissue_sim.material.file import MaterialFile, decode_material_file
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
 from tissue_sim.mesh.stored_file_mesh import file_mesh_from_arrays, file_mesh_to_arrays
 from tissue_sim.model import Model
-from tissue_sim.parameters import from_keys, to_keys
+from tissue_sim.parameters import convert_to_file_keys, make_from_file_keys
 from tissue_sim.specimen.mesh import MeshSpecimen
 from tissue_sim.specimen.specimen import Specimen, make_specimen_from_keys
 
@@ -95,7 +95,7 @@ def _describe_reduced_solid(reduced: ReducedModel) -> dict[str, Any]:
             "specimen": {"shape": specimen.shape, "name": specimen.name, **_describe_specimen(specimen)},
             **({"weight": {name: getattr(specimen, name) for name in _WEIGHT}} if specimen.specific_weight else {}),
             "tool": {"shape": tool.shape, **_describe_tool(tool)},
-            "approach": None if experiment.approach is None else to_keys(experiment.approach),
+            "approach": None if experiment.approach is None else convert_to_file_keys(experiment.approach),
             **{name: getattr(experiment, name) for name in _FACES}}}
 
 
@@ -110,8 +110,9 @@ def _describe_specimen(specimen: Specimen) -> dict[str, Any]:
 def _describe_tool(tool: Tool) -> dict[str, Any]:
     """Return the keys from which `_make_experiment` makes the tool."""
     if not isinstance(tool, ProfileTool):
-        return dict(to_keys(tool))
-    return {**to_keys(tool), "profile": Path(tool.profile_file or "").name, "points": tool.outline.tolist()}
+        return dict(convert_to_file_keys(tool))
+    return {**convert_to_file_keys(tool), "profile": Path(tool.profile_file or "").name,
+            "points": tool.outline.tolist()}
 
 
 def load_reduced(path: str | Path) -> ReducedModel:
@@ -123,8 +124,8 @@ def load_reduced(path: str | Path) -> ReducedModel:
     path = Path(path)
     with open_file(path, _EXPECTED):
         pass
-    description, arrays = bounded(_read_arrays, str(path), file=path)
-    with located(file=path):
+    description, arrays = run_in_sandbox(_read_arrays, str(path), file=path)
+    with add_location_to_errors(file=path):
         return _build_checked_model(description, arrays)
 
 
@@ -225,5 +226,5 @@ def _make_experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np
         "points": tuple((float(r), float(z)) for r, z in tool.pop("points")), "profile_file": tool.pop("profile")}
     return Experiment(
         make_specimen_from_keys(shape, specimen, name=name, **more), Protocol.ramp(box.depth, points=POINTS),
-        from_keys(kind, tool, "tool", **outline), **{face: stated[face] for face in _FACES},
-        approach=None if stated["approach"] is None else from_keys(Approach, stated["approach"], "approach"))
+        make_from_file_keys(kind, tool, "tool", **outline), **{face: stated[face] for face in _FACES},
+        approach=None if stated["approach"] is None else make_from_file_keys(Approach, stated["approach"], "approach"))

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from tissue_sim.atomic_write import write_bytes
-from tissue_sim.errors import InputError, located
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.acceptance import add_calibrated_compliance
 from tissue_sim.fem.reduced.lateral import calibrate_lateral_factor
@@ -95,7 +95,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
                          "materials or gravity out", field="also")
     materials = (model.material, *also)
     for number, each in enumerate(also):
-        with located(field=f"also[{number}]"):
+        with add_location_to_errors(field=f"also[{number}]"):
             require_same_layers_and_regions(each, model.material, mesh)
             solver.set_material(each)
     solver.set_material(model.material)

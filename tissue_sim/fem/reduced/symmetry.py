@@ -16,7 +16,7 @@ import numpy as np
 from tissue_sim.fem.solid.elastic import held_freedom_mask
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.pose import Pose, Screw, motion, turned
+from tissue_sim.pose import Pose, Screw, motion, rotate_pose
 
 #: Relative tolerance for equal positions (times the size of the mesh) and equal directions.
 _TOLERANCE = 1e-9
@@ -54,7 +54,7 @@ class Symmetry:
         rotation = np.linalg.det(self.matrix) * self.matrix @ turn
         x0, y0, z0 = start.position
         position = (x0 + offset[0], y0 + offset[1], z0 + offset[2])
-        return turned(Pose(position, start.orientation), tuple(rotation.tolist()))
+        return rotate_pose(Pose(position, start.orientation), tuple(rotation.tolist()))
 
     def map_wrench(self, wrench: Screw | np.ndarray) -> np.ndarray:
         """Return the image of a wrench (force, N, and torque, N m), shape (6,)."""

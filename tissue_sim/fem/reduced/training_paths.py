@@ -18,7 +18,7 @@ import numpy as np
 
 from tissue_sim.fem.reduced.model import PoseBox
 from tissue_sim.fem.reduced.settings import TrainingPathSettings
-from tissue_sim.pose import Pose, between, motion, turned
+from tissue_sim.pose import Pose, between, motion, rotate_pose
 
 #: Dimension of the Sobol sequence: two poses, each of position (3) and rotation (3).
 _DIMENSION = 12
@@ -70,7 +70,7 @@ def make_boundary_training_paths(box: PoseBox, start: Pose, *, holds: bool, reac
         lean = (-small.turn * corner[1] / math.hypot(*corner), small.turn * corner[0] / math.hypot(*corner), 0.0) \
             if any(corner) else (0.0, 0.0, 0.0)
         upright, end = (_make_deepest_pose(small, start, point) for point in (corner, goal))
-        leaning = turned(upright, lean)
+        leaning = rotate_pose(upright, lean)
         corners = [start, upright, leaning, end, start] if holds else [
             _move_to_depth(upright, start, -0.1 * box.depth), _move_to_depth(upright, start, 0.0), upright, leaning,
             end, _move_to_depth(end, start, 0.0)]
@@ -135,7 +135,7 @@ def _map_coordinates_to_box_pose(coordinates: np.ndarray, box: PoseBox, start: P
     flat = math.sqrt(max(0.0, 1.0 - height * height))
     size = box.turn * angle
     vector = (size * flat * math.cos(around), size * flat * math.sin(around), size * height)
-    return turned(Pose(position, start.orientation), vector)
+    return rotate_pose(Pose(position, start.orientation), vector)
 
 
 def _move_to_depth(pose: Pose, start: Pose, depth: float) -> Pose:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.errors import ConvergenceError, InputError, nearest
+from tissue_sim.errors import ConvergenceError, InputError, suggest_known_word
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
@@ -29,7 +29,7 @@ from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.mesh_mapping import Circle
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose, raised
+from tissue_sim.pose import Pose, shift_pose_along_z
 from tissue_sim.specimen.specimen import add_article
 
 #: Lower bound of the largest element far from a needle, over the size of the specimen, 1.
@@ -117,8 +117,8 @@ def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datu
         first = find_first_touch(mesh, places, bodies, start)
         datum = first.height
     else:
-        first = find_first_touch(mesh, places, bodies, raised(start, -start.position[2]))
-        start = raised(start, first.height - datum - start.position[2])
+        first = find_first_touch(mesh, places, bodies, shift_pose_along_z(start, -start.position[2]))
+        start = shift_pose_along_z(start, first.height - datum - start.position[2])
     laws = NodalContactLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2,
                             _compute_law_areas(experiment, mesh))
     solver = SolidSolver(mesh, model.material, _get_fixed_node_sets(experiment), bonded, bodies=bodies, laws=laws,
@@ -282,7 +282,8 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[L
     """
     chosen = RESOLUTIONS.get(resolution)
     if chosen is None:
-        raise InputError(f"unknown resolution {resolution!r}{nearest(resolution, RESOLUTIONS)}", field="resolution")
+        raise InputError(f"unknown resolution {resolution!r}{suggest_known_word(resolution, RESOLUTIONS)}",
+                         field="resolution")
     specimen, tool = experiment.specimen, experiment.tool
     size, interfaces = specimen.margin(), tuple(np.cumsum([layer.thickness for layer in layers]).tolist())
     if tool.is_plate:

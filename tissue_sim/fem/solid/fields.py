@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate_to_nodes, volume_quantile
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -131,7 +131,7 @@ class SolidFields:
             InputError: an unknown field, or one that the solver does not compute.
         """
         if name not in SOLID_UNITS:
-            raise InputError(f"unknown field {name!r}{nearest(name, SOLID_UNITS)}", field="field")
+            raise InputError(f"unknown field {name!r}{suggest_known_word(name, SOLID_UNITS)}", field="field")
         if name not in self.names:
             raise InputError(f"this solver does not compute pressure and therefore no {name!r}; use one of "
                              f"{', '.join(self.names)}", field="field")

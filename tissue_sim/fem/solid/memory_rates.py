@@ -72,7 +72,8 @@ class HistoryDerivatives:
             if more is not None and less is not None and more != less:
                 self._past_rates[k, MemoryCoefficient.INSTANT], self._decays[k], self._gains[k] = (
                     (np.asarray(a) - np.asarray(b)) / width
-                    for a, b in zip(more.increment(memory.dt), less.increment(memory.dt), strict=True))
+                    for a, b in zip(more.compute_recursion_coefficients(memory.dt),
+                                    less.compute_recursion_coefficients(memory.dt), strict=True))
             self.inherited[k] = (np.tensordot(decay, self._internal[k], 1)
                                  + np.tensordot(self._decays[k], memory.internal, 1)
                                  - gain.sum() * self._before[k] - self._gains[k].sum() * memory.before)

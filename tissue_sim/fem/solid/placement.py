@@ -20,7 +20,7 @@ from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Solver, Step
 from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.material.material import Material
-from tissue_sim.pose import Pose, motion, raised
+from tissue_sim.pose import Pose, motion, shift_pose_along_z
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class RelocatableSolver(KernelOwner, Solver):
         See `FreeTool.move_to_next_touch`.
         """
         begins = (self.placement is not None and not self.is_time_dependent and self._is_at_rest
-                  and self.place_tool_at_first_touch(raised(pose, -self.height_above_tissue(pose))))
+                  and self.place_tool_at_first_touch(shift_pose_along_z(pose, -self.height_above_tissue(pose))))
         if begins:
             self.lift_off()
         else:

@@ -30,7 +30,7 @@ from tissue_sim.fem.solver import Neighbours, StaticStiffnessRequest, Step, Step
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw
-from tissue_sim.tool_force import Matrix, NextForce
+from tissue_sim.tool_force import Matrix, PredictedForce
 
 
 class SolidSolver(RelocatableSolver):
@@ -301,14 +301,14 @@ class SolidSolver(RelocatableSolver):
         self._mass = LumpedMass(self.mesh, self.batches.weights, density, self._matrix.all)
         return True
 
-    def predict_next_force(self, dt: float) -> NextForce | None:
+    def predict_next_force(self, dt: float) -> PredictedForce | None:
         """Predict the force of the next step; see `Solver.predict_next_force` and the axisymmetric solver."""
         last = self._last
         if self._mass is None or self._along is None or last is None or last.step_stiffness_matrix is None:
             return None
         more, stiffer = self._mass.predict_force_change(self.x, dt, self._along)
         wrench = cast("Screw", tuple((np.array(last.wrench) - more).tolist()))
-        return NextForce(wrench, to_matrix_tuples(np.array(last.step_stiffness_matrix) + stiffer))
+        return PredictedForce(wrench, to_matrix_tuples(np.array(last.step_stiffness_matrix) + stiffer))
 
     def _get_node_positions(self, nodes: np.ndarray) -> np.ndarray:
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.fem.history import MaterialMemory
 from tissue_sim.fem.solid.assembly import make_assembly_kernel
 from tissue_sim.fem.solid.batches import ElementBatches
@@ -17,7 +17,7 @@ from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.material.layer import Layer
-from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
+from tissue_sim.material.material import BULK_RATIOS, Material, get_ratio_of_incompressible_material
 from tissue_sim.material.viscoelasticity import Prony
 from tissue_sim.mesh.solid import SolidMesh
 
@@ -258,7 +258,7 @@ def require_mesh_regions(material: Material, mesh: SolidMesh) -> None:
     """
     for name in material.regions:
         if name not in mesh.regions:
-            known = nearest(name, mesh.regions) if mesh.regions else "; it has no named regions"
+            known = suggest_known_word(name, mesh.regions) if mesh.regions else "; it has no named regions"
             raise InputError(f"the mesh has no region {name!r}{known}", field="material.regions")
 
 
@@ -292,7 +292,7 @@ def find_finite_bulk_modulus(material: Material, mesh: SolidMesh) -> float:
     bulk = material.bulk_modulus
     if np.isinf(bulk):
         wide, _, high = np.ptp(mesh.nodes, axis=0).tolist()
-        bulk = incompressible_ratio(0.5 * wide, high) * material.mu0
+        bulk = get_ratio_of_incompressible_material(0.5 * wide, high) * material.mu0
     low, most = BULK_RATIOS
     if not low <= bulk / material.mu0 <= most:
         raise InputError(f"K/mu0 must be {low:g} to {most:g}, for which the finite elements are verified; got "

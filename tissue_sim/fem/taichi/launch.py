@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import MissingBackendError, nearest
+from tissue_sim.errors import MissingBackendError, suggest_known_word
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.kernel_owner import KernelOwner
 
@@ -42,7 +42,7 @@ class BoundKernel(KernelOwner):
         for name in arrays:
             if name not in expected:
                 raise ValueError(f"arrays must be named like the arguments of the kernel; got {name!r}"
-                                 f"{nearest(name, expected)}")
+                                 f"{suggest_known_word(name, expected)}")
         if missing := [name for name in expected if name not in arrays]:
             raise ValueError(f"arrays must contain every argument of the kernel; {', '.join(missing)} missing.")
         for name, (rank, width, dtype) in expected.items():

@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any
 
 from tissue_sim.errors import MissingBackendError
-from tissue_sim.files import cache_folder
+from tissue_sim.files import get_cache_folder
 
 #: Taichi compiles and starts kernels for one thread at a time. A running kernel holds the interpreter lock anyway.
 LOCK = threading.RLock()
@@ -52,7 +52,7 @@ def _import_and_initialise():
             f"import failed ({error}). Install taichi==1.7.4; analytical calibration works without it") from None
     # For its messages Taichi formats the source of every expression, which takes longer than the rest of the parsing.
     ASTTransformerContext.get_pos_info = _format_source_position
-    folder = cache_folder()
+    folder = get_cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     with contextlib.redirect_stdout(io.StringIO()):
         ti.init(arch=ti.cpu, default_fp=ti.f64, default_ip=ti.i32, cpu_max_num_threads=1, offline_cache=True,

@@ -21,7 +21,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.parameters import declared
+from tissue_sim.parameters import list_field_declarations
 
 #: Numpy's functions that a formula may use, by the name of Taichi's.
 _FUNCTIONS = {np.exp: "exp", np.log: "log", np.sqrt: "sqrt", np.tanh: "tanh", np.sin: "sin", np.cos: "cos",
@@ -52,14 +52,14 @@ class KernelFormula(NamedTuple, Generic[Thing]):
     def from_instance(cls, thing: Thing) -> KernelFormula[Thing]:
         """Return the formula of the class of an effect or a law, with the constants of this instance."""
         kind: Any = type(thing)
-        known = declared(kind)
+        known = list_field_declarations(kind)
         return cls(kind, tuple((entry.name, getattr(thing, entry.name)) for entry in fields(kind)
                                if entry.name not in known))
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the declared parameters of the class, in the order of declaration."""
-        return tuple(declared(self.kind))
+        return tuple(list_field_declarations(self.kind))
 
     def get_parameter_values(self, thing: Thing) -> list[float]:
         """Return the values of the declared parameters of a law or effect, in the order of `parameter_names`."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.bounded import exclude_cpu_time
+from tissue_sim.bounded import exclude_cpu_time_from_limit
 from tissue_sim.errors import InputError
 from tissue_sim.files import open_file
 from tissue_sim.mesh.formats.content import CellBlock, MeshContent
@@ -41,7 +41,7 @@ def read_through_meshio(path: Path, largest: int) -> MeshContent:
     if not head:
         raise InputError("is empty, expected a mesh", file=path)
     try:
-        with exclude_cpu_time():
+        with exclude_cpu_time_from_limit():
             reader = importlib.import_module(f"meshio.{module}")
     except ImportError as error:
         raise InputError(f"reading this mesh requires the package meshio ({error}); install it with pip install "

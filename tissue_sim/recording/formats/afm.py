@@ -147,11 +147,12 @@ def _convert_to_input_errors(path: Path, member_name: str) -> Iterator[None]:
             warnings.simplefilter("ignore")
             yield
     except InputError as error:
-        raise error.located(file=path, part=member_name) from None
+        raise error.with_location(file=path, part=member_name) from None
     except (KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError):
         raise
     except BaseException as error:  # afmformats derives its errors from BaseException
         reason = " ".join(str(error).split()).rstrip(".!") or type(error).__name__
-        raise InputError(f"cannot be read as {_EXPECTED}: {reason}").located(file=path, part=member_name) from None
+        raise InputError(f"cannot be read as {_EXPECTED}: {reason}").with_location(file=path,
+                                                                                   part=member_name) from None
     finally:
         logger.setLevel(level)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.files import first_bytes
+from tissue_sim.files import read_first_bytes
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 
 #: Modality of afmformats -> names of its segments in order. A relaxation begins with a rest above the tissue.
@@ -66,7 +66,7 @@ def read_tip_radius(path: Path) -> float | None:
     """Return the radius of the sphere, m, in a text file of a Chiaro, which afmformats omits; None: not stated."""
     if path.suffix != ".txt":
         return None
-    for line in first_bytes(path, 16_384).decode("latin-1").splitlines()[:60]:
+    for line in read_first_bytes(path, 16_384).decode("latin-1").splitlines()[:60]:
         name, _, value = line.partition("\t")
         if name.strip() == "Tip radius (um)":
             try:

@@ -16,7 +16,7 @@ from tissue_sim.recording.formats.header import (
 from tissue_sim.recording.formats.number_text import is_number, parse_any_number
 from tissue_sim.recording.formats.size_words import classify_size_name
 from tissue_sim.recording.formats.table import Table, TableRow
-from tissue_sim.units import known_unit, loose_header
+from tissue_sim.units import find_known_unit, split_free_form_header
 
 #: A word: two letters or more.
 _WORD = re.compile(r"[^\W\d_]{2}")
@@ -62,7 +62,9 @@ class NumberBlock:
 
     def get_column_unit(self, place: int) -> str | None:
         """Return the unit of a column, numbered from 0, in the row of units; None without a known unit."""
-        return None if self.units is None or place >= len(self.units.cells) else known_unit(self.units.cells[place])
+        if self.units is None or place >= len(self.units.cells):
+            return None
+        return find_known_unit(self.units.cells[place])
 
 
 def find_blocks_by_column_names(tables: Iterable[Table], names: Sequence[str], *, also: Sequence[int] = (),
@@ -133,7 +135,7 @@ def find_unread_columns(blocks: Sequence[NumberBlock], used: Collection[int]) ->
     for place, name in enumerate(header.cells):
         cells = [row.cells[place] for row in rows[:_SETTINGS.examined_rows]
                  if place < len(row.cells) and row.cells[place]]
-        is_size = classify_size_name(loose_header(name)[0]) is not None and len(set(cells)) == 1
+        is_size = classify_size_name(split_free_form_header(name)[0]) is not None and len(set(cells)) == 1
         if place not in used and cells and 2 * sum(map(is_number, cells)) > len(cells) and not is_size:
             found.append(str(place + 1) if not name or is_number(name) else name)
     return tuple(found)
@@ -208,13 +210,13 @@ def _continues_even_steps(before: Sequence[TableRow], row: TableRow, place: int)
 def is_unit_row(row: TableRow, places: Sequence[int]) -> bool:
     """Return whether all cells with content in the given columns are units; a word in brackets is a unit."""
     cells = [row.cells[place] for place in places if place < len(row.cells) and row.cells[place]]
-    return bool(cells) and all(known_unit(cell) or cell[0] in "[(" for cell in cells)
+    return bool(cells) and all(find_known_unit(cell) or cell[0] in "[(" for cell in cells)
 
 
 def is_mostly_units(row: TableRow, places: Sequence[int]) -> bool:
     """Return whether at least two cells at the places, and half of them, hold units, and the others a short word."""
     cells = [row.cells[place] for place in places if place < len(row.cells) and row.cells[place]]
-    known = sum(known_unit(cell) is not None for cell in cells)
+    known = sum(find_known_unit(cell) is not None for cell in cells)
     return known >= max(2, 0.5 * len(cells)) and all(_SHORT.match(cell) and not is_number(cell) for cell in cells)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, located
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.files import decode_text, read_bytes
 from tissue_sim.recording.formats.blocks import (
     NumberBlock,
@@ -41,7 +41,7 @@ from tissue_sim.recording.formats.table import (
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
 from tissue_sim.recording.measures import convert_to_stretch_and_nominal
 from tissue_sim.recording.recording import LABELS, MIN_POINTS, Recording
-from tissue_sim.units import loose_header, split_header
+from tissue_sim.units import split_free_form_header, split_header_with_brackets
 
 Sheets = str | int | Sequence[str | int]
 Curves = int | Sequence[int]
@@ -242,7 +242,7 @@ def _read_recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path
     measures = {channel: entry["measure"] for channel, entry in wanted.items() if "measure" in entry}
     if not measures:
         return found
-    with located(file=path):
+    with add_location_to_errors(file=path):
         return [replace(each, recording=convert_to_stretch_and_nominal(each.recording, measures)) for each in found]
 
 
@@ -296,7 +296,8 @@ def _map_channels_to_columns(wanted: Mapping[str, Mapping[str, Any]], places: Ma
         if channel in LABELS:
             chosen.append(ChannelColumn(channel, index, cell))
             continue
-        unit = entry.get("unit", loose_header(cell)[1] or block.get_column_unit(index) or split_header(cell)[1])
+        unit = entry.get("unit", split_free_form_header(cell)[1] or block.get_column_unit(index)
+                         or split_header_with_brackets(cell)[1])
         try:
             factor, offset = get_si_conversion(channel, unit, entry.get("scale"))
         except InputError as error:

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, nearest
-from tissue_sim.files import first_bytes, read_bytes
+from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.files import read_bytes, read_first_bytes
 from tissue_sim.recording.formats.extra import import_optional_package
 from tissue_sim.recording.formats.number_text import ExactNumber
 from tissue_sim.recording.formats.table import TableRow
@@ -55,7 +55,7 @@ _SETTINGS = ContainerSettings()
 
 def is_container(path: Path) -> bool:
     """Return whether a file is a container, by its first bytes or by its suffix."""
-    return first_bytes(path, 4) in (_HDF5, _MATLAB, _TDMS) or path.suffix.lower() in _SUFFIXES
+    return read_first_bytes(path, 4) in (_HDF5, _MATLAB, _TDMS) or path.suffix.lower() in _SUFFIXES
 
 
 def read_container(path: Path, table: str | int | Sequence[str | int] | None = None) -> tuple[Sheet, ...]:
@@ -88,7 +88,8 @@ def read_container(path: Path, table: str | int | Sequence[str | int] | None = N
     for each in wanted:
         place = names.index(each) if each in names else each - 1 if isinstance(each, int) else -1
         if not 0 <= place < len(sheets):
-            raise InputError(f"there is no table {each!r}{nearest(str(each), names)}", file=path, field="sheet")
+            raise InputError(f"there is no table {each!r}{suggest_known_word(str(each), names)}", file=path,
+                             field="sheet")
         chosen.append(sheets[place])
     return tuple(chosen) if wanted else tuple(sheets)
 

@@ -6,7 +6,7 @@ import importlib
 from pathlib import Path
 from types import ModuleType
 
-from tissue_sim.bounded import exclude_cpu_time
+from tissue_sim.bounded import exclude_cpu_time_from_limit
 from tissue_sim.errors import InputError
 
 
@@ -17,7 +17,7 @@ def import_optional_package(package: str, file: Path) -> ModuleType:
         InputError: the package is not installed; the message names the extra to install.
     """
     try:
-        with exclude_cpu_time():
+        with exclude_cpu_time_from_limit():
             return importlib.import_module(package)
     except ImportError as error:
         raise InputError(f"reading this file needs the package {package} ({error}); install it with "

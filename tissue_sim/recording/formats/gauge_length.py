@@ -10,7 +10,7 @@ from tissue_sim.recording.formats.kind_hints import collect_title_hints
 from tissue_sim.recording.formats.kind_words import find_named_tests
 from tissue_sim.recording.formats.sizes import find_sizes
 from tissue_sim.recording.formats.sources import NumberTable
-from tissue_sim.units import to_si
+from tissue_sim.units import get_si_factor_and_offset
 
 
 def find_gauge_length(numbers: NumberTable, statements: Mapping[str, str], hints: ColumnHints) -> tuple[float,
@@ -33,7 +33,7 @@ def find_gauge_length(numbers: NumberTable, statements: Mapping[str, str], hints
 def convert_strain_to_displacement(column: ColumnGuess, gauge: tuple[float, str]) -> ColumnGuess:
     """Return a column of engineering or shear strain as a displacement in mm, by the gauge length (m, source)."""
     length, source = gauge
-    factor = (column.scale or 1.0) * to_si(column.unit or "-", "ratio")[0]
+    factor = (column.scale or 1.0) * get_si_factor_and_offset(column.unit or "-", "ratio")[0]
     return replace(column, channel="displacement", unit="mm", scale=round(1e3 * length * factor, 9), offset=None,
                    strain_unit=column.unit or "-",
                    reason=f"{_strip_conversion_from_reason(column)}; displacement = strain x {1e3 * length:g} mm "
@@ -43,7 +43,7 @@ def convert_strain_to_displacement(column: ColumnGuess, gauge: tuple[float, str]
 def convert_displacement_to_stretch(column: ColumnGuess, gauge: tuple[float, str]) -> ColumnGuess:
     """Return a column of displacement as a stretch, by the gauge length (m, source)."""
     length, source = gauge
-    factor = (column.scale or 1.0) * to_si(column.unit or "m", "length")[0]
+    factor = (column.scale or 1.0) * get_si_factor_and_offset(column.unit or "m", "length")[0]
     return replace(column, channel="stretch", unit="-", scale=factor / length, offset=1.0,
                    reason=f"{_strip_conversion_from_reason(column)}; stretch = 1 + displacement / {1e3 * length:g} mm "
                           f"({source})")

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.frozen_mapping import read_only
-from tissue_sim.public_names import old_names
+from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.formats.columns import Curves, Sheets
 from tissue_sim.recording.formats.kind_words import NamedTest
 from tissue_sim.recording.recording import CHANNELS, Recording
-from tissue_sim.units import UNITS, quantity_of
+from tissue_sim.units import UNITS, find_quantity_of_unit
 
-__getattr__ = old_names(__name__, {"Stated": "ColumnHints"})
+__getattr__ = make_getattr_for_old_names(__name__, {"Stated": "ColumnHints"})
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class ColumnGuess:
             return f"the unit of column {name} ({self.channel})"
         if self.unit is not None and self.unit not in UNITS:
             return f"the unit of column {name} ({self.channel}), as {self.unit!r} is no known one"
-        if quantity_of(self.unit) == "signal" and self.scale is None:
+        if find_quantity_of_unit(self.unit) == "signal" and self.scale is None:
             return f"the scale of column {name} ({self.channel}), SI units in 1 {self.unit}"
         return None
 
@@ -122,9 +122,9 @@ class TableGroup:
     kind: KindGuess
     line: int
     sheets: tuple[str, ...] = ()
-    stated: Mapping[str, str] = field(default_factory=lambda: read_only({}))
+    stated: Mapping[str, str] = field(default_factory=lambda: make_read_only_copy({}))
     remarks: tuple[str, ...] = ()
-    specimen: Mapping[str, float | str] = field(default_factory=lambda: read_only({}))
+    specimen: Mapping[str, float | str] = field(default_factory=lambda: make_read_only_copy({}))
     assumptions: tuple[Assumption, ...] = ()
     unused: tuple[str, ...] = ()
     speed: tuple[float, str] | None = None

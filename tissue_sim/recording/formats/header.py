@@ -8,11 +8,11 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.recording.formats.cell_units import extract_cell_units
 from tissue_sim.recording.formats.number_text import is_number
 from tissue_sim.recording.formats.table import Table, TableRow, split_rows
-from tissue_sim.units import loose_header, split_header
+from tissue_sim.units import split_free_form_header, split_header_with_brackets
 
 #: A letter.
 _LETTER = re.compile(r"[^\W\d_]")
@@ -100,8 +100,8 @@ def find_matching_cells(cells: Sequence[str], name: str) -> list[int]:
     wanted = normalize_cell(name)
     exact = [i for i, cell in enumerate(cells) if normalize_cell(cell) == wanted]
     return exact or [i for i, cell in enumerate(cells)
-                     if cell
-                     and wanted in (normalize_cell(split_header(cell)[0]), normalize_cell(loose_header(cell)[0]))]
+                     if cell and wanted in (normalize_cell(split_header_with_brackets(cell)[0]),
+                                            normalize_cell(split_free_form_header(cell)[0]))]
 
 
 def strip_empty_trailing_cells(cells: tuple[str, ...]) -> tuple[str, ...]:
@@ -130,12 +130,13 @@ def _make_missing_column_error(closest, names, file, delimiters) -> InputError:
     also = f" (nor {', '.join(map(repr, others))})" if others else ""
     cells = [cell for cell in row.cells if cell and not is_number(cell)]
     if found or (above_numbers and len(row.cells) > 1):
-        bare = {split_header(cell)[0].casefold(): cell for cell in cells}
-        close = difflib.get_close_matches(split_header(missing)[0].casefold(), bare, n=1)
+        bare = {split_header_with_brackets(cell)[0].casefold(): cell for cell in cells}
+        close = difflib.get_close_matches(split_header_with_brackets(missing)[0].casefold(), bare, n=1)
         if close:
             hint = f"; did you mean {bare[close[0]]!r}?"
         else:
-            hint = nearest(missing, cells) if cells else ": this row has numbers only; add a line with names above it"
+            hint = (suggest_known_word(missing, cells) if cells
+                    else ": this row has numbers only; add a line with names above it")
         return InputError(f"no column {missing!r}{also}{hint}", file=file, line=row.line)
     if None in delimiters:
         return InputError(f"no row with the column {missing!r}, expected a header row above the numbers; without a "

@@ -17,7 +17,7 @@ from tissue_sim.recording.formats.header import find_header, split_text_tables
 from tissue_sim.recording.formats.long_text import split_off_trailing_numbers
 from tissue_sim.recording.formats.number_text import is_number, parse_any_number
 from tissue_sim.recording.recording import Recording
-from tissue_sim.units import split_header, to_si
+from tissue_sim.units import get_si_factor_and_offset, split_header_with_brackets
 
 #: Channel -> header.
 COLUMNS = {"time": "Time", "displacement": "Compression", "force": "Load"}
@@ -52,11 +52,12 @@ def _parse_header_metadata(lines: list[str]) -> dict:
         match = _LENGTH.match(pairs.get(key, ""))
         if match:
             # Rounded to whole nanometres: 25 mm must not become 25.000000000000004 mm.
-            specimen[name] = round(float(match["number"]) * to_si(match["unit"])[0] * 1e3 * factor, 6)
+            specimen[name] = round(float(match["number"]) * get_si_factor_and_offset(match["unit"])[0] * 1e3 * factor,
+                                   6)
     if specimen:
         metadata["specimen"] = {"shape": "cylinder", **specimen}
     for key, value in pairs.items():
-        name, unit = split_header(key)
+        name, unit = split_header_with_brackets(key)
         if name == "speed" and unit == "mm/min" and is_number(value):
             metadata["speed_mm_s"] = parse_any_number(value) / 60.0
         elif name in ("machine", "load cell"):

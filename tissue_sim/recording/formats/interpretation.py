@@ -16,7 +16,7 @@ from tissue_sim.recording.formats.pairing import apply_measure_conversion
 from tissue_sim.recording.formats.vocabulary import MachineFormat, find_source, normalize_words
 from tissue_sim.recording.measures import ENGINEERING, MEASURES, find_measure, find_other_measures
 from tissue_sim.recording.recording import CHANNELS, Recording
-from tissue_sim.units import UNITS, loose_header
+from tissue_sim.units import UNITS, split_free_form_header
 
 #: Columns -> recordings of the table.
 Read = Callable[[Sequence[ColumnGuess]], tuple[Recording, ...]]
@@ -216,7 +216,7 @@ def _make_unit_assumption(read: Read, column: ColumnGuess, columns: Sequence[Col
                 f"--unit {flag}={column.other_unit}"),), f"--unit {flag}={column.unit}")
     if is_stated or column.missing_information:
         evidence: tuple[str, ...] = ()
-    elif loose_header(column.header)[1] is not None:
+    elif split_free_form_header(column.header)[1] is not None:
         evidence = (f"in the header {column.header!r}",)
     elif _has_cell_units(column):
         evidence = ("after each number of the column",)

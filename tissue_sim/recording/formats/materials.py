@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
 from tissue_sim.recording.formats.guesses import ColumnHints, TableGroup
 from tissue_sim.recording.formats.pairing import RecordingColumns
@@ -33,7 +33,7 @@ def split_by_material(reading: TableGroup, groups: Sequence[RecordingColumns], p
     tables = _match_tables_to_recordings(groups, places)
     # A recording may continue below a repeated header, and its size may be stated below any of its parts. Statements
     # about several equal tables may contradict each other.
-    reading = replace(reading, stated=read_only(_merge_table_statements(groups)))
+    reading = replace(reading, stated=make_read_only_copy(_merge_table_statements(groups)))
     if tables is None:
         return [reading]
     titles = [title for _, title in tables]
@@ -52,8 +52,8 @@ def split_by_material(reading: TableGroup, groups: Sequence[RecordingColumns], p
         name = materials[chosen[0]] or titles[chosen[0]] or f"table {curves[0]}"
         found.append(replace(
             reading, name=name, recordings=tuple(reading.recordings[i] for i in chosen),
-            stated=read_only(_merge_table_statements([tables[i][0] for i in chosen])),
-            options=read_only({**reading.options, "curve": curves if len(curves) > 1 else curves[0]}),
+            stated=make_read_only_copy(_merge_table_statements([tables[i][0] for i in chosen])),
+            options=make_read_only_copy({**reading.options, "curve": curves if len(curves) > 1 else curves[0]}),
             assumptions=(*reading.assumptions, *question)))
     return found
 

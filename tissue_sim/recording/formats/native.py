@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import Curves, Sheets, read_recordings_from_columns
 from tissue_sim.recording.formats.long_text import NotPlainNumbersError, TrailingNumberLines, split_off_trailing_numbers
@@ -20,7 +20,7 @@ from tissue_sim.recording.formats.table import (
     split_rows,
 )
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
-from tissue_sim.units import split_header, to_si
+from tissue_sim.units import get_si_factor_and_offset, split_header_with_brackets
 
 #: Header of a recording, for messages.
 EXAMPLE = "time [s],displacement [mm],force [N]"
@@ -109,10 +109,10 @@ def _identify_columns(header: TableRow, path: Path) -> list[ChannelColumn]:
                                 "file in another format, give its format or columns = {...}")
     columns: list[ChannelColumn] = []
     for index, cell in enumerate(header.cells):
-        name, unit = split_header(cell)
+        name, unit = split_header_with_brackets(cell)
         channel = _find_channel_of_header(cell)
         if channel is None:
-            raise make_header_error(f"unknown column {name!r}{nearest(name, _NAMES.values())}")
+            raise make_header_error(f"unknown column {name!r}{suggest_known_word(name, _NAMES.values())}")
         if channel in [column.channel for column in columns]:
             raise make_header_error(f"column {channel!r} appears twice; remove or rename one")
         try:
@@ -124,12 +124,12 @@ def _identify_columns(header: TableRow, path: Path) -> list[ChannelColumn]:
 
 def _find_channel_of_header(cell: str) -> str | None:
     """Return the channel or label that a header names; None: unknown."""
-    name, _ = split_header(cell)
+    name, _ = split_header_with_brackets(cell)
     return _NAMES.get(" ".join(name.casefold().replace("_", " ").split()))
 
 
 def _find_si_conversion(channel: str, unit: str | None) -> tuple[float, float]:
     """Return factor and offset to SI units of a channel or label."""
     if channel in LABELS:
-        return (1.0, 0.0) if unit is None else to_si(unit, "ratio")
+        return (1.0, 0.0) if unit is None else get_si_factor_and_offset(unit, "ratio")
     return get_si_conversion(channel, unit)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from tissue_sim.units import known_unit
+from tissue_sim.units import find_known_unit
 
 #: Possible decimal marks. The mark that is not the decimal mark may be a thousands separator.
 DECIMAL_MARKS = (".", ",")
@@ -133,7 +133,7 @@ def _parse_grouped_number(plain: str, decimal: str) -> float:
 def split_number_and_unit(cell: str) -> tuple[str, str] | None:
     """Return the number and the name of the unit in a cell, ``("12.3", "N")``; None: not a number with a known unit."""
     match = _QUANTITY.fullmatch(cell)
-    unit = None if match is None else known_unit(match["unit"])
+    unit = None if match is None else find_known_unit(match["unit"])
     if match is None or unit is None or not is_number(match["number"]):
         return None
     return match["number"], unit

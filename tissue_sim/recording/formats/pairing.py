@@ -26,7 +26,7 @@ from tissue_sim.recording.formats.temperature import has_temperature
 from tissue_sim.recording.formats.vocabulary import MachineFormat, find_role, find_source, normalize_words
 from tissue_sim.recording.measures import ENGINEERING, MEASURES, find_measure
 from tissue_sim.recording.recording import CHANNELS
-from tissue_sim.units import UNITS, known_unit
+from tissue_sim.units import UNITS, find_known_unit
 
 #: Role of a column -> channel of a recording. A strain is read as the stretch (strain + 1).
 _CHANNEL_OF_ROLE = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
@@ -325,7 +325,7 @@ def _interpret_column(numbers: NumberTable, position: int, role: str, machine: M
 def _find_contradicting_unit(numbers: NumberTable, position: int, unit: str | None) -> str | None:
     """Return the unit in the row of units if its size differs from the unit in the header; None: no contradiction."""
     cells = () if numbers.units is None else numbers.units.cells
-    below = known_unit(cells[position]) if position < len(cells) else None
+    below = find_known_unit(cells[position]) if position < len(cells) else None
     if below is None or unit not in UNITS or UNITS[below] == UNITS[unit]:
         return None
     return below

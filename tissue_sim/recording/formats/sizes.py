@@ -11,7 +11,7 @@ from itertools import product
 from tissue_sim.recording.formats.number_text import parse_any_number
 from tissue_sim.recording.formats.size_words import classify_size_name
 from tissue_sim.recording.formats.vocabulary import normalize_words
-from tissue_sim.units import UNITS, known_unit, loose_header
+from tissue_sim.units import UNITS, find_known_unit, split_free_form_header
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ def parse_quantity(text: str) -> tuple[float, str | None] | None:
 def _parse_length(key: str, text: str) -> _StatedSize | None:
     """Return a stated length, m; None: not a length with a known unit."""
     pair = parse_quantity(text)
-    unit = None if pair is None or pair[1] is None else known_unit(pair[1])
+    unit = None if pair is None or pair[1] is None else find_known_unit(pair[1])
     if pair is None or unit is None or UNITS[unit][0] != "length" or not 0 < pair[0] < 1e9:
         return None
     return _StatedSize(key, pair[0] * UNITS[unit][1], _compute_relative_rounding(text, pair[0]))
@@ -212,7 +212,7 @@ def _parse_area(key: str, text: str) -> _StatedSize | None:
              or _AREA_UNIT_IN_KEY.search(key))
     if pair is None or match is None or not 0 < pair[0] < 1e9:
         return None
-    factor = UNITS[known_unit(match["unit"]) or "mm"][1] ** 2
+    factor = UNITS[find_known_unit(match["unit"]) or "mm"][1] ** 2
     return _StatedSize(key, pair[0] * factor, _compute_relative_rounding(text, pair[0]))
 
 
@@ -226,6 +226,6 @@ def _parse_speed(key: str, text: str) -> tuple[float | None, str | None]:
     """Return number and unit of a stated speed; None for a missing one."""
     words = text.split()
     match = re.search(r"[\[(]([^\])]*)[\])]\s*$", key)
-    unit = match[1] if match else words[1] if len(words) > 1 else loose_header(key)[1]
+    unit = match[1] if match else words[1] if len(words) > 1 else split_free_form_header(key)[1]
     pair = parse_quantity(words[0]) if words else None
     return (None if pair is None else pair[0]), unit

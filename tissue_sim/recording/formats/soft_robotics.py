@@ -15,7 +15,7 @@ from tissue_sim.recording.formats.header import find_header, split_text_tables
 from tissue_sim.recording.formats.number_text import is_number, parse_any_number
 from tissue_sim.recording.formats.table import TableRow
 from tissue_sim.recording.recording import Recording
-from tissue_sim.units import split_header
+from tissue_sim.units import split_header_with_brackets
 
 #: Header of the engineering strain.
 _STRAIN = "Engineering Strain"
@@ -51,7 +51,8 @@ def read_soft_robotics(path: str | Path) -> Recording:
 
 def _does_time_decrease(header: TableRow, rows: list[TableRow]) -> bool:
     """Return whether the time decreases between two rows."""
-    index = next(i for i, cell in enumerate(header.cells) if split_header(cell)[0].casefold() == _TIME.casefold())
+    index = next(i for i, cell in enumerate(header.cells)
+                 if split_header_with_brackets(cell)[0].casefold() == _TIME.casefold())
     cells = [row.cells[index] for row in rows if len(row.cells) > index]
     # A damaged cell keeps the column, so that the reader reports the line of the cell.
     return all(map(is_number, cells)) and any(

@@ -21,7 +21,7 @@ from tissue_sim.recording.formats.size_words import classify_size_name
 from tissue_sim.recording.formats.table import Table, TableRow, split_rows
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheets
 from tissue_sim.recording.recording import MIN_POINTS
-from tissue_sim.units import known_unit, loose_header, split_header
+from tissue_sim.units import find_known_unit, split_free_form_header, split_header_with_brackets
 
 #: Expected content of the file, for messages.
 _EXPECTED = "a recording (text, spreadsheet, MATLAB, LabVIEW, HDF5 or AFM)"
@@ -87,14 +87,15 @@ class NumberTable:
 
     def get_header_without_unit(self, place: int) -> str:
         """Return the header of a column without the unit."""
-        return loose_header(self.get_column_header(place))[0]
+        return split_free_form_header(self.get_column_header(place))[0]
 
     def get_column_unit(self, place: int) -> str | None:
         """Return the unit in the header or in the row of units; an unknown unit is returned without a change."""
         header = self.get_column_header(place)
-        loose = loose_header(header)[1]
+        loose = split_free_form_header(header)[1]
         below = self.units.cells[place].strip("[]() ") if self.units and place < len(self.units.cells) else None
-        return known_unit(loose or "") or known_unit(below or "") or split_header(header)[1] or below or None
+        return (find_known_unit(loose or "") or find_known_unit(below or "") or split_header_with_brackets(header)[1]
+                or below or None)
 
 
 def read_file_content(path: Path, *, delimiter: str | None = None, sheet: Sheets | None = None,

@@ -12,7 +12,7 @@ from tissue_sim.recording.formats.size_words import SENTENCE_WORDS, classify_siz
 from tissue_sim.recording.formats.sizes import parse_quantity
 from tissue_sim.recording.formats.sources import NumberTable
 from tissue_sim.recording.formats.table import TableRow
-from tissue_sim.units import known_unit, loose_header
+from tissue_sim.units import find_known_unit, split_free_form_header
 
 #: "key: value" or "key = value".
 _KEY_VALUE = re.compile(r"^(?P<key>[^:=]{1,80}?)\s*[:=]\s*(?P<value>.*?)\s*[;,]*$")
@@ -178,7 +178,7 @@ def _iterate_row_statements(row: TableRow, decimal: str | None) -> Iterator[tupl
     numeric = [i for i in range(1, len(cells)) if is_number(cells[i]) and not is_number(cells[i - 1])]
     if len(numeric) > 1 and not _KEY_VALUE.match(cells[0]):
         for i in numeric:
-            unit = cells[i + 1] if i + 1 < len(cells) and known_unit(cells[i + 1]) else ""
+            unit = cells[i + 1] if i + 1 < len(cells) and find_known_unit(cells[i + 1]) else ""
             yield _format_statement(cells[i - 1], f"{_remove_thousands_separator(cells[i], decimal)} {unit}")
         return
     for cell in cells[1:]:
@@ -186,7 +186,7 @@ def _iterate_row_statements(row: TableRow, decimal: str | None) -> Iterator[tupl
             yield _format_statement(match["key"], match["value"])
     match = _KEY_VALUE.match(cells[0])
     if match and match["value"]:
-        unit = cells[1] if len(cells) > 1 and is_number(match["value"]) and known_unit(cells[1]) else ""
+        unit = cells[1] if len(cells) > 1 and is_number(match["value"]) and find_known_unit(cells[1]) else ""
         yield _format_statement(match["key"], f"{_remove_thousands_separator(match['value'], decimal)} {unit}")
     elif len(cells) >= 2:
         unit = cells[2] if len(cells) > 2 and is_number(cells[1]) and _UNIT_CELL.match(cells[2]) else ""
@@ -195,7 +195,7 @@ def _iterate_row_statements(row: TableRow, decimal: str | None) -> Iterator[tupl
 
 def _format_statement(key: str, value: str) -> tuple[str, str]:
     """Return key and value of a statement; a unit in the key is moved to the end of the value."""
-    name, unit = loose_header(key.strip("# "))
+    name, unit = split_free_form_header(key.strip("# "))
     return name, f"{value} {unit}" if unit else value
 
 
@@ -215,7 +215,7 @@ def _is_size_table_header(row: TableRow) -> bool:
     """Return whether a row is the header of a small table of sizes."""
     cells = [cell for cell in row.cells if cell]
     return len(cells) >= 2 and not any(map(is_number, cells)) and any(
-        classify_size_name(loose_header(cell)[0]) is not None for cell in cells)
+        classify_size_name(split_free_form_header(cell)[0]) is not None for cell in cells)
 
 
 def _split_small_table(rows: Sequence[TableRow], header: int) -> tuple[TableRow | None, list[TableRow], int]:
@@ -250,7 +250,7 @@ def _add_sizes_of_small_table(rows: Sequence[TableRow], header: int, found: File
         return set()
     chosen = [values[table]] if len(values) == tables > 1 else values
     for place, cell in enumerate(rows[header].cells):
-        name, unit = loose_header(cell)
+        name, unit = split_free_form_header(cell)
         if classify_size_name(name) is None:
             continue
         if unit is None and units is not None and place < len(units.cells):

@@ -19,7 +19,7 @@ from tissue_sim.recording.formats.decimal_mark import DECIMAL_WORDS, NumberMarks
 from tissue_sim.recording.formats.long_text import NotPlainNumbersError, TrailingNumberLines
 from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, parse_number
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
-from tissue_sim.units import quantity_of, to_si
+from tissue_sim.units import find_quantity_of_unit, get_si_factor_and_offset
 
 #: Consecutive blanks and tabs.
 _BLANK_RUN = re.compile(r"[ \t]+")
@@ -268,14 +268,14 @@ def get_si_conversion(channel: str, unit: str | None, scale: float | None = None
     quantity = CHANNELS[channel]
     if unit is None and quantity == "ratio":
         unit = "-"
-    if scale is not None and (unit is None or quantity_of(unit) == "signal"):
+    if scale is not None and (unit is None or find_quantity_of_unit(unit) == "signal"):
         return scale, 0.0
     if scale is not None:
-        factor, offset = to_si(unit or "-", quantity)
+        factor, offset = get_si_factor_and_offset(unit or "-", quantity)
         return scale * factor, offset
-    if unit is not None and quantity_of(unit) == "signal":
+    if unit is not None and find_quantity_of_unit(unit) == "signal":
         raise InputError(f"{unit} is the signal of a sensor; give scale, the {_SI_UNIT_WORDS[quantity]} in 1 {unit}")
     if unit is None:
         example = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "kPa", "temperature": "degC"}
         raise InputError(f"the unit is missing, expected a {quantity} such as [{example[quantity]}]")
-    return to_si(unit, quantity)
+    return get_si_factor_and_offset(unit, quantity)

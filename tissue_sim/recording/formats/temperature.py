@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from tissue_sim.recording.formats.number_text import is_number
 from tissue_sim.recording.formats.sources import NumberTable
-from tissue_sim.units import quantity_of
+from tissue_sim.units import find_quantity_of_unit
 
 
 def has_temperature(numbers: NumberTable, places: Mapping[str, int]) -> bool:
@@ -20,6 +20,6 @@ def has_temperature(numbers: NumberTable, places: Mapping[str, int]) -> bool:
         return False
     place = places["temperature"]
     unit = numbers.get_column_unit(place)
-    if unit is not None and quantity_of(unit) != "temperature":
+    if unit is not None and find_quantity_of_unit(unit) != "temperature":
         return False
     return all(place < len(row.cells) and is_number(row.cells[place]) for row in numbers.rows)

@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.errors import InputError, located
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.errors import InputError, add_location_to_errors
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.recording.cleaning import find_start_value, remove_outliers_and_saturation, subtract_start_values
 from tissue_sim.recording.formats.columns import MarkedRecording
 from tissue_sim.recording.formats.decimal_mark import NumberMarks, detect_number_marks, resolve_marks_by_text
@@ -82,11 +82,11 @@ def interpret_file(path: str | Path, hints: ColumnHints | None = None) -> FileIn
     if not tables:
         kind = guess_kind((), (), [*collect_title_hints(found[0]), *titles], machine, hints.kind)
         if kind.refused is not None:
-            raise kind.refused.make_refusal_error().located(file=path)
+            raise kind.refused.make_refusal_error().with_location(file=path)
         raise InputError(explain_missing_columns(
             found, machine, hints, lambda each: _find_statements(each, each.columns, hints)), file=path)
     tables = _add_statements(source, found, tables, hints)
-    with located(file=path):
+    with add_location_to_errors(file=path):
         together = group_equal_tables(tables)
         parts = [_read_tables(source, group, hints, machine, titles, _list_unused_headers(group[0].numbers, tables))
                  for group in together]
@@ -270,9 +270,9 @@ def _read_tables(source: FileContent, groups: Sequence[RecordingColumns], hints:
     if marks.is_open:
         # An ambiguous decimal mark is a question to the user.
         kept.pop("decimal", None)
-    reading = TableGroup("", columns, first.others, read_only(kept), recordings, kind, first.first_line_number, sheets,
-                      read_only(first.stated), (*remarks, *compared), assumptions=assumptions, unused=unused,
-                      speed=first.speed)
+    reading = TableGroup("", columns, first.others, make_read_only_copy(kept), recordings, kind,
+                         first.first_line_number, sheets, make_read_only_copy(first.stated), (*remarks, *compared),
+                         assumptions=assumptions, unused=unused, speed=first.speed)
     return split_by_material(reading, groups, [(each.sheet, each.line) for each in marked], hints), marks
 
 

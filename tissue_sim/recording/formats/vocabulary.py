@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from tissue_sim.recording.measures import MEASURES, find_measure
-from tissue_sim.units import quantity_of
+from tissue_sim.units import find_quantity_of_unit
 
 #: Words of columns that are not fitted: derived or commanded quantities, amplitudes, other directions.
 _OTHER = re.compile(
@@ -151,7 +151,7 @@ def find_role(name: str, unit: str | None, machine: MachineFormat | None = None)
         A role: ``time``, ``displacement``, ``force``, ``stretch``, ``strain``, ``shear strain``, ``stress`` or
         ``temperature``. None: none of them.
     """
-    words, quantity = normalize_words(name), quantity_of(unit)
+    words, quantity = normalize_words(name), find_quantity_of_unit(unit)
     role = machine.roles.get(words) if machine else None
     rank = 0
     if role is None:

@@ -14,8 +14,8 @@ from typing import Any
 import python_calamine as calamine
 import xlrd
 
-from tissue_sim.errors import InputError, format_exception, located, nearest
-from tissue_sim.files import ZIP_MAGIC, first_bytes, read_bytes
+from tissue_sim.errors import InputError, add_location_to_errors, format_exception, suggest_known_word
+from tissue_sim.files import ZIP_MAGIC, read_bytes, read_first_bytes
 from tissue_sim.recording.formats.cell_units import extract_cell_units
 from tissue_sim.recording.formats.number_text import ExactNumber
 from tissue_sim.recording.formats.table import Table, TableRow
@@ -44,13 +44,13 @@ class Sheet:
 
     def add_location_to_errors(self) -> AbstractContextManager[None]:
         """Return a context manager that adds the file and the name of this sheet to an `InputError` raised in it."""
-        return located(file=self.file, part=f"sheet {self.name!r}")
+        return add_location_to_errors(file=self.file, part=f"sheet {self.name!r}")
 
 
 def is_workbook(path: Path) -> bool:
     """Return whether a file is a spreadsheet by its first bytes or by its suffix."""
     with_name = path.suffix.lower() in SUFFIXES
-    return first_bytes(path, len(ZIP_MAGIC)) in (ZIP_MAGIC, OLE_MAGIC) or with_name
+    return read_first_bytes(path, len(ZIP_MAGIC)) in (ZIP_MAGIC, OLE_MAGIC) or with_name
 
 
 def read_sheets(path: Path, sheet: str | int | Sequence[str | int] | None = None) -> tuple[Sheet, ...]:
@@ -171,7 +171,7 @@ def _find_sheet_name(path: Path, sheet: str | int, names: list[str]) -> str:
                              file=path, field="sheet")
         return names[sheet - 1]
     if sheet not in names:
-        raise InputError(f"there is no sheet {sheet!r}{nearest(sheet, names)}", file=path, field="sheet")
+        raise InputError(f"there is no sheet {sheet!r}{suggest_known_word(sheet, names)}", file=path, field="sheet")
     return sheet
 
 
