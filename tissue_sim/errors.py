@@ -88,7 +88,7 @@ def format_error_message(problem: str, place: Iterable[str] = ()) -> str:
     A longer sentence is shortened in the middle: first its quotations, then the place, then the whole.
 
     Examples:
-        >>> sentence("must be positive; got -1.", ["study.toml", "test[0].radius_mm"])
+        >>> format_error_message("must be positive; got -1.", ["study.toml", "test[0].radius_mm"])
         'study.toml: test[0].radius_mm: must be positive; got -1.'
     """
     parts = [_escape_unprintable(part) for part in (*place, problem)]
@@ -112,7 +112,7 @@ def shorten_text(text: str, longest: int) -> str:
     """Return a text of at most `longest` characters; the middle of a longer text is left out.
 
     Examples:
-        >>> shortened("a text of thirty characters...", 20)
+        >>> shorten_text("a text of thirty characters...", 20)
         'a text  ... cters...'
     """
     if len(text) <= longest:
@@ -166,7 +166,7 @@ def suggest_known_word(word: str, known: Iterable[str]) -> str:
     """Return a hint for an unknown word: ``; did you mean 'radius_mm'?``, or the known words if none is similar.
 
     Examples:
-        >>> nearest("radius", ["radius_mm", "height_mm"])
+        >>> suggest_known_word("radius", ["radius_mm", "height_mm"])
         "; did you mean 'radius_mm'?"
     """
     known = list(known)

@@ -311,14 +311,9 @@ class ToolPathMixin:
         return self._make_step_result(pose, tick, status, outside, solves, residual, began)
 
     def _estimate_wave_error(self, way: Screw, dt: float, *, weighs: bool) -> None:
-        """Estimate the error of the force by waves in tissue with mass that a step does not resolve.
+        """Estimate the force error by waves that a step with the motion `way`, m, rad, in the time `dt`, s, omits.
 
-        Steps that replace several ticks are longer and resolve less; the estimate holds for them as for any step.
-
-        Args:
-            way: motion of the tool, m and rad.
-            dt: time of the step, s.
-            weighs: whether the inertia of the tissue acts in the step.
+        The argument `weighs` states whether the inertia of the tissue acts in the step.
         """
         waves, at, scale = self._pending.waves, self._equilibrium, self._wave_scale
         if not weighs or at.step_stiffness is None:
@@ -386,10 +381,7 @@ class ToolPathMixin:
         return ahead if ahead is None or left == 1.0 else ahead.scale_force(left)
 
     def _extrapolate_last_wrench(self, wrench: Screw, way: Screw) -> Screw:
-        """Extrapolate a wrench by the stiffness of the last equilibrium to a further motion, m and rad, of the tool.
-
-        Without adhesion the result is zero if the extrapolated force would pull the tool into the tissue.
-        """
+        """Extrapolate a wrench to a further motion, m and rad; without adhesion the tissue cannot pull the tool."""
         wrench = extrapolate_wrench(wrench, self._equilibrium.stiffness, way)
         return wrench if self._pulls or wrench[2] > 0.0 else AT_REST.wrench
 

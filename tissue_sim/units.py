@@ -101,7 +101,7 @@ def find_quantity_of_unit(unit: str | None) -> str | None:
     """Return the quantity of a unit, such as ``force``, or ``signal`` for volts and counts; None for an unknown unit.
 
     Examples:
-        >>> find_quantity_of_unit("kPa"), quantity_of("mV")
+        >>> find_quantity_of_unit("kPa"), find_quantity_of_unit("mV")
         ('stress', 'signal')
     """
     name = None if unit is None else find_known_unit(unit)

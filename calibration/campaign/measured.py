@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.closed_form_support import require_closed_form_support
 from calibration.campaign.loading import check_displacement_range, require_recorded_loading, select_elastic_samples
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.screened import (
@@ -205,7 +206,7 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
     material, closed = campaign.fit.placeholder_material, campaign.fit.method == "analytical" or test.experiment is None
     check_specimen_metadata(recording, test, campaign, path)
     displacement, force, stressed = _read_force_and_displacement(recording, test, path)
-    _require_closed_form_support(test, material, stressed, closed, path)
+    require_closed_form_support(test, material, stressed, closed, path)
     time = np.array(recording.time) if "time" in recording else None
     if time is None and test.rig.needs_time:
         raise InputError(f"{path.name} has no time, and the rig of the test requires time (latency, damping or drift); "
@@ -331,32 +332,6 @@ def _make_even_interpolation(displacement: np.ndarray, curve: MeasuredCurve, cam
     indices = np.tile(np.arange(points), 2), np.concatenate([samples[right - 1], samples[right]])
     return grid, csr_array((weights, indices), shape=(points, displacement.size))
 
-
-def _require_closed_form_support(test: Test, material: Material, stressed: bool, closed: bool, path: Path) -> None:
-    """Reject parts of the model that the closed form of a homogeneous test does not support.
-
-    Args:
-        test: test of the campaign.
-        material: material of the fit.
-        stressed: whether stress was recorded, which only the closed form describes.
-        closed: whether method or kind of the test require the closed form.
-        path: file of the recording.
-    """
-    if not (stressed or closed):
-        return
-    if material.layers:
-        remedy = ("use displacement and force of a compression or a needle test" if stressed or test.experiment is None
-                  else "set fit.method = 'inverse_fem'")
-        raise InputError(f"{path.name} is computed by a closed form, which requires a homogeneous specimen; for a "
-                         f"layered specimen {remedy}", field="kind")
-    if test.specimen is None and material.poroelasticity is not None:
-        raise InputError("a poroelastic material requires the size of the specimen; add a [[specimen]]",
-                         field="specimen")
-    if test.specimen is not None and test.specimen.specific_weight and material.remembers:
-        raise InputError("the closed form does not support gravity for a material with memory; set gravity = false, or "
-                         "fit.method = 'inverse_fem'", field="specimen")
-    if not test.rig.is_ideal:
-        raise InputError(f"{path.name} contains stress, to which a rig does not apply; leave rig out", field="rig")
 
 
 def _read_force_and_displacement(recording: Recording, test: Test, path: Path) -> tuple[np.ndarray, np.ndarray, bool]:

@@ -94,7 +94,8 @@ def make_test_lines(parts: Sequence[ReplicateFile], wishes: ImportOptions) -> tu
     if reading.kind.kind is None:
         missing.append("the kind of test (--kind)")
     missing += [f"{what} (--{'scale' if what.startswith('the scale') else 'unit'} "
-                f"{_get_channel_flag(column.channel)}=...)" for column in reading.columns if (what := column.missing_information)]
+                f"{_get_channel_flag(column.channel)}=...)" for column in reading.columns
+                if (what := column.missing_information)]
     lines += [CampaignLine(key, value, explain_stated_decimal_mark(parts) if key == "decimal" else "")
               for key, value in reading.options.items() if key != "columns"]
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None

@@ -233,9 +233,10 @@ def _build_imported_tests(groups: Sequence[tuple[str, tuple[ReplicateFile, ...],
                 specimens[specimen] = lines
         keys, lacks = make_test_lines(parts, wishes)
         missing += [what for what in lacks if what not in missing]
-        columns = tuple(CampaignLine(column.channel, column.to_campaign_entry(),
-                             f"{FILL_IN}: {column.missing_information}; {column.reason}" if column.missing_information else column.reason)
-                        for column in reading.columns)
+        columns = tuple(
+            CampaignLine(column.channel, column.to_campaign_entry(), column.reason if lack is None
+                         else f"{FILL_IN}: {lack}; {column.reason}")
+            for column in reading.columns for lack in [column.missing_information])
         tests.append(ImportedTest(name, reading.kind.kind, tuple(parts), specimen, tuple(keys), columns, reason,
                                   zero))
     if len(specimens) > 1 and "specimen" in specimens:

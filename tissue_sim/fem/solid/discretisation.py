@@ -280,8 +280,7 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[L
     Raises:
         InputError: unknown resolution, or layers thicker than the specimen.
     """
-    chosen = RESOLUTIONS.get(resolution)
-    if chosen is None:
+    if (chosen := RESOLUTIONS.get(resolution)) is None:
         raise InputError(f"unknown resolution {resolution!r}{suggest_known_word(resolution, RESOLUTIONS)}",
                          field="resolution")
     specimen, tool = experiment.specimen, experiment.tool
