@@ -163,7 +163,7 @@ def coverage(case: Case, campaigns: int, seed: int) -> tuple[float, float, float
         curves, new = draw_case(case, np.random.default_rng([seed, number]))
         at = curves.displacement if curves.time is None else curves.time
         for recording in new:
-            place = recording.displacement if curves.time is None else recording.clock
+            place = recording.displacement if curves.time is None else recording.sample_times
             force, band, all_of_it = (np.interp(place, at, values)
                                       for values in (curves.force, curves.band, curves.whole_band))
             away = np.abs(recording.force - force)

@@ -77,7 +77,7 @@ class Stopwatch:
         solid = scenes.viewer.page.solid
         Fields.at_points = self.timed("fields", Fields.at_points)
         bodies = scenes.viewer.bodies
-        bodies.extrapolate = self.timed("fields", bodies.extrapolate)
+        bodies.extrapolate_to_nodes = self.timed("fields", bodies.extrapolate_to_nodes)
         solid.compute_colour_range = self.timed("fields", solid.compute_colour_range)
         HalfSection.compute_band_surfaces = self.timed("bands", HalfSection.compute_band_surfaces)
         page._update_texts_and_controls = self.timed("words", page._update_texts_and_controls)
