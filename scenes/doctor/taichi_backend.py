@@ -95,9 +95,9 @@ def find_usable_gpu_backends() -> list[str]:
 
 def check_taichi_kernel_cache() -> CheckResult:
     """Report the folder of the compiled kernels and its size."""
-    from tissue_sim.fem.taichi import runtime
+    from tissue_sim.files import get_cache_folder
 
-    folder = runtime.cache_folder()
+    folder = get_cache_folder()
     size = compute_folder_size(folder)
     values = {"folder": str(folder), "bytes": size}
     if size == 0:

@@ -158,10 +158,10 @@ class Shown:
         self.session.close()
 
     @property
-    def url(self) -> str:
+    def local_url(self) -> str:
         return self.page.server.local_url
 
-    def address(self) -> str:
+    def make_page_address(self) -> str:
         return self.page.server.make_page_address()
 
     def ask(self, command: str, **values) -> None:

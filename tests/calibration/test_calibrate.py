@@ -131,7 +131,7 @@ def test_overwrite_and_resume(campaign, tmp_path, monkeypatch):
 
     campaign.write_text(TEXT.replace('"mooney_rivlin", ', ""), encoding="utf-8")
     before = sorted(path.name for path in out.iterdir())
-    with pytest.raises(ts.InputError, match=r"other work; .*--overwrite"):
+    with pytest.raises(ts.InputError, match=r"results of other campaigns. .*--overwrite"):
         calibration.calibrate([campaign], out, figures=False)
     assert sorted(path.name for path in out.iterdir()) == before
     (out / "notes.txt").write_text("mine", encoding="utf-8")
@@ -272,7 +272,7 @@ def test_changed_recording_is_other_work(campaign, tmp_path):
     calibration.calibrate([campaign], tmp_path / "out", figures=False)
     recording = ts.read_recording(tmp_path / "fit_1.csv")
     ts.write_recording(recording.with_channels(force=1.1 * recording.force), tmp_path / "fit_1.csv")
-    with pytest.raises(ts.InputError, match="other work"):
+    with pytest.raises(ts.InputError, match="results of other campaigns"):
         calibration.calibrate([campaign], tmp_path / "out", figures=False)
 
 
@@ -316,7 +316,7 @@ def test_a_bad_second_campaign_writes_nothing(campaign, tmp_path):
 def test_too_few_points_for_a_law(campaign, tmp_path):
     campaign.write_text(TEXT.replace('"neo_hooke"', '"ogden_3"').replace('"fit_*', '"fit_1*').replace(
         "[fit]", "[fit]\nstrain_points = 5"), encoding="utf-8")
-    with pytest.raises(ts.InputError, match=r"fit\.laws\[0\]: ogden_3 has 6 parameters"):
+    with pytest.raises(ts.InputError, match=r"fit\.laws\[0\]: .* more samples than the 6 parameters of ogden_3"):
         calibration.calibrate([campaign], tmp_path / "out")
 
 

@@ -198,7 +198,7 @@ class TestProblem:
         text = campaign_text("lubricated").replace("height_mm = 70.0", "height_mm = 70.0\ngravity = true\n"
                                                    "density_kg_m3 = 1000.0")
         _, problem = problem_of(plates, text)
-        assert not problem.tests[0].proportional
+        assert not problem.tests[0].is_force_proportional_to_moduli
         _, jacobian = problem.evaluate(np.array([1404.9, 699.4])).projected_residual_and_jacobian
         assert np.isfinite(jacobian).all()
 
@@ -667,5 +667,5 @@ class TestRefused:
     def test_more_unknowns_than_samples(self, plates):
         campaign, problem = problem_of(plates, campaign_text("lubricated"))
         problem.samples = 2
-        with pytest.raises(ts.InputError, match=r"fit\.laws\[0\].*2 points"):
+        with pytest.raises(ts.InputError, match=r"fit\.laws\[0\]: .* more samples than the 2 unknown .*got 2"):
             simulate_and_check_start(problem, campaign, 0)

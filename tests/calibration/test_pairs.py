@@ -7,6 +7,7 @@ import pytest
 from virtual_campaign import diagnosed_plates
 
 import tissue_sim as ts
+from calibration.diagnosis.decision_limits import DecisionLimits
 from calibration.diagnosis.pairs import _are_both_required
 from calibration.effects.displacement_gain import DisplacementGain
 from calibration.effects.sensor_drift import SensorDrift
@@ -74,4 +75,4 @@ def test_two_need_each_other(axis, alone, second_alone, rival, needed, monkeypat
     plain = fitted("second", axis, alone).proposal
     monkeypatch.setattr("calibration.diagnosis.pairs.recompute_candidate_score", lambda proposal, evidence: plain)
     good = [first] if rival is None else [first, fitted("second", axis, alone, gain=rival)]
-    assert _are_both_required(first, second, good, None) is needed
+    assert _are_both_required(first, second, good, SimpleNamespace(limits=DecisionLimits())) is needed

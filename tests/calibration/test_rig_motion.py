@@ -159,7 +159,7 @@ def test_adhesion_is_not_proportional_to_the_modulus(tmp_path):
     tool = ('tool = "sphere"\ntool_radius_mm = 6.0\nfriction = "frictionless"\n'
             "contact_laws = { adhesion = { adhesion_N = 0.3, adhesion_length_mm = 0.5 } }")
     test, space, solves = study(tmp_path, "needle_indentation", tool)
-    assert not test.proportional
+    assert not test.is_force_proportional_to_moduli
     force, *_ = evaluated(test, space, solves, {"C10": 4000.0})
     experiment = replace(test.experiment, protocol=ts.Protocol(TIME, DEPTH))
     clinging, plain = (ts.simulate(ts.Model(replace(experiment, **more), ts.Material(

@@ -273,7 +273,7 @@ def test_a_modulus_that_depends_on_a_bound_that_is_not_stated(missing, stated, h
     data = (x + missing * x**2) / 0.01 + np.random.default_rng(0).normal(0.0, 1.0, x.size)
     a = float(jacobian[:, 0] @ data / (jacobian[:, 0] @ jacobian[:, 0]))
     residual = jacobian[:, 0] * a - data
-    space = SimpleNamespace(free=("a", "b"), values=lambda theta: theta, sizes=lambda values: np.ones(2))
+    space = SimpleNamespace(free=("a", "b"), values=lambda theta: theta, typical_sizes=lambda values: np.ones(2))
     estimate = SimpleNamespace(theta=np.array([a, 0.0]), problem=SimpleNamespace(space=space),
                                evaluation=SimpleNamespace(projected_residual_and_jacobian=(residual, jacobian)))
     spread = SimpleNamespace(on_bound=np.array([False, True]), covariance=np.diag([1e-4, 0.0]),

@@ -283,7 +283,7 @@ def test_a_json_file_that_is_no_sidecar_is_not_replaced(tmp_path, content):
 
 @pytest.mark.parametrize(("text", "line", "message"), [
     ('{"tool": \n', 2, "damaged JSON"),
-    ("[1]", None, "file must contain an object"),
+    ("[1]", None, "expected an object {...} with the metadata of test.csv"),
     ('{"a": 1, "a": 2}', None, "key must appear once in an object; got 'a' twice"),
 ])
 def test_a_damaged_sidecar_is_refused(tmp_path, text, line, message):

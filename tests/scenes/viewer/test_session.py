@@ -217,13 +217,16 @@ def test_replay_repeats_the_measured_motion(session, measured, until):
     frame = until(session.frame, over)
     trace = frame.curves.trace
     assert frame.motion == "recording" and trace.depth.max() == pytest.approx(2e-3, abs=2e-5)
-    moments = np.linspace(0.1, 0.9, 9) * (way.time[-1] - way.time[0])
     load, _ = trace.branches()
     top = np.argmax(way.displacement) + 1
-    # The first tick of the motion is not marked; at 1 mm both are as late.
-    late = np.interp(1e-3, load.depth, load.time) - np.interp(1e-3, way.displacement[:top], way.time[:top])
-    np.testing.assert_allclose(np.interp(moments + way.time[0] + late, trace.time, trace.depth),
-                               np.interp(moments + way.time[0], way.time, way.displacement), atol=1e-4)
+    # The first tick of the motion is not marked; on the loading each tick gives the time of the start.
+    rising = (load.depth > 2e-4) & (load.depth < 1.8e-3)
+    late = np.median(load.time[rising] - np.interp(load.depth[rising], way.displacement[:top], way.time[:top]))
+    moments = trace.time - late
+    # A busy computer leaves ticks out; those that there are must lie on the motion.
+    inside = (moments >= way.time[0]) & (moments <= way.time[-1])
+    assert np.count_nonzero(inside) >= 9
+    np.testing.assert_allclose(trace.depth[inside], np.interp(moments[inside], way.time, way.displacement), atol=1e-4)
     expected = curve_of(measured.material, measured)
     there = np.interp(load.depth, *(each[: np.argmax(expected.displacement) + 1]
                                     for each in (expected.displacement, expected.force)))
