@@ -63,7 +63,9 @@ class LightToolWarning(UserWarning):
 
 
 def warn_about_light_tool(least_mass: float) -> None:
-    """Issue a `LightToolWarning` that the tool reverses its motion in every step, with remedies.
+    """Warn that the tool reverses its motion in every step (`LightToolWarning`).
+
+    The remedies in the warning are an implicit coupling with looks_ahead=True, inertia='off', or a heavier tool.
 
     Args:
         least_mass: `ToolForce.least_tool_mass` of the last step, kg.

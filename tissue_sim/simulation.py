@@ -268,7 +268,7 @@ def _compute_times_and_first_contact(positions: np.ndarray, time: np.ndarray) ->
 
 
 class _LoadTrain:
-    """Load train of a compliance in m/N: the tool is at d with d + compliance F(d) = position."""
+    """Predict the tool's depth behind a compliant load train from the last two samples; see `_ToolDrive`."""
 
     def __init__(self, compliance: float):
         self.compliance = compliance

@@ -20,7 +20,7 @@ from calibration.campaign.checks import (
     require_closed_form_support,
     require_positive,
 )
-from calibration.campaign.experiments import read_experiment, read_rig, read_solver
+from calibration.campaign.experiments import read_experiment, read_rig_without_noise, read_solver
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameters import (
     PER_SPECIMEN,
@@ -283,7 +283,7 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder:
             name, kind, specimen, () if entry.protocol is not None and not entry.recordings else
             find_recording_files(entry.recordings, folder, f"{field}.recordings"),
             _make_reading_options(entry, read_column_map(entry, field)), entry.max_strain, entry.hold_out, field,
-            read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field),
+            read_experiment(entry, specimen, folder, field), read_rig_without_noise(entry, folder, field),
             entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol,
             read_solver(entry, specimen, field), _read_omitted_sample_numbers(entry, f"{field}.leave_out"),
                            entry.control)

@@ -124,8 +124,8 @@ def _read_friction(entry: TestTable, kind: TestKind, key: str, place: str) -> st
     if face.fixed and value is not None and (value or "frictionless") != face.usual:
         other = " or ".join(repr(name) for name, one in KINDS.items()
                             if one.face_interfaces[key].stated and one.allows_tool(kind.require_tool()))
-        raise InputError(f"{key} must be {face.usual} for kind = {entry.kind!r}; got {value!r}. Leave {key} out, or "
-                         f"use kind = {other}", field=f"{place}.{key}")
+        raise InputError(f"a test of kind = {entry.kind!r} must have {key} = {face.usual!r}; got {value!r}. Leave "
+                         f"{key} out, or use kind = {other}", field=f"{place}.{key}")
     if value is None and face.stated:
         raise InputError(f"{entry.kind} requires the friction of the plates; state a coefficient, 'stick', "
                          "'frictionless' or 'bonded'. friction_base has the same value unless it is stated",
@@ -152,7 +152,7 @@ def _read_tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> To
     return Tool(shape, profile_file=profile, **(usual | sizes))
 
 
-def read_rig(entry: TestTable, folder: Path, place: str) -> Rig:
+def read_rig_without_noise(entry: TestTable, folder: Path, place: str) -> Rig:
     """Return the rig of a test without noise and resolution, which affect the recording and not the model.
 
     Raises:

@@ -18,7 +18,7 @@ class Backlash(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidates in the tests with an unloading."""
-        tests = require_tests(situation.simulated_tests(situation.has_unloading),
+        tests = require_tests(situation.simulated_tests(situation.test_has_unloading),
                               "no recording has an unloading, and backlash shows only after a reversal")
         return rig_parameter_candidates(
             self, situation, "rig.backlash", tests,

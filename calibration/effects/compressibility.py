@@ -17,7 +17,7 @@ class Compressibility(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidate with the trial ratio K / mu, or with a tenth of the stated ratio if this is smaller."""
-        fit, mu = situation.campaign.fit, situation.shear_modulus
+        fit, mu = situation.campaign.fit, situation.estimated_shear_modulus
         for path in (path for path in fit.named if path.startswith("bulk.")):
             situation.require_unused_parameter(path)
         if not situation.simulated_tests():

@@ -23,6 +23,6 @@ class I2Term(Effect):
         if "C01" in require_special_case_of_biderman(situation.law):
             raise NotTestableError("the fitted law has a term in I2 - 3 already")
         # mu = 2 (C10 + C01).
-        size = 0.5 * self.trial_fraction * situation.shear_modulus
+        size = 0.5 * self.trial_fraction * situation.estimated_shear_modulus
         return [Candidate(self, {"C01": size}, absent={"C01": 0.0},
-                          bounds={"C01": (0.0, self.max_fraction * situation.shear_modulus)}, law=WIDER)]
+                          bounds={"C01": (0.0, self.max_fraction * situation.estimated_shear_modulus)}, law=WIDER)]

@@ -58,7 +58,9 @@ class Situation:
     depth = OldName("largest_displacement")
     force = OldName("largest_force")
     strain = OldName("largest_strain")
-    modulus = OldName("shear_modulus")
+    modulus = OldName("estimated_shear_modulus")
+    shear_modulus = OldName("estimated_shear_modulus")
+    has_unloading = OldName("test_has_unloading")
 
     def fitted_curves(self, tests: Iterable[Test] | None = None) -> list[MeasuredCurve]:
         """Return the recordings of `tests` in one list; None: of all fitted tests."""
@@ -91,7 +93,7 @@ class Situation:
             max(float(clock[-1] - clock[0]) for clock in clocks)
 
     @cached_property
-    def shear_modulus(self) -> float:
+    def estimated_shear_modulus(self) -> float:
         """Estimate of the shear modulus mu for trial values, Pa.
 
         The estimate is the median over the tests of the modulus that linear elasticity assigns to the largest force F
@@ -126,7 +128,7 @@ class Situation:
         size = experiment.specimen.height if experiment.tool.is_plate else 2.0 * self.contact_radius(test)
         return self.largest_displacement(test) / size
 
-    def has_unloading(self, test: Test) -> bool:
+    def test_has_unloading(self, test: Test) -> bool:
         """Return whether any recording of a test has an unloading above `UNLOADING_FRACTION`."""
         return any(float(np.max(np.maximum.accumulate(curve.displacement) - curve.displacement))
                    > UNLOADING_FRACTION * self.largest_displacement(test) for curve in self.measured[test.name])

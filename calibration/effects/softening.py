@@ -24,7 +24,7 @@ class Softening(Effect):
         """Return one candidate per trial fraction of the strain energy."""
         if situation.campaign.fit.placeholder_material.softening is not None:
             raise NotTestableError("the fitted material includes softening already, so this effect is not tested")
-        require_tests(situation.simulated_tests(situation.has_unloading),
+        require_tests(situation.simulated_tests(situation.test_has_unloading),
                       "no recording has an unloading, and softening does not change the first loading")
         loss, energy = "softening.loss", "softening.share"
         limits = 0.1 * self.trial_energy_fractions[0], 10.0 * self.trial_energy_fractions[-1]

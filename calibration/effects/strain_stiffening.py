@@ -25,6 +25,7 @@ class StrainStiffening(Effect):
         largest = max((situation.largest_strain(test) for test in situation.simulated_tests()), default=0.1)
         # Ratio of the stresses of Cn0 (I1 - 3)^n and C10 (I1 - 3), with C10 = mu / 2 and I1 = 3 + 3 strain^2 to lowest
         # order.
-        size = self.trial_fraction * 0.5 * situation.shear_modulus / (order * (3.0 * largest**2) ** (order - 1))
+        mu = situation.estimated_shear_modulus
+        size = self.trial_fraction * 0.5 * mu / (order * (3.0 * largest**2) ** (order - 1))
         return [Candidate(self, {path: size}, absent={path: 0.0},
                           bounds={path: (0.0, self.max_trial_coefficients * size)}, law=WIDER)]

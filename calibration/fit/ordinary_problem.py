@@ -130,7 +130,7 @@ class OrdinaryProblem(LeastSquaresProblem):
             for test in self.tests))
 
     def remove_test(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
-        """Return the problem without one test; see `LeastSquaresProblem.remove_test`."""
+        """Return the problem without one test, and its unknowns; see `LeastSquaresProblem.remove_test`."""
         free = len(self.space.free)
         kept = [self.places[i][0] != number for i in self.shifted]
         tests = [test for i, test in enumerate(self.tests) if i != number]

@@ -242,7 +242,7 @@ class GeneralisedProblem(LeastSquaresProblem):
         self.nuisances = end
 
     def remove_test(self, number: int, theta: np.ndarray) -> tuple[GeneralisedProblem, np.ndarray]:
-        """Return the problem without one test; see `LeastSquaresProblem.remove_test`."""
+        """Return the problem without one test, and its unknowns; see `LeastSquaresProblem.remove_test`."""
         kept = [i for i in range(len(self.tests)) if i != number]
         return GeneralisedProblem(self.space, tuple(self.tests[i] for i in kept), self.solves, self.jitter,
                                   tuple(self.mesh_error[i] for i in kept)), theta

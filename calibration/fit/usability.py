@@ -288,7 +288,7 @@ def compute_displacement_r_squared(curve: MeasuredCurve, model: np.ndarray) -> f
     return 1.0 - float(np.mean(((model - curve.force) / stiffness)**2)) / variance
 
 
-def _evaluate_bound_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_bound_dependence_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check that the shear modulus does not depend on bounds that the campaign does not state."""
     found = evidence.determination
     if found is None or not found.held:
@@ -332,5 +332,5 @@ def _evaluate_population_clause(evidence: UsabilityEvidence) -> UsabilityClause:
 _CHECKS = (_evaluate_shear_modulus_clause, _evaluate_convergence_clause, _evaluate_stability_clause,
            _evaluate_screening_clause, _evaluate_contact_clause,
            _evaluate_replicate_clause, _evaluate_residual_clause, _evaluate_explained_variance_clause,
-           _evaluate_displacement_clause, _evaluate_bound_clause,
+           _evaluate_displacement_clause, _evaluate_bound_dependence_clause,
            _evaluate_determination_clause, _evaluate_uniqueness_clause, _evaluate_population_clause)

@@ -83,7 +83,8 @@ class SimulatedMotions:
             return space.build_model(values, self._build_experiment(motion), self.rig, test=self.name,
                                      recording=recording)
         except InputError as error:
-            raise InfeasibleError(f"test {self.name}: {error}") from None
+            raise InfeasibleError(f"the parameter values tried give no valid model of test {self.name}: "
+                                  f"{error}") from None
 
     def _parameter_affects_readings_only(self, unknown: FitParameter, values: dict[str, float]) -> bool:
         """Return whether a parameter belongs to the rig of this test and does not change the motion of the tool."""

@@ -84,7 +84,10 @@ class RecordedMotion:
 
     @property
     def contact(self) -> Contact | None:
-        """First contact, at a displacement (or strain) of the file; None: not searched."""
+        """Record of the search for the first contact; None: contact was not searched.
+
+        The `status` of the record may be ``unclear`` or ``none``. Its displacement is that of the file, or a strain.
+        """
         return self.found.contact
 
     @property

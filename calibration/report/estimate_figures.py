@@ -143,7 +143,7 @@ def _draw_parameter_by_specimen(axes, fits: Sequence[Fit], root: str, owners: Se
     axes.grid(visible=False, axis="x")
 
 
-def draw_window_fits(fit: Fit, units: ReportUnits):
+def draw_parameters_by_strain_window(fit: Fit, units: ReportUnits):
     """Draw the parameters fitted to the first part of the strain of each test, compared with those of all data.
 
     Returns:

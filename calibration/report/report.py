@@ -19,8 +19,8 @@ from calibration.report.drawing import FigureEmbedder, format_count
 from calibration.report.estimate_figures import (
     draw_individual_parameters,
     draw_parameter_correlation,
+    draw_parameters_by_strain_window,
     draw_profiles,
-    draw_window_fits,
 )
 from calibration.report.figures import draw_descent_history, draw_prediction_errors, draw_region_misfits, format_percent
 from calibration.report.layout import LAYOUT
@@ -246,7 +246,7 @@ def _draw_estimate_figures(fit: Fit, campaign: Campaign, units: ReportUnits, pic
                 "profile differs from the dashed parabola, ± 2 standard errors are not a 95 % interval.")
         yield pictures.embed_figure(f"profiles {fit.law}", partial(draw_profiles, fit, campaign.fit.bounds, units),
                                     f"Profile likelihoods of {fit.law}", note)
-    yield pictures.embed_figure(f"windows {fit.law}", partial(draw_window_fits, fit, units),
+    yield pictures.embed_figure(f"windows {fit.law}", partial(draw_parameters_by_strain_window, fit, units),
                                 f"Parameters of {fit.law} from parts of the strain",
                                 "Estimates from the first part of the strain of each test only, as with max_strain.")
     yield pictures.embed_figure(f"correlation {fit.law}", partial(draw_parameter_correlation, fit, units),

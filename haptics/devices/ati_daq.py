@@ -30,13 +30,13 @@ _EXAMPLE = "ati-daq:FT01234.cal,volts=my_board:read_volts"
 
 @dataclass(frozen=True)
 class AtiDaqTiming:
-    """Waiting and averaging times of an `AtiDaqSensor`, s."""
+    """Waiting and averaging times of an `AtiDaqSensor`."""
 
-    #: Time without a sample after which the board counts as lost; at least `silent_periods` sampling periods.
+    #: Time without a sample after which the board counts as lost, s; at least `silent_periods` sampling periods.
     silence: float = 1.0
-    #: See `silence`.
+    #: Smallest value of `silence`, in sampling periods.
     silent_periods: int = 5
-    #: Time over which a tare averages.
+    #: Time over which a tare averages, s.
     tare: float = 0.1
 
 

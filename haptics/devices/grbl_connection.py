@@ -173,7 +173,8 @@ class GrblConnection:
                 cause = grbl.describe_error(answer[1]) if answer[0] == "error" else grbl.describe_alarm(answer[1])
                 raise DeviceError(f"{self._name} answers {command.decode().strip()} with {line}: {cause}")
             lines.append(line)
-        raise DeviceError(f"{self._name} does not end its answer to {command.decode().strip()}; check the cable")
+        raise DeviceError(f"{self._name} sends no 'ok' after its answer to {command.decode().strip()} within "
+                          f"{TIMING.line:g} s; check the cable")
 
     def start_thread(self, act: Callable[[GrblConnection], bool]) -> None:
         """Start the thread. It calls `act` with the lock held; `act` returns True while a motion is in progress."""

@@ -72,8 +72,8 @@ class PhidgetStage(Stage):
     def __init__(self, serial: int | None, steps_per_mm: float, limits: StageLimits, acceleration: float = 0.05,
                  microsteps: int = 16, current: float | None = None):
         if not limits.lowest <= 0.0 < limits.highest < float("inf") or limits.lowest == -float("inf"):
-            raise InputError(f"the travel must contain 0; got {limits.lowest:g} to {limits.highest:g} m",
-                             field="limits")
+            raise InputError("lowest must be 0 or less and highest above 0; got "
+                             f"{limits.lowest:g} to {limits.highest:g} m", field="limits")
         for field, value in (("top_speed_mm_s", limits.speed), ("acceleration_mm_s2", acceleration),
                              ("steps_per_mm", abs(steps_per_mm)), ("microsteps", microsteps)):
             if not 0 < value < float("inf"):

@@ -86,8 +86,8 @@ class TicStage(Stage):
             raise InputError("the serial port must be given, as in tic:/dev/ttyUSB0,steps_per_mm=800; got none",
                              field="port")
         if not -math.inf < limits.lowest <= 0.0 < limits.highest < math.inf:
-            raise InputError(f"the travel must contain 0; got {limits.lowest:g} to {limits.highest:g} m",
-                             field="lowest_mm, highest_mm")
+            raise InputError("lowest must be 0 or less and highest above 0; got "
+                             f"{limits.lowest:g} to {limits.highest:g} m", field="lowest_mm, highest_mm")
         for value, name in ((limits.speed, "top_speed_mm_s"), (steps_per_m, "steps_per_mm"), (baud, "baud")):
             if not 0 < value < math.inf:
                 remedy = (". Give the microsteps per turn of the motor divided by the lead of the screw"

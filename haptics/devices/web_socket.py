@@ -47,7 +47,7 @@ class WebSocketConnection:
                     raise WebSocketClosedError(f"the server is not a WebSocket server: {self._protocol.handshake_exc}")
                 remaining = end - time.monotonic()
                 if remaining <= 0:
-                    raise TimeoutError("the server sent no answer to the WebSocket handshake in time")
+                    raise TimeoutError(f"the server does not answer the WebSocket handshake within {timeout:g} s")
                 self._receive_once(remaining)
         except BaseException:
             self._socket.close()

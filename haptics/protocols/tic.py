@@ -322,7 +322,7 @@ class CommandParser:
         return commands
 
     def _parse_command_head(self) -> tuple[TicCommand | None, int]:
-        """Return the command of the incomplete message and the length of its head; None: unknown (yet)."""
+        """Return (command, length of the head); the command is None if it is unknown or not yet complete."""
         if self._partial[0] != POLOLU_PREFIX:
             code, head = self._partial[0], 1
         elif len(self._partial) < 3:

@@ -73,7 +73,10 @@ class ForceLimits:
 
     @property
     def message(self) -> str:
-        """Description of the limits that acted in the last step."""
+        """Limits of force, torque and their changes that acted in the last step; ``not limited`` if no limit acted.
+
+        A wrench that is not finite has a sentence without the other limits.
+        """
         if self.invalid:
             return "the force was not a number: going to zero"
         if not (self.limited or self.rate_limited):

@@ -69,7 +69,7 @@ def list_material_files(folder: str | Path) -> list[Path]:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise InputError("must be an existing folder with *.material.json files", file=folder)
+        raise InputError("this folder does not exist; name a folder for *.material.json files", file=folder)
     return sorted((path for path in folder.glob(f"*{SUFFIX}") if path.is_file()), key=lambda path: path.name)
 
 
@@ -207,8 +207,8 @@ def choose_new_material_path(folder: str | Path, name: str) -> Path:
     """
     name = name.strip().removesuffix(SUFFIX)
     if not name or name.startswith(".") or not name.isprintable() or set(name) & set('/\\:*?"<>|') or len(name) > 100:
-        raise InputError(f"must be a file name of at most 100 letters, digits, blanks or - _ . ; got {name!r}",
-                         field="name")
+        raise InputError("must be a name of a material file: 1 to 100 printable characters without / \\ : * ? \" < > | "
+                         f"and without a leading '.'; got {name!r}", field="name")
     path = Path(folder) / f"{name}{SUFFIX}"
     if path.exists():
         raise InputError("exists already and is not overwritten. Choose another name.", file=path)

@@ -96,8 +96,9 @@ class ToolContact:
 def make_tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
     """Return the drawn outline of a tool, (r, z), m, shape (n, 2), read-only.
 
-    The outline runs from the axis at the bottom to the axis at the top. The deepest point of the tool is at z = 0, and
-    the drawn outline lies `ToolPictureSettings.inset` inside the true one.
+    The outline runs from the axis at the bottom to the axis at the top. The deepest point of the true tool is at z = 0.
+    The drawn outline lies inside the true one, so the lowest drawn point is at z = inset: `ToolPictureSettings.inset`
+    times the radius of the tool, for a plate times the radius of the specimen.
     """
     if tool.is_plate:
         radius, top = SETTINGS.plate_radius * specimen.outer_radius, compute_plate_thickness(specimen)
@@ -207,7 +208,9 @@ def compute_arrow_foot_height(tool: Tool, specimen: Specimen) -> float:
 
 
 def rotate_force_arrow(arrow: ForceArrow, lateral: tuple[float, float]) -> ForceArrow:
-    """Rotate an arrow along z about its lower end, so that its direction has the given lateral components.
+    """Rotate an arrow along +z or -z about its lower end, so that its direction has the given lateral components.
+
+    The sign of the z component of the direction stays.
 
     Args:
         arrow: Arrow of `make_force_arrow`.

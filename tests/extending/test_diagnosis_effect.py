@@ -75,5 +75,5 @@ def test_former_names_work_and_warn(cable, tmp_path):
     for old, new in (("depth", "largest_displacement"), ("force", "largest_force"), ("strain", "largest_strain")):
         with pytest.warns(DeprecationWarning, match=rf"Situation\.{old} is renamed to {new}"):
             assert getattr(situation, old)(test) == getattr(situation, new)(test) > 0
-    with pytest.warns(DeprecationWarning, match=r"Situation\.modulus is renamed to shear_modulus"):
-        assert situation.modulus == situation.shear_modulus
+    with pytest.warns(DeprecationWarning, match=r"Situation\.modulus is renamed to estimated_shear_modulus"):
+        assert situation.modulus == situation.estimated_shear_modulus

@@ -22,7 +22,7 @@ from scenes.demo.hidden_effect import (
     choose_hidden_effect,
     evaluate_diagnosis_success,
 )
-from scenes.demo.hidden_test import MEASUREMENT, build_plain_models
+from scenes.demo.hidden_effect_demo import MEASUREMENT, build_plain_models
 from scenes.viewer.measurement import compute_force_residual
 from scenes.viewer.session import Session
 
@@ -86,7 +86,7 @@ def demo(tmp_path_factory):
     out, text = tmp_path_factory.mktemp("hidden") / "demo", io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(text):
         patch.setattr("calibration.diagnosis.proposals.CATALOGUE", EFFECTS)
-        patch.setattr("scenes.demo.hidden_test.MEASUREMENT", replace(MEASUREMENT, samples=60, replicates=2))
+        patch.setattr("scenes.demo.hidden_effect_demo.MEASUREMENT", replace(MEASUREMENT, samples=60, replicates=2))
         patch.setattr("os.cpu_count", lambda: 1)
         assert main(["demo", "--hidden", "--seed", str(RELAXING), "-o", str(out)]) == 0
         yield out, text.getvalue()
@@ -145,7 +145,8 @@ def test_the_page_opens_after_the_run(demo, monkeypatch, tmp_path):
     out, _ = demo
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     shown = []
-    monkeypatch.setattr("scenes.demo.hidden_test.run_hidden_demo", lambda *_, **__: SimpleNamespace(result=result))
+    monkeypatch.setattr("scenes.demo.hidden_effect_demo.run_hidden_demo",
+                        lambda *_, **__: SimpleNamespace(result=result))
     monkeypatch.setattr("scenes.viewer.run.run_viewer_page", lambda scene, *_, **__: shown.append(scene) or 0)
     assert main(["demo", "--hidden", "--view", "--seed", "1", "-o", str(out), "--overwrite"]) == 0
     assert shown[0].kind.name == "needle_indentation" and shown[0].compared is not None

@@ -182,7 +182,7 @@ def test_a_page_that_cannot_be_served_is_one_sentence(capsys, tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     assert "Use --expose to allow this" in refused(capsys, "--host", "0.0.0.0", "--port", "0")
     assert "must be an IP address" in refused(capsys, "--host", "my computer", "--port", "0")
-    assert "nowhere: must be an existing folder" in refused(capsys, "--materials", "nowhere", "--port", "0")
+    assert "nowhere: this folder does not exist" in refused(capsys, "--materials", "nowhere", "--port", "0")
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

@@ -159,7 +159,7 @@ REFUSED = {
     "layer of nothing": (("layers", [{"thickness_mm": 0.0, "modulus_ratio": 2.0}]), "layers[0].thickness_mm",
                          "must be positive and finite; got 0 m"),
     "negative layer": (("layers", [{"thickness_mm": 1.0, "modulus_ratio": -2.0}]), "layers[0].modulus_ratio",
-                       "must be a positive finite ratio of moduli"),
+                       "must be a positive finite factor on the moduli of the material below"),
     "no diffusion": (("poroelasticity", {"phi": 0.2, "diffusivity_mm2_per_s": 0.0}),
                      "poroelasticity.diffusivity_mm2_per_s", "must be positive and finite"),
     "all drains": (("poroelasticity", {"phi": 1.0, "diffusivity_mm2_per_s": 1.0}), "poroelasticity.phi",

@@ -29,7 +29,7 @@ def test_channels_are_copies_that_cannot_be_written():
     ({"force": [1.0, np.nan]}, {}, "value 2 is nan"),
     ({"force": [1.0, np.inf]}, {}, "value 2 is inf"),
     ({"time": [0.0, 2.0, 1.0]}, {}, "runs backwards after sample 2"),
-    ({"force": [1.0]}, {"colour": ["red"]}, "unknown label"),
+    ({"force": [1.0]}, {"colour": ["red"]}, "unknown label channel"),
     ({"force": [1.0]}, {"cycle": [1, 2]}, "must have one label per sample; got 2 labels for 1 samples"),
 ])
 def test_bad_recordings_are_refused(channels, labels, message):

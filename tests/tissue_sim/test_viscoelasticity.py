@@ -34,7 +34,7 @@ NEO_HOOKE = ts.Material("neo_hooke", {"C10": 1000.0})
     (lambda: Softening(0.1, -1.0), "modulus", "must be finite and 0 or more"),
     (lambda: Softening(0.1, 0.0, 0.0), "modulus", "must not both be 0"),
     (lambda: Layer(0.0, 1.0), "thickness", "must be positive and finite"),
-    (lambda: Layer(1e-3, 0.0), "ratio", "must be a positive finite ratio"),
+    (lambda: Layer(1e-3, 0.0), "ratio", "must be a positive finite factor"),
     (lambda: Puncture(0.0, 0.1), "depth", "must be positive and finite"),
     (lambda: Puncture(1e-3, 1.0), "drop", "from 0 to below 1"),
     (lambda: Poroelasticity(1.0, 1e-8), "phi", "from 0 to below 1"),

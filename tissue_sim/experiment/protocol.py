@@ -107,7 +107,7 @@ class Protocol:
             (array([0., 1., 2.]), array([0.   , 0.001, 0.002]))
         """
         require_positive_length(depth, "protocol.depth")
-        _require_valid_sampling(points, speed)
+        _require_valid_points_and_speed(points, speed)
         displacement = np.linspace(0.0, depth, points)
         return cls(displacement / speed, displacement)
 
@@ -133,7 +133,7 @@ class Protocol:
             >>> float(protocol.time[-1]), float(protocol.displacement.max())
             (5.0, 0.002)
         """
-        _require_valid_sampling(points, speed)
+        _require_valid_points_and_speed(points, speed)
         if points > MOST_SAMPLES:
             raise InputError(f"must be at most {MOST_SAMPLES}; got {points}.", field="protocol.points")
         time: list[float] = []
@@ -202,7 +202,7 @@ def _compute_hold_sample_times(duration: float, step: float) -> np.ndarray:
     return duration * (growth / growth[-1])
 
 
-def _require_valid_sampling(points: int, speed: float) -> None:
+def _require_valid_points_and_speed(points: int, speed: float) -> None:
     require_positive_length(speed, "protocol.speed")
     if points < 2:
         raise InputError(f"must be at least 2; got {points}.", field="protocol.points")

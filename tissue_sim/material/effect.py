@@ -130,13 +130,16 @@ class ReducedForceFactor:
     def compute_factor(self, depth: float, dt: float = 0.0) -> float:
         """Return the factor on the force of the tool at a trial depth, m, reached dt s after the last accepted depth.
 
-        The history is not changed.
+        The factor is the product over all effects in reduced form. The history is not changed.
         """
         here = self._make_history_at(depth, dt)
         return prod((effect.share(here) for effect in self._effects), start=1.0)
 
     def accept_depth(self, depth: float, dt: float = 0.0) -> float:
-        """Add a depth, m, reached dt s after the last one, to the history; return the factor on the force."""
+        """Add a depth, m, reached dt s after the last one, to the history; return the factor on the force there.
+
+        The factor is the product over all effects in reduced form.
+        """
         share, self.history = self.compute_factor(depth, dt), self._make_history_at(depth, dt)
         return share
 

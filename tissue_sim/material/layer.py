@@ -26,4 +26,5 @@ class Layer:
         if not 0 < self.thickness < np.inf:
             raise InputError(f"must be positive and finite; got {self.thickness:g} m.", field="thickness")
         if not 0 < self.ratio < np.inf:
-            raise InputError(f"must be a positive finite ratio of moduli; got {self.ratio:g}.", field="ratio")
+            raise InputError(f"must be a positive finite factor on the moduli of the material below; got "
+                             f"{self.ratio:g}.", field="ratio")

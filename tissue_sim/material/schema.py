@@ -203,7 +203,10 @@ def make_components_from_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class RegionEntry(MaterialFileEntry, frozen=True, kw_only=True):
-    """Material of a region of the mesh."""
+    """Entry of one region in a material file: law, parameters, bulk and parts of the region's material.
+
+    The key of the entry in ``regions`` of the file names the region of the mesh; `name` is the name of the material.
+    """
 
     name: str = ""
     law: str

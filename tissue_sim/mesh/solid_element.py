@@ -46,7 +46,7 @@ class SolidElement(ABC):
     @property
     @abstractmethod
     def face_corners(self) -> np.ndarray:
-        """Indices of the corners among the nodes of a face, in circumferential order."""
+        """Indices of the corners among the nodes of one face, in circumferential order, shape (corners of a face,)."""
 
     @property
     @abstractmethod

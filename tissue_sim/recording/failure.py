@@ -129,7 +129,7 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
             peaks = [peak for peak in candidates if peak is not None]
             if not peaks:
                 break
-            failure, after = _build_failure(displacement, force, first + min(peaks), zero, labels)
+            failure, after = _build_failure_and_recovery_sample(displacement, force, first + min(peaks), zero, labels)
             if not (failure.recovered and failure.mode == "softening"):
                 return failure
             # A tissue that relaxes on a plateau of its law loses force for a while without a failure.
@@ -211,8 +211,8 @@ class _RampOrHold:
         return int(near[int(np.argmin(steps))])
 
 
-def _build_failure(displacement: np.ndarray, force: np.ndarray, index: int, zero: float, labels: np.ndarray
-              ) -> tuple[Failure, int]:
+def _build_failure_and_recovery_sample(displacement: np.ndarray, force: np.ndarray, index: int, zero: float,
+                                       labels: np.ndarray) -> tuple[Failure, int]:
     """Return the `Failure` after the peak at `index`, and the sample at which the force exceeds this peak again."""
     after = np.flatnonzero(labels[index:] == "unload")
     end = index + (after[0] if after.size else labels.size - index)

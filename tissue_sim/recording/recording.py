@@ -71,7 +71,8 @@ class Recording:
             raise InputError("a recording needs at least one channel", field="channels")
         for name, values in self.labels.items():
             if name not in LABELS:
-                raise InputError(f"unknown label{suggest_known_word(name, LABELS)}", field=name)
+                raise InputError(f"unknown label channel (one text per sample){suggest_known_word(name, LABELS)}",
+                                 field=name)
             if len(values) != length:
                 raise InputError(f"must have one label per sample; got {len(values)} labels for {length} "
                                  "samples.", field=name)

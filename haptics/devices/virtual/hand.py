@@ -125,7 +125,7 @@ class VirtualHand(HapticDevice):
 
     @property
     def velocity(self) -> Vector:
-        """Velocity at the last call of `pose`, m/s."""
+        """Velocity (x, y, z) of the handle at the last call of `pose`, m/s."""
         return self._velocity
 
     def render(self, wrench: Screw) -> None:

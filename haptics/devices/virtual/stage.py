@@ -50,7 +50,8 @@ class VirtualStage(Stage):
         stalls_after: Time since the start after which the driven motor no longer moves the tool, s.
 
     Raises:
-        InputError: The travel does not contain 0, or the top speed or the resolution is not positive.
+        InputError: The lowest position is above 0, or the highest position, the top speed or the resolution is not
+            above 0.
     """
 
     #: The stage exists in this program only.
@@ -60,8 +61,8 @@ class VirtualStage(Stage):
                  clock: Callable[[], float] = time.monotonic, encoder: bool = True,
                  stalls_after: float = math.inf):
         if not -math.inf < limits.lowest <= 0.0 < limits.highest < math.inf:
-            raise InputError(f"the travel must contain 0; got {limits.lowest:g} to {limits.highest:g} m",
-                             field="limits")
+            raise InputError("lowest must be 0 or less and highest above 0; got "
+                             f"{limits.lowest:g} to {limits.highest:g} m", field="limits")
         for value, unit, field in ((limits.speed, "m/s", "limits.speed"), (resolution, "m", "resolution")):
             if not 0 < value < math.inf:
                 raise InputError(f"top speed and resolution must be above 0; got {value:g} {unit}", field=field)

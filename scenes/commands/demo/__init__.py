@@ -64,7 +64,7 @@ def _run_hidden_effect_demo(arguments, output: Path, overwrite: bool) -> int:
     import random
 
     from calibration import Workers
-    from scenes.demo.hidden_test import run_hidden_demo
+    from scenes.demo.hidden_effect_demo import run_hidden_demo
 
     seed = random.SystemRandom().randrange(_MAX_SEED) if arguments.seed is None else arguments.seed
     answer = run_hidden_demo(output, seed=seed, overwrite=overwrite,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import tissue_sim as ts
 from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, NEEDLE, make_model_with_effect
-from scenes.demo.hidden_test import KINDS, build_plain_models
+from scenes.demo.hidden_effect_demo import KINDS, build_plain_models
 from scenes.viewer.measurement import make_motion_protocol
 from scenes.viewer.scene import Scene, read_measurements_by_kind
 

@@ -350,7 +350,8 @@ def test_the_real_package_without_a_controller(capfd, monkeypatch):
      "got 0"),
     ("phidget:123,steps_per_mm=25,top_speed_mm_s=-1", r"top_speed_mm_s: a setting of the motor must be finite and "
      r"above 0, .*; got -0\.001"),
-    ("phidget:123,steps_per_mm=25,highest_mm=-1", r"limits: the travel must contain 0; got 0 to -0\.001 m"),
+    ("phidget:123,steps_per_mm=25,highest_mm=-1",
+     r"limits: lowest must be 0 or less and highest above 0; got 0 to -0\.001 m"),
     ("phidget:123,steps_per_m=25", "steps_per_m: unknown setting; did you mean 'steps_per_mm'"),
 ])
 def test_invalid_settings_are_refused(name, sentence):

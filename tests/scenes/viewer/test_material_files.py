@@ -45,7 +45,7 @@ def test_material_files_are_listed_by_name(tmp_path):
     (tmp_path / "d.material.json").mkdir()
     assert [path.name for path in list_material_files(tmp_path)] == ["C.material.json", "a.material.json",
                                                                      "b.material.json"]
-    with pytest.raises(ts.InputError, match="none: must be an existing folder"):
+    with pytest.raises(ts.InputError, match="none: this folder does not exist"):
         list_material_files(tmp_path / "none")
 
 
@@ -174,6 +174,6 @@ def test_saving_does_not_overwrite(tmp_path):
 @pytest.mark.parametrize("name", ["", "  ", "../out", "a/b", "a\\b", ".hidden", "..", "tab\there", "nul\0", "c:x",
                                   "x" * 101])
 def test_invalid_file_names_are_refused(tmp_path, name):
-    with pytest.raises(ts.InputError, match=r"name: must be a file name of at most 100 letters"):
+    with pytest.raises(ts.InputError, match=r"name: must be a name of a material file: 1 to 100 printable characters"):
         save_edited_material(PHANTOM, tmp_path / "folder", name, source="a")
     assert not (tmp_path / "folder").exists()

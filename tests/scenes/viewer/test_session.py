@@ -296,7 +296,7 @@ def test_the_present_material_is_saved(session, tmp_path):
     assert ts.load_material(path).parameters["C10"] == 1500.0
     assert session.frame().scene.source == path.name
     assert "exists already" in done(session, "save_material", folder=tmp_path, name="softer")
-    assert "must be a file name" in done(session, "save_material", folder=tmp_path, name="../softer")
+    assert "must be a name of a material file" in done(session, "save_material", folder=tmp_path, name="../softer")
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
 
 

@@ -15,7 +15,7 @@ from tissue_sim.fem.contact_settings import ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
 
 
-class FlatKernelOutput(IntEnum):
+class FlatKernelOutputIndex(IntEnum):
     """Indices of `found`, the outputs of the kernel of `make_flat_contact_kernel`.
 
     Attributes:
@@ -97,7 +97,7 @@ def make_flat_contact_kernel():
                 for a in ti.static(range(3)):
                     flat[i, FlatContactColumn.START + a] = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
                     flat[i, FlatContactColumn.GOAL + a] = 0.0
-            for p in range(ti.cast(found[FlatKernelOutput.NODES], ti.i32)):
+            for p in range(ti.cast(found[FlatKernelOutputIndex.NODES], ti.i32)):
                 i = lists[p, NodeListColumn.UNKNOWN]
                 for a in ti.static(range(3)):
                     value = flat[i, FlatContactColumn.START + a] + flat[p, FlatContactColumn.KNOWN + a]
@@ -265,8 +265,8 @@ def make_flat_contact_kernel():
                 k = k + lists[count, NodeListColumn.ROWS]
                 if lists[count, NodeListColumn.ROWS] > 0:
                     count = count + 1
-            found[FlatKernelOutput.RESIDUAL], found[FlatKernelOutput.FORCES] = left, size
-            found[FlatKernelOutput.NODES], found[FlatKernelOutput.EQUATIONS] = count, k
+            found[FlatKernelOutputIndex.RESIDUAL], found[FlatKernelOutputIndex.FORCES] = left, size
+            found[FlatKernelOutputIndex.NODES], found[FlatKernelOutputIndex.EQUATIONS] = count, k
             if ti.sqrt(left) > limits[FlatKernelInput.TOLERANCE] * ti.max(ti.sqrt(size), limits[FlatKernelInput.FLOOR]):
                 for q in range(many):
                     j = lists[q, NodeListColumn.NEAR]

@@ -57,7 +57,10 @@ class ReducedSolverBase(KernelOwner, Solver):
         return digest_arrays(reduced.mesh.nodes, reduced.mesh.connectivity, reduced.basis, reduced.elements)
 
     def height_above_tissue(self, pose: Pose) -> float:
-        """See `FreeTool.height_above_tissue`."""
+        """Return the distance that the tool must go down until it touches the undeformed tissue, m.
+
+        See `FreeTool.height_above_tissue`.
+        """
         return self._placement.height_above_tissue(pose)
 
     def place_tool_at_first_touch(self, pose: Pose) -> bool:

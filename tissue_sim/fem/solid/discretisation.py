@@ -239,12 +239,12 @@ def _choose_rigid_motion_pins(experiment: Experiment, mesh: SolidMesh) -> list[t
     without, rubbed = (all(loose(face) for face in faces) for loose in (_is_frictionless, _may_slip))
     if not (without or (rubbed and experiment.tool.is_plate)):
         return []
-    base = mesh.sets["base"]
-    x, y = mesh.nodes[base, 0], mesh.nodes[base, 1]
+    x, y = mesh.nodes[(base := mesh.sets["base"]), :2].T
     middle, second = base[np.argmin(np.hypot(x, y))], base[np.argmax(x - np.abs(y))]
     if np.hypot(*mesh.nodes[middle, :2]) > 1e-9 or experiment.approach is not None:
         remedy = "Give one of them friction" if without and not experiment.tool.is_plate else "Use 'stick' for one"
-        raise InputError(f"neither base nor tool keeps the specimen from sliding. {remedy}", field="friction_base")
+        raise InputError("the tool is off the axis, and base and tool may both slip, so nothing carries the side "
+                         f"force. {remedy}", field="friction_base")
     return [(int(middle), "xy"), (int(second), "y")]
 
 

@@ -67,7 +67,10 @@ class RelocatableSolver(KernelOwner, Solver):
     _pose: Pose
 
     def height_above_tissue(self, pose: Pose) -> float:
-        """See `FreeTool.height_above_tissue`."""
+        """Return the distance that the tool must go down until it touches the undeformed tissue, m.
+
+        See `FreeTool.height_above_tissue`.
+        """
         return pose.position[2] if self.placement is None else self.placement.height_above_tissue(pose)
 
     def place_tool_at_first_touch(self, pose: Pose) -> bool:
@@ -177,7 +180,10 @@ class FirstTouchPlacement:
         return math.hypot(x, y, z) + self.radius * math.hypot(*turn) <= PLACEMENT.same_position * self.radius
 
     def height_above_tissue(self, pose: Pose) -> float:
-        """See `FreeTool.height_above_tissue`."""
+        """Return the distance that the tool must go down until it touches the undeformed tissue, m.
+
+        See `FreeTool.height_above_tissue`.
+        """
         x, y, z = pose.position
         _, a, b, _ = pose.orientation
         sine = 2.0 * math.sqrt(max(0.0, (a * a + b * b) * (1.0 - a * a - b * b)))

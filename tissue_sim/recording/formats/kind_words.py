@@ -101,7 +101,10 @@ def find_named_tests(hints: Iterable[KindHint]) -> tuple[NamedTest, ...]:
 
 
 def _iterate_tests_in_line(line: str, hint: KindHint) -> Iterator[NamedTest]:
-    """Yield the tests that a line of a text names, in the order of the words."""
+    """Yield a `NamedTest` for each test that a line of a text names, in the order of the words.
+
+    Tests without a registered kind are included. Abbreviations count in file names only.
+    """
     text = normalize_text(line)
     matches: list[tuple[int, int, bool, NamedTest]] = []
     for pattern, kind, unknown, is_short in _compile_word_patterns(_list_registered_kinds()):

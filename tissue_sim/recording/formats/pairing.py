@@ -236,14 +236,17 @@ def _split_adjacent_recordings(roles: Sequence[ColumnWithKnownRole]) -> list[lis
         is_repeated = any(_get_general_role(each.role) == _get_general_role(known.role) and each.rank <= known.rank
                           and each.variant == known.variant for each in parts[-1])
         if is_repeated and _has_motion_and_load(parts[-1]) and _has_motion_and_load(
-                _take_columns_until_repeated(roles[i:])):
+                _take_columns_before_repeated_role(roles[i:])):
             parts.append([])
         parts[-1].append(known)
     return parts
 
 
-def _take_columns_until_repeated(roles: Sequence[ColumnWithKnownRole]) -> list[ColumnWithKnownRole]:
-    """Return the columns before the first column that repeats a role and variant."""
+def _take_columns_before_repeated_role(roles: Sequence[ColumnWithKnownRole]) -> list[ColumnWithKnownRole]:
+    """Return the columns before the first column that repeats role and variant of any earlier column.
+
+    Strain, stretch and shear strain count as one role.
+    """
     seen: list[ColumnWithKnownRole] = []
     for each in roles:
         if any(_get_general_role(other.role) == _get_general_role(each.role) and other.variant == each.variant
