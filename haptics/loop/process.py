@@ -128,7 +128,7 @@ class LoopProcess:
                 raise LoopError(f"the loop is not ready after {timeout:g} s: {self.message}")
 
     def poll(self, timeout: float = 0.0) -> bool:
-        """Read messages of the process for `timeout`, s, and return whether the loop has reached its first tick.
+        """Wait up to `timeout`, s, for one message, handle it, and return whether the loop has reached its first tick.
 
         Raises:
             InputError: the process ended because of invalid input.

@@ -148,7 +148,9 @@ def read_measurements_by_kind(paths: Sequence[str | Path], scene: str) -> dict[s
         recording = ts.read_recording(path)
         kind = str(recording.metadata.get("kind", scene))
         if kind not in SCENES:
-            raise ts.InputError(f"must be one of {', '.join(SCENES)}; got {kind!r}", file=path, field="kind")
+            remedy = "Correct kind in the sidecar" if "kind" in recording.metadata else "State --scene"
+            raise ts.InputError(f"the kind of test of a recording must be one of {', '.join(SCENES)}; got {kind!r}. "
+                                f"{remedy}", file=path, field="kind")
         by_kind.setdefault(kind, []).append(recording)
     return {kind: build_measurement(recordings) for kind, recordings in by_kind.items()}
 

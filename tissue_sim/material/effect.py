@@ -62,7 +62,10 @@ class ReducedEffect(TissueEffect):
 
     @abstractmethod
     def share(self, history: ToolHistory) -> float:
-        """Ratio of the tool's force with the effect to the force without it; 1 if the parameters are absent."""
+        """Ratio of the tool's force with the effect to the force without it.
+
+        The ratio is 1 if the parameters have their absent values (`Declaration.absent`).
+        """
 
     def shares(self, depth: np.ndarray, deepest: np.ndarray, time: np.ndarray) -> np.ndarray:
         """Evaluate `share` for arrays of histories of one shape; a subclass may override this with a faster version.

@@ -54,7 +54,10 @@ class MissingComplianceForce:
         return abs(float(np.vdot(self._weights, self._contact.forces)))
 
     def estimate_force_error(self, force: float) -> float:
-        """Return the missing force beyond the accepted one, N, as error of a force on the tool of this norm, N."""
+        """Return the force error from missing compliance, N, for a force on the tool of this norm, N.
+
+        The error is the part of `compute_missing_force` above that of accurate training states at the same force.
+        """
         return max(0.0, self.compute_missing_force() - self._table.accepted_missing_force_at(force))
 
     def _compute_weights(self, nodes: np.ndarray) -> np.ndarray:

@@ -96,9 +96,10 @@ def require_no_effects(material: Material) -> None:
     Raises:
         InputError: the material has point effects.
     """
-    if any(isinstance(effect, PointEffect) for effect in material.effects.values()):
-        raise InputError("a reduced solid does not support effects at quadrature points. Leave them out",
-                         field="material.effects")
+    names = [name for name, effect in material.effects.items() if isinstance(effect, PointEffect)]
+    if names:
+        raise InputError("a reduced solid does not support effects at quadrature points; got "
+                         f"{', '.join(names)}. Leave them out", field="material.effects")
 
 
 def require_same_layers_and_regions(material: Material, made_of: Material, mesh: SolidMesh) -> None:

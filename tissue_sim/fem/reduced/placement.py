@@ -88,7 +88,10 @@ class ReducedSolverBase(KernelOwner, Solver):
         raise NotImplementedError
 
     def clearance(self, pose: Pose) -> float | None:
-        """See `FreeTool.clearance`; None for a bonded tool."""
+        """Return 1 if the tool at this pose touches no tissue, deformed or at rest, else -1; see `FreeTool.clearance`.
+
+        None for a bonded tool, and if the tool touches at the last state.
+        """
         if self._lifting or self.contact.touched.any():
             return None
         return 1.0 if self._is_clear_of(ToolFrame(pose, self.datum)) else -1.0

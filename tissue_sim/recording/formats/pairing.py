@@ -191,7 +191,10 @@ def _find_pair_by_gauge_length(part: Sequence[ColumnWithKnownRole], chosen: Mapp
 
 
 def _convert_by_gauge_length(column: ColumnGuess, motion: str, gauge: tuple[float, str]) -> ColumnGuess:
-    """Return the column of the motion converted by the gauge length (m, source); another column without a change."""
+    """Convert a column of the motion by the gauge length (m, source); other columns are returned unchanged.
+
+    A displacement becomes a stretch, and a strain a displacement.
+    """
     if column.role != motion or column.missing_information:
         return column
     convert = convert_displacement_to_stretch if motion == "displacement" else convert_strain_to_displacement

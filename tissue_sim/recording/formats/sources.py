@@ -146,7 +146,7 @@ def _split_lines_to_rows(lines: list[str], delimiter: str, path: Path) -> Table:
 
 
 def _find_delimiter(lines: list[str], path: Path) -> str:
-    """Return the delimiter with the most numbers in columns, and with the fewest other cells in their rows.
+    """Return the delimiter with the largest number of numeric cells minus other cells, in runs of numeric rows.
 
     Raises:
         InputError: no delimiter gives numbers in columns.
