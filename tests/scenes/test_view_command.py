@@ -162,7 +162,8 @@ def refused(capsys, *words):
     (["--material", "missing.material.json"], "missing.material.json"),
     (["--measured", "missing.csv"], "missing.csv"),
     (["--measured", "words.csv"], "words.csv"),
-    (["--measured", "pulled.csv"], "pulled.csv: kind: must be one of lubricated_compression"),
+    (["--measured", "pulled.csv"],
+     "pulled.csv: kind: the kind of test of a recording must be one of lubricated_compression"),
     (["--measured", "force.csv"], "force.csv"),
 ])
 def test_invalid_arguments_get_one_sentence(words, expected, capsys, tmp_path, monkeypatch):
