@@ -210,7 +210,7 @@ class EquilibriumCheck:
         self._edges = np.zeros((0, 3), dtype=int)
         blunt = experiment.tool.face_radius or experiment.tool.profile.rounding >= BLUNT * experiment.contact_radius
         if not experiment.tool.is_plate and blunt and experiment.friction not in ("bonded", "stick"):
-            self._edges = mesh.edges("top")
+            self._edges = mesh.select_edges("top")
             self._surface = np.setdiff1d(self._surface, mesh.sets["top"])
         self._stays = np.isin(self._surface, mesh.sets["base"])
         profile = experiment.tool.profile

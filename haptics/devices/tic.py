@@ -227,10 +227,14 @@ class TicStage(Stage):
             raise self._make_invalid_answer_error()
         uncertain = bool(status.flags & MiscFlags.POSITION_UNCERTAIN)
         self._is_homing = self._is_homing and (uncertain or bool(status.flags & MiscFlags.HOMING))
+        is_stopped_early = self._is_homing or self._goal not in (None, motion.position)
+        if status.errors & (ErrorFlags.COMMAND_TIMEOUT | ErrorFlags.SAFE_START):
+            # The timeout is no fault of a motor at rest. If the command that restarts the timeout came too late, the
+            # error is gone, and safe start alone shows that the motor was stopped.
+            self._timed_out = self._timed_out or is_stopped_early
         if status.errors & ErrorFlags.COMMAND_TIMEOUT:
-            # The timeout is no fault of a motor at rest. Clearing the error while a target is set would let a Tic
-            # without safe start resume its motion; a target velocity of 0 prevents that.
-            self._timed_out = self._timed_out or self._is_homing or self._goal not in (None, motion.position)
+            # Clearing the error while a target is set would let a Tic without safe start resume its motion; a target
+            # velocity of 0 prevents that.
             self._send_command(TicCommand.SET_TARGET_VELOCITY, 0)
         else:
             self._send_command(TicCommand.RESET_COMMAND_TIMEOUT)

@@ -100,8 +100,8 @@ def protocol(tmp_path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_recordings_over_device_protocols_recover_the_specimen(protocol, tmp_path, capsys, monkeypatch):
-    # This process also simulates the specimen, which delays the answers of the emulated Tic on a busy machine.
-    monkeypatch.setattr("haptics.devices.tic.TIMING", replace(TIMING, answer=30.0))
+    # This process also simulates the specimen, which delays commands and answers of the emulated Tic on a busy machine.
+    monkeypatch.setattr("haptics.devices.tic.TIMING", replace(TIMING, answer=30.0, longest_timeout=30.0))
     path, rdt, http = protocol
     read = read_protocol_file(path)
     run = tmp_path / "run"
@@ -109,7 +109,7 @@ def test_recordings_over_device_protocols_recover_the_specimen(protocol, tmp_pat
         # Emulate sensor and stage of this specimen with the protocols of an ATI box and of a Tic.
         rig = make_virtual_rig(read, test)
         sensor = RdtEmulator(rig.sensor, port=rdt, http_port=http, settings=BoxSettings(1e6, 1e6, rate=250.0))
-        stage = emulate_tic(rig.bench, "steps_per_mm=1000", Faults())
+        stage = emulate_tic(rig.bench, "steps_per_mm=1000,timeout_ms=30000", Faults())
         with sensor, stage:
             (tmp_path / "port").symlink_to(stage.path)
             words = ["record", str(path), "-o", str(run), "--test", test.name, "--json"]

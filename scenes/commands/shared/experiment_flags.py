@@ -216,8 +216,8 @@ def make_experiment_from_flags(arguments, protocol: Protocol, material: Material
     scene_tool = scene.require_tool()
     shape, profile = parse_shape_name(arguments.tool or scene_tool.shape)
     kind = TOOLS.find(shape, field="--tool")
-    if not scene.fits(kind):
-        fitting = [name for name, other in SCENES.items() if other.fits(kind)]
+    if not scene.allows_tool(kind):
+        fitting = [name for name, other in SCENES.items() if other.allows_tool(kind)]
         raise InputError(f"the scene {scene.name} does not allow the tool {shape!r}. Use the scene "
                          f"{' or '.join(fitting)}", field="--tool")
     weight: dict[str, Any] = {}
@@ -231,7 +231,7 @@ def make_experiment_from_flags(arguments, protocol: Protocol, material: Material
         if getattr(arguments, name) is not None and not arguments.gravity:
             raise InputError("has an effect only with --gravity. Add --gravity, or leave this flag out",
                              field=f"--{name.replace('_', '-')}")
-    changes = {name: value for name in scene.faces
+    changes = {name: value for name in scene.face_interfaces
                if (value := getattr(arguments, name)) is not None}
     if (arguments.adhesion_N is None) != (arguments.adhesion_length_mm is None):
         raise InputError("adhesion requires --adhesion-N and --adhesion-length-mm. Give both or neither",

@@ -111,6 +111,21 @@ def test_a_silent_program_stops_the_motor_and_the_next_sample_has_a_fault(clock)
         stage.stop()
 
 
+def test_a_timeout_that_ended_before_the_next_sample_is_a_fault(clock):
+    """The command that restarts the timeout comes after it: the error is gone, and the motor has stopped."""
+    with open_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
+        stage = homed(emulator, clock)
+        stage.move(0.008, 0.004)
+        clock.now += 0.5
+        wait_until(lambda: emulator._errors & ErrorFlags.COMMAND_TIMEOUT, event="the command timeout")
+        stage._send_command(TicCommand.RESET_COMMAND_TIMEOUT)
+        wait_until(lambda: not emulator._errors & ErrorFlags.COMMAND_TIMEOUT, event="the end of the error")
+        sample = stage.position()
+        assert sample.status & SampleStatus.FAULT and not sample.moving
+        assert sample.position == pytest.approx(0.002, abs=2e-6)
+        stage.stop()
+
+
 def test_a_timeout_at_rest_is_no_fault(clock):
     with open_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
         stage = homed(emulator, clock)
