@@ -19,7 +19,7 @@ from haptics.devices.tic import TicStage, open_tic
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.emulator import open_emulator
 from haptics.emulators.tic import TicEmulator
-from haptics.protocols.tic import ErrorFlags, InputState, VariableOffset
+from haptics.protocols.tic import ErrorFlags, InputState, TicCommand, VariableOffset
 from tissue_sim.errors import InputError
 
 
@@ -117,7 +117,7 @@ def test_a_timeout_that_ended_before_the_next_sample_is_a_fault(clock):
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
         clock.now += 0.5
-        wait_until(lambda: emulator._errors & ErrorFlags.COMMAND_TIMEOUT, event="the command timeout")
+        wait_until(lambda: emulator._errors & ErrorFlags.SAFE_START, event="safe start after the command timeout")
         stage._send_command(TicCommand.RESET_COMMAND_TIMEOUT)
         wait_until(lambda: not emulator._errors & ErrorFlags.COMMAND_TIMEOUT, event="the end of the error")
         sample = stage.position()
