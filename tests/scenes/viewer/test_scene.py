@@ -101,7 +101,7 @@ def test_a_recording_of_an_unknown_kind_is_refused(tmp_path):
     ts.write_recording(tried(kind="tension"), path)
     with pytest.raises(ts.InputError) as caught:
         read_measurements_by_kind([path], "needle_indentation")
-    assert str(caught.value).startswith(f"{path}: kind: must be one of lubr")
+    assert str(caught.value).startswith(f"{path}: kind: the kind of test of a recording must be one of lubr")
     with pytest.raises(ts.InputError, match=r"nowhere\.csv"):
         read_measurements_by_kind([tmp_path / "nowhere.csv"], "needle_indentation")
 

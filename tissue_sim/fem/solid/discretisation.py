@@ -233,7 +233,7 @@ def _choose_rigid_motion_pins(experiment: Experiment, mesh: SolidMesh) -> list[t
     base, one is another node. By symmetry they carry no force under a tool on the axis.
 
     Raises:
-        InputError: the tool is off the axis, so that the pins would carry its lateral force.
+        InputError: the tool or the middle node is off the axis, so that the pins would carry a lateral force.
     """
     faces = experiment.base_interface, experiment.friction
     without, rubbed = (all(loose(face) for face in faces) for loose in (_is_frictionless, _may_slip))
@@ -243,8 +243,8 @@ def _choose_rigid_motion_pins(experiment: Experiment, mesh: SolidMesh) -> list[t
     middle, second = base[np.argmin(np.hypot(x, y))], base[np.argmax(x - np.abs(y))]
     if np.hypot(*mesh.nodes[middle, :2]) > 1e-9 or experiment.approach is not None:
         remedy = "Give one of them friction" if without and not experiment.tool.is_plate else "Use 'stick' for one"
-        raise InputError("the tool is off the axis, and base and tool may both slip, so nothing carries the side "
-                         f"force. {remedy}", field="friction_base")
+        raise InputError("base and tool may both slip, and the tool or the middle node of the base is off the axis: "
+                         f"nothing carries the side force. {remedy}", field="friction_base")
     return [(int(middle), "xy"), (int(second), "y")]
 
 
