@@ -70,9 +70,9 @@ def _format_self_weight_sentence(specimen: Specimen, fit: Fit, campaign: Campaig
             None if sag is None else 1e3 * sag)
 
 
-def _format_sag_range(compute_specimen_sags: Collection[float | None], digits: int) -> str:
+def _format_sag_range(sags: Collection[float | None], digits: int) -> str:
     """Format the sags of several specimens, such as ``2.8`` or ``2.5 to 3.1``."""
-    known = sorted(sag for sag in compute_specimen_sags if sag is not None)
+    known = sorted(sag for sag in sags if sag is not None)
     return " to ".join(dict.fromkeys(f"{sag:.{digits}g}" for sag in known[:1] + known[-1:]))
 
 

@@ -82,7 +82,7 @@ class HaplyDevice(HapticDevice):
             if not 0 < value < math.inf:
                 raise InputError(f"scales and largest force must be finite numbers above 0; got {value:g}{unit}",
                                  field=field)
-        self.address, self._scale, self._force_scale, self._begin_branch = address, scale, force_scale, turn
+        self.address, self._scale, self._force_scale, self._uses_orientation = address, scale, force_scale, turn
         self._axes, self._axis_order = axes, _parse_axes(axes)
         self._given_origin, self._above, self._largest_hand_force = origin, above, largest_force
         #: Largest force of the loop, N, with which the force on the hand stays within its limit.
@@ -168,7 +168,7 @@ class HaplyDevice(HapticDevice):
         a, b, c = self._origin
         u, v, w = self._to_scene_axes((x - a, y - b, z - c))
         position = (self._scale * u, self._scale * v, self._scale * w)
-        if not self._begin_branch or state.orientation is None or self._first_orientation is None:
+        if not self._uses_orientation or state.orientation is None or self._first_orientation is None:
             return Pose(position)
         return Pose(position, self._rotation_since_start(state.orientation, self._first_orientation))
 

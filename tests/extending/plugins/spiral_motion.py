@@ -14,11 +14,11 @@ class SpiralMotion(Motion):
     """Goes in and out along `AXIS` as a cosine, and turns by an angle that grows with the way."""
 
     def __init__(self, reach: float, frequency: float = 2.0, turns_per_metre: float = 40.0):
-        self._reach, self._rate, self._begin_branch = reach, 2 * math.pi * frequency, 2 * math.pi * turns_per_metre
+        self._reach, self._rate, self._turn_rate = reach, 2 * math.pi * frequency, 2 * math.pi * turns_per_metre
 
     def pose(self, time):
         way = 0.5 * self._reach * (1.0 - math.cos(self._rate * time))
-        half = 0.5 * self._begin_branch * way
+        half = 0.5 * self._turn_rate * way
         return Pose(tuple(part * way for part in AXIS),
                     (math.cos(half), *(part * math.sin(half) for part in AXIS)))
 

@@ -131,9 +131,9 @@ def test_contact_with_a_flat_punch():
     contact = find_tool_contact(line, TOOLS["flat"], 0.01, opening)
     assert contact.radius == pytest.approx(0.008) and contact.area == pytest.approx(np.pi * 0.008**2)
     # Two lines on each of the faces, in front of them, and the rim.
-    map_to_section_faces, rim = contact.lines[:4], contact.lines[4:]
-    assert map_to_section_faces[..., 2] == pytest.approx(-0.01)
-    for lines, (way, outward) in zip(np.split(map_to_section_faces, 2), opening.section_face_vectors, strict=True):
+    on_faces, rim = contact.lines[:4], contact.lines[4:]
+    assert on_faces[..., 2] == pytest.approx(-0.01)
+    for lines, (way, outward) in zip(np.split(on_faces, 2), opening.section_face_vectors, strict=True):
         assert lines[..., :2] @ outward == pytest.approx(2e-3 * 0.04)
         assert (lines[..., :2] @ way).max() == pytest.approx(0.008)
     assert np.linalg.norm(rim[..., :2], axis=-1) == pytest.approx(0.008 + 2e-3 * 0.04)
