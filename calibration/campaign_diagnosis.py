@@ -88,7 +88,7 @@ class _StageClock:
                                           simulations=self._count_simulations() - before))
 
     def _count_simulations(self) -> int:
-        """Return the number of simulations of all processes so far."""
+        """Return the number of simulations that all processes have finished so far."""
         # Worker processes have separate counters; the folder contains the simulations of all processes.
         folder = self.solves.folder
         return self.solves.counts.total() if folder is None else sum(1 for _ in folder.glob("*.msgpack"))
@@ -156,7 +156,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
 
 
 def _convert_to_fit(evidence: FitEvidence) -> Fit:
-    """Return the `Fit` record of a diagnosis, without profile likelihoods."""
+    """Return the `Fit` record of the estimate of the evidence, without profile likelihoods."""
     estimate = evidence.estimate
     estimator = GeneralisedLeastSquaresEstimator(evidence.campaign, evidence.measured, evidence.problem.solves)
     spread = compute_marginal_uncertainty(evidence.problem, evidence.evaluation)
@@ -265,7 +265,7 @@ class CampaignDiagnosis:
 
 @cache
 def _hash_diagnosis_source() -> str:
-    """Return the SHA-256 digest of the source code of this package, which affects the result."""
+    """Return the SHA-256 digest of the source code of the package `calibration`, which affects the result."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(path.read_bytes())

@@ -142,7 +142,7 @@ class CampaignFit:
         return result
 
     def _fit_all_laws(self) -> tuple[list[Fitted], dict[str, str]]:
-        """Return the results of the fitted laws, and the reason of failure of each other law."""
+        """Return (fit, predictions, curves) of each fitted law, and law -> reason of failure of the other laws."""
         laws = self.campaign.fit.laws
         ends = self.estimator.fit_laws(laws, self.steps)
         estimates = {law: estimate for law, (_, estimate) in ends.items() if isinstance(estimate, Estimate)}
@@ -224,7 +224,7 @@ class CampaignFit:
         return sides_of, left_of
 
     def _describe_disagreements(self) -> list[str]:
-        """Return a sentence for each group of disagreeing recordings, and announce them before they are pooled."""
+        """Return a sentence for each test whose recordings disagree, and send each sentence as a progress message."""
         found = [each.describe() for each in find_replicate_disagreements(self.measured)]
         for sentence in found:
             self.steps.report_progress(sentence)
@@ -232,5 +232,5 @@ class CampaignFit:
 
 
 def _compute_estimate_uncertainty(estimator: Estimator, estimate: Estimate) -> ParameterUncertainty:
-    """Return the covariance of the unknowns at the estimate."""
+    """Return the uncertainty (covariance, standard errors) of the unknowns at the estimate."""
     return estimator.uncertainty_function(estimate.problem, estimate.evaluation)

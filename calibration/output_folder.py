@@ -61,7 +61,7 @@ def list_diagnosis_result_files(campaign: Campaign, folder: Path) -> list[Path]:
 def claim_output_folder(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign],
                         recordings: Sequence[MeasuredCurve], digests: Mapping[str, str], overwrite: bool,
                         files_of: Callable[[Campaign, Path], list[Path]] = list_calibration_files) -> None:
-    """Prepare the output folder for these campaigns.
+    """Prepare the output folder for these campaigns: check it, remove earlier results, and write ``work.json``.
 
     Results of the same campaigns stay. Files of an earlier calibration are removed if ``work.json`` lists them; other
     files are not changed.
@@ -108,7 +108,7 @@ def claim_output_folder(output: Path, folders: Mapping[str, Path], campaigns: Se
 
 
 def make_test_figure_name(campaign: Campaign, number: int, what: str = "test") -> str:
-    """Return the name of the figure of a test or of its ``segments``; `number` is its index in the campaign."""
+    """Return the name of the figure of a test, such as ``test 1 NAME``; `number` is the index of the test from 0."""
     return f"{what} {number + 1} {campaign.tests[number].name}"
 
 
@@ -143,7 +143,7 @@ def _require_inputs_not_replaced(planned: Sequence[Path], campaigns: Sequence[Ca
 
 
 def _read_earlier_claim(output: Path) -> dict[str, Any]:
-    """Return the content of ``work.json`` of an earlier run; empty if there is none or if its content is invalid."""
+    """Return the content of ``work.json`` of an earlier run; an empty dictionary if the file is missing or invalid."""
     try:
         found = read_json(output / CLAIM_FILE, "the list of files of an earlier run")
         if found["schema"] != CLAIM_SCHEMA:
@@ -167,7 +167,7 @@ def _remove_stored_simulations(folders: Iterable[Path]) -> None:
 
 
 def _remove_files_and_empty_folders(files: Sequence[Path], output: Path) -> None:
-    """Remove these files and the folders of campaigns that become empty."""
+    """Remove these files, then their folders that have become empty, except `output`."""
     for path in files:
         path.unlink(missing_ok=True)
     for folder in {path.parent for path in files} - {output}:

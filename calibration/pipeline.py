@@ -166,7 +166,7 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
 def _run_campaigns(parts: Sequence[Any], output: Path, read_result: Callable[..., Any], overwrite: bool, figures: bool,
                    figures_format: str | None,
                    files_of: Callable[..., list[Path]] = list_calibration_files) -> tuple[list[Any], list[str]]:
-    """Run several campaigns, and read the results of finished campaigns.
+    """Run several campaigns, except finished ones, whose results are read; collect the messages of failed campaigns.
 
     Args:
         parts: a `CampaignFit` or `CampaignDiagnosis` for each campaign.

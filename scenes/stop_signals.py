@@ -22,6 +22,7 @@ def call_stop_at_signals(stop: Callable[[], None], *, ignore_repeats: bool = Fal
     previous: dict[int, Any] = {}
 
     def stop_at_first_signal(number: int, _: Any) -> None:
+        """Call `stop`; unless `ignore_repeats`, restore the previous handler of this signal."""
         stop()
         if not ignore_repeats:
             signal.signal(number, previous[number])

@@ -67,6 +67,8 @@ _inside = False
 def run_in_sandbox(function: Callable[..., Any], *arguments: Any, file: str | Path, size: int | None = None) -> Any:
     """Call a function that reads a file in the sandbox process, and return its result.
 
+    Within the sandbox process the function is called directly.
+
     The limits are 2 s of CPU time and 250 MB of memory, and 2 s and 40 MB more for each megabyte of input; the limit of
     wall time is a multiple of the CPU time.
 

@@ -75,6 +75,7 @@ def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
 
 
 def _parse_toml_text(text: str) -> dict[str, Any]:
+    """Parse a TOML text; raise an `InputError` with the line of a syntax error."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -122,7 +122,7 @@ def shorten_text(text: str, longest: int) -> str:
 
 
 def format_exception(error: BaseException) -> str:
-    """Return the message of another library's exception, on one line of at most `MessageLimits.reason` characters."""
+    """Return the message of another library's exception in one line, shortened; without a message, its type."""
     return shorten_text(_escape_unprintable(" ".join(str(error).split())),
                         MESSAGE_LIMITS.reason) or type(error).__name__
 

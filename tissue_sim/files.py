@@ -48,7 +48,7 @@ LIMITS = FileLimits()
 
 
 def open_file(path: str | Path, expected: str, largest: int = LIMITS.recording) -> io.BufferedReader:
-    """Open an input file for reading. All input files are opened here.
+    """Open an input file for reading bytes. All input files are opened here; the caller closes the file.
 
     Args:
         path: the file.
@@ -83,6 +83,7 @@ def open_file(path: str | Path, expected: str, largest: int = LIMITS.recording) 
 
 
 def _is_existing_folder(path: Path) -> bool:
+    """Return whether a path is a folder; False if this cannot be determined."""
     try:
         return path.is_dir()
     except OSError:
@@ -90,6 +91,7 @@ def _is_existing_folder(path: Path) -> bool:
 
 
 def _make_folder_error(path: Path, expected: str) -> InputError:
+    """Make the error that a path is a folder where a file is expected."""
     return InputError(f"is a folder, expected {expected}; name a file in it", file=path)
 
 
@@ -107,7 +109,7 @@ def read_bytes(path: str | Path, expected: str, largest: int = LIMITS.recording)
 
 
 def read_first_bytes(path: str | Path, count: int) -> bytes:
-    """Return the first bytes of a file; empty if the file cannot be read."""
+    """Return at most `count` first bytes of a file; empty if the file cannot be read."""
     try:
         with open_file(path, "") as file:
             return file.read(count)
@@ -116,7 +118,7 @@ def read_first_bytes(path: str | Path, count: int) -> bytes:
 
 
 def path_exists(path: Path) -> bool:
-    """Whether a file or folder exists; False for an invalid name."""
+    """Return whether a file or folder exists; False for a name that the operating system refuses."""
     try:
         return path.exists()
     except OSError:
@@ -139,7 +141,7 @@ def find_files(folder: Path, pattern: str) -> list[Path]:
 
 
 def require_small_archive(path: str | Path) -> None:
-    """Require that an archive does not exceed a size when unpacked.
+    """Require that a zip archive unpacks to at most `FileLimits.unpacked` bytes; other files are not checked.
 
     The archive is unpacked to count its bytes, because the sizes that it states may be wrong.
 
@@ -226,7 +228,10 @@ def decode_text(data: bytes, path: str | Path, expected: str) -> tuple[str, str]
 
 
 def get_cache_folder() -> Path:
-    """Folder of compiled kernels and derived formulas: `TISSUE_SIM_CACHE`, or a folder in the user's cache."""
+    """Return the folder of compiled kernels and derived formulas; this function does not create the folder.
+
+    It is the environment variable `TISSUE_SIM_CACHE`, or ``tissue_sim/kernels`` in the cache folder of the user.
+    """
     if "TISSUE_SIM_CACHE" in os.environ:
         return Path(os.environ["TISSUE_SIM_CACHE"])
     if os.name == "nt":

@@ -26,12 +26,12 @@ FORCE_ERROR = ForceErrorSettings()
 
 @dataclass(frozen=True)
 class ForceError:
-    """Estimated error of the force, and the samples at which it is large.
+    """Estimated error of the force of a simulated test, relative to the largest force, and where the error is large.
 
     Attributes:
         fraction: largest error as a fraction of the largest force.
-        first, last: the error exceeds half of its maximum between these samples.
-        shorter: whether it was found with steps half as long; otherwise with steps twice as long.
+        first, last: numbers of the samples between which the error exceeds half of its maximum.
+        shorter: whether the comparison test has steps half as long; otherwise its steps are twice as long.
     """
 
     fraction: float
@@ -92,7 +92,7 @@ def estimate_force_error(force: np.ndarray, samples: np.ndarray, other: np.ndarr
         shorter: whether the steps of the other test are shorter.
 
     Returns:
-        The error; None if nothing can be compared.
+        The error; None if there are no common samples, or if the force is zero.
     """
     samples, largest = samples[: other.size], float(abs(force).max(initial=0.0))
     if not samples.size or largest == 0.0:

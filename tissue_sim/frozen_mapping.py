@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 
 def make_read_only_copy(mapping: Mapping) -> MappingProxyType:
-    """Return a read-only copy of a mapping."""
+    """Return a read-only shallow copy of a mapping; the values are not copied."""
     return MappingProxyType(dict(mapping))
 
 

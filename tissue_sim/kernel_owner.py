@@ -36,13 +36,13 @@ class KernelOwner:
 
 
 def allow_one_thread(method: _Method) -> _Method:
-    """Decorate a method that one thread at a time may execute; the object has a reentrant lock `_guard`.
+    """Return a method that takes the reentrant lock `_guard` of its object, so that only one thread executes it.
 
-    Raises:
-        BusyError: simultaneous calls of two threads.
+    The returned method does not wait: it raises a `BusyError` while another thread holds the lock.
     """
     @wraps(method)
     def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
+        """Execute the method while holding the lock of its object; raise a `BusyError` if another thread holds it."""
         if not self._guard.acquire(blocking=False):
             raise make_busy_error(self)
         try:
@@ -53,7 +53,7 @@ def allow_one_thread(method: _Method) -> _Method:
 
 
 def make_busy_error(owner: object) -> BusyError:
-    """Make the error of a simultaneous call."""
+    """Make the error that a second thread, the current one, called an object at the same time."""
     name = type(owner).__name__
     return BusyError(f"{name} was called from two threads at the same time ({threading.current_thread().name} came "
                      f"second). Give each thread a clone(), or let one thread call it.")

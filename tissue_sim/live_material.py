@@ -28,7 +28,7 @@ MODULI = ModulusRange()
 
 
 def require_realtime_experiment(experiment: Experiment) -> None:
-    """Raise an error for an experiment with corrections of whole recordings, which no single step can apply.
+    """Require an experiment without tilt and partial slip, which are corrections of whole recordings.
 
     Raises:
         InputError: a tilted tool, or partial slip.

@@ -16,7 +16,7 @@ class LimitError(InputError):
 
 
 def convert_to_pose(pose: float | Pose) -> Pose:
-    """Convert a pose or a depth, m, to a `Pose`; the numbers may be NaN or infinite.
+    """Return a pose unchanged, or the upright pose on the axis at a depth, m; numbers may be NaN or infinite.
 
     Raises:
         InputError: something else than a pose of numbers, or than one real number.
@@ -34,6 +34,7 @@ def convert_to_pose(pose: float | Pose) -> Pose:
 
 
 def _make_pose_error(pose: object) -> InputError:
+    """Make the error that an object is neither a pose nor a depth."""
     return InputError(f"must be a Pose, or a depth in m; got {pose!r}. Write Pose((x, y, z), (w, x, y, z)).",
                       field="pose")
 

@@ -43,12 +43,13 @@ def run_packed_task(task: bytes) -> Any:
 
 
 def _is_importable_by_workers(module: str) -> bool:
-    """Return whether every worker process can import a module."""
+    """Return whether every worker can import the module with this name: standard library or installed package."""
     package = module.partition(".")[0]
     return package in sys.stdlib_module_names or package in _list_importable_packages()
 
 
 @cache
 def _list_importable_packages() -> frozenset[str]:
+    """Return the names of the top-level packages of installed distributions and of this program."""
     # The packages of this program are importable also if they run from their sources.
     return frozenset(packages_distributions()) | {"tissue_sim", "calibration", "haptics", "scenes"}

@@ -95,7 +95,7 @@ class HasParameters(Protocol):
         """Return name -> (declaration, value in SI) of the parameters that are not fields."""
 
     def with_own_parameters(self: Part, values: Mapping[str, float], **changes: Any) -> Part:
-        """Return the part with changed parameters and fields."""
+        """Return a copy of the part with these parameters and, by `changes`, other fields changed."""
 
 
 def parameter(symbol: str, unit: str, *, key: str, factor: float = 1.0, bounds: tuple[float, float] = (-inf, inf),
@@ -123,12 +123,12 @@ def make_declared_class_check(base: type) -> Callable[[Any], bool]:
 
 
 def parameters(part: Any) -> dict[str, Parameter]:
-    """Return all parameters of a part (`Model`, `Material`, `Experiment`, `Rig`, ...) by path."""
+    """Return path -> `Parameter` for all parameters of a part (`Model`, `Material`, ...) and of the parts in it."""
     return {each.path: each for each in _iterate_parameters(part, "")}
 
 
 def parameter_values(part: Any) -> dict[str, float]:
-    """Return the values of all parameters of a part by path, SI.
+    """Return path -> value in SI for all parameters of a part.
 
     Examples:
         >>> from tissue_sim import Layer, Material
@@ -156,7 +156,7 @@ def value(part: Any, path: str) -> float:
 
 
 def find_parameters(model: Any, names: Iterable[str]) -> list[Parameter]:
-    """Return the parameters of a model with given paths, in which ``material.`` may be left out.
+    """Return the parameters with the paths `names`, in this order; ``material.`` may be left out of a path.
 
     Raises:
         InputError: an unknown path; the message names the nearest.
@@ -166,6 +166,7 @@ def find_parameters(model: Any, names: Iterable[str]) -> list[Parameter]:
 
 
 def _find_parameter(model: Any, name: str, known: Mapping[str, Parameter]) -> Parameter:
+    """Return the parameter with a path, or with ``material.`` before the path; an `InputError` if neither exists."""
     for path in (name, f"material.{name}"):
         if path in known:
             return known[path]
@@ -177,7 +178,7 @@ def _find_parameter(model: Any, name: str, known: Mapping[str, Parameter]) -> Pa
 
 
 def with_values(part: Part, values: Mapping[str, float]) -> Part:
-    """Return the part with several parameters changed at once.
+    """Return a copy of a part with several parameters changed at once.
 
     Args:
         part: a model or a part of a model.
@@ -206,7 +207,7 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
 
 
 def split_parameter_path(path: str) -> list[str | int]:
-    """Split a path: ``terms[0].g`` -> ``["terms", 0, "g"]``.
+    """Split the path of a parameter into its names (str) and indices (int).
 
     Examples:
         >>> split_parameter_path("terms[0].g")
@@ -216,14 +217,14 @@ def split_parameter_path(path: str) -> list[str | int]:
 
 
 def convert_to_file_keys(part: Any) -> dict[str, float]:
-    """Return the declared numbers of a part by their keys in files, in the units of the keys with 15 digits."""
+    """Return file key -> number in the unit of the key, rounded to 15 digits; fields that are None are left out."""
     return {what.key: float(f"{number / what.factor:.15g}") for name,
             what in list_field_declarations(type(part)).items()
             if (number := getattr(part, name)) is not None}
 
 
 def make_from_file_keys(kind: type[Part], content: Mapping[str, float], field: str, **others: Any) -> Part:
-    """Make a part from the keys of a file.
+    """Make a part from numbers by file key, which are converted to SI.
 
     Args:
         kind: class of the part.
@@ -251,7 +252,7 @@ def make_from_file_keys(kind: type[Part], content: Mapping[str, float], field: s
 
 
 def _find_component(part: Any, path: str) -> Any:
-    """Return the object at a path below a component (empty path: the component itself); None without an object."""
+    """Return the object at a path below a component; the component for an empty path; None for an unknown path."""
     for token in split_parameter_path(path):
         if isinstance(token, int):
             part = part[token] if isinstance(part, tuple) and token < len(part) else None
@@ -285,7 +286,7 @@ def _iterate_parameters(part: Any, place: str) -> Iterator[Parameter]:
 
 
 def _iterate_own_parameters(part: Any, place: str) -> Iterator[Parameter]:
-    """Yield the parameters of a part itself."""
+    """Yield the parameters of a part itself, declared fields and `own_parameters`, without those of parts in it."""
     if _has_own_parameters(part):
         for name, (what, number) in part.own_parameters().items():
             yield Parameter(place + name, what, number, type(part))
@@ -299,6 +300,7 @@ def _iterate_own_parameters(part: Any, place: str) -> Iterator[Parameter]:
 
 
 def _has_own_parameters(part: Any) -> TypeGuard[HasParameters]:
+    """Return whether a part implements `HasParameters`."""
     return _is_parameter_class(type(part))  # type: ignore[arg-type]
 
 
@@ -309,6 +311,7 @@ def _is_parameter_class(kind: type) -> bool:
 
 
 def _replace_values_in_component(part: Any, tree: Mapping[Any, Any]) -> Any:
+    """Return a copy of a component, tuple or mapping with the values of a nested mapping of names and indices."""
     if isinstance(part, tuple):
         return tuple(_replace_values_in_component(item, tree[index]) if index in tree else item for index,
                      item in enumerate(part))

@@ -82,7 +82,7 @@ class ToolPathMixin:
         return self._most or count_solves_in_budget(self.budget, self._solve)
 
     def _register_tool_motion(self, target: Pose, dt: float) -> None:
-        """Register speed, direction and reversals of a motion to a target in dt s; warn once about a light tool."""
+        """Register speed, direction and reversals of a tool motion to a pose in dt s; warn once of a light tool."""
         if self._begins:
             return
         x, y, z, a, b, c = way = motion(self._pose, target)
@@ -100,7 +100,7 @@ class ToolPathMixin:
 
     @property
     def _has_settled_without_contact(self) -> bool:
-        """Whether the tool may have lifted off, and the last equilibrium is that of its last pose."""
+        """Whether the tool may have lifted off, and no part of its path remains to be solved."""
         return self._is_tool_unloaded and self._attempt is None and self._creep is None and self._pending.is_empty
 
     @property
@@ -115,11 +115,11 @@ class ToolPathMixin:
         return self._is_tool_unloaded and self._solver.pose.depth <= 0.0
 
     def _step_tool_in_air(self, pose: Pose, target: Pose, dt: float, began: float) -> ToolForce | float:
-        """Make a step of a tool that has lifted off.
+        """Move a tool that has lifted off to a pose, through the air as far as it does not touch.
 
         Returns:
-            The force, if no equilibrium is needed; else the time of the step that remains to be solved, s, because the
-            tool touches, or because the tissue relaxes or oscillates. The tool is then where the tissue touches it.
+            The result of the step, with zero force, if no equilibrium is needed; else the time of the step that remains
+            to be solved, s, because the tool touches (it is then at the touch), or the tissue relaxes or oscillates.
         """
         solver, tool = self._solver, self._tool
         clearance = solver.clearance(target)
@@ -156,7 +156,7 @@ class ToolPathMixin:
         return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
 
     def _split_tick_at_touch(self, inertial: bool) -> None:
-        """Split the first pending tick at the touch if the tool returns to the tissue; see `_step_tool_in_air`."""
+        """Split the first pending tick at the touch if the unloaded tool returns to the tissue in this tick."""
         solver, pending, here = self._solver, self._pending, self._solver.pose
         first = pending.ticks[0]
         if not self._is_tool_unloaded or solver.ignores_twist or here == first.pose:
@@ -184,7 +184,7 @@ class ToolPathMixin:
         return solver.pose
 
     def _press_from_above(self, pose: Pose) -> None:
-        """Lift the tool above a pose that was not reached, and press it down; the stick anchors there are new."""
+        """Lift the tool above a pose that was not reached, and make the pending path straight down to the pose."""
         solver = self._solver
         solver.lift_off()
         solver.move_in_air(shift_pose_along_z(pose, -solver.height_above_tissue(pose)))
@@ -194,7 +194,7 @@ class ToolPathMixin:
         self._share, self._leaps, self._can_restart = 1.0, True, False
 
     def _step_along_pending_path(self, pose: Pose, tick: float, began: float, is_behind: bool) -> ToolForce:
-        """Step to a pose in as many parts as needed.
+        """Solve the pending path up to a pose in as many parts as needed, within the budget; return the result.
 
         Args:
             pose: pose of the solver at the end.
@@ -311,7 +311,7 @@ class ToolPathMixin:
         return self._make_step_result(pose, tick, status, outside, solves, residual, began)
 
     def _estimate_wave_error(self, way: Screw, dt: float, *, weighs: bool) -> None:
-        """Estimate the force error by waves that a step with the motion `way`, m, rad, in the time `dt`, s, omits.
+        """Update the force error by waves that a step with the motion `way`, m, rad, in the time `dt`, s, omits.
 
         The argument `weighs` states whether the inertia of the tissue acts in the step.
         """
@@ -376,17 +376,17 @@ class ToolPathMixin:
                          minimum_stable_tool_mass(at.stiffness, at.step_stiffness, tick))
 
     def _predict_next_force(self, tick: float) -> PredictedForce | None:
-        """Predict the force of the next step, of length `tick`, s, after a converged one."""
+        """Predict the force of the next step, of length `tick`, s; None if the solver cannot predict the force."""
         ahead, left = self._solver.predict_next_force(tick), self._left
         return ahead if ahead is None or left == 1.0 else ahead.scale_force(left)
 
     def _extrapolate_last_wrench(self, wrench: Screw, way: Screw) -> Screw:
-        """Extrapolate a wrench to a further motion, m and rad; without adhesion the tissue cannot pull the tool."""
+        """Extrapolate a wrench by the last stiffness to a further motion, m and rad; zero instead of a pull."""
         wrench = extrapolate_wrench(wrench, self._equilibrium.stiffness, way)
         return wrench if self._pulls or wrench[2] > 0.0 else AT_REST.wrench
 
     def _store_equilibrium(self, step: Step, dt: float, inertial: bool) -> None:
-        """Store a converged step of the solver as the last equilibrium, with effects in reduced form."""
+        """Store a converged step as the last equilibrium, its force times the factor of the reduced effects."""
         self._has_waves = False
         left = self._left = self._reduced.accept_depth(self._solver.pose.depth, dt)
         at = self._equilibrium = self._equilibrium.make_next_equilibrium(step, self._solver.pose, left, inertial, dt)

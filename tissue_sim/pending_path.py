@@ -70,7 +70,7 @@ class PendingPath:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the last equilibrium is that of the last pose."""
+        """Whether no motion or time is pending, so that the last equilibrium is that of the last pose."""
         return not self.ticks and self._spare == 0.0
 
     def append_tick(self, pose: Pose, dt: float) -> None:
@@ -100,7 +100,7 @@ class PendingPath:
         self.ticks[:0] = [rest] if self.meets else [air, rest]
 
     def discard_unreachable_poses(self) -> None:
-        """Remove all ticks, whose poses cannot be reached; their time is added to the next tick."""
+        """Remove all ticks, because their poses cannot be reached; their time is added to the next tick."""
         self._spare, self.ticks = self.elapsed_time, []
 
     @property
@@ -121,7 +121,7 @@ class PendingPath:
             self.gap = math.inf
 
     def register_contact_motion(self, way: Screw, negligible: float) -> None:
-        """Register a motion of the tool in contact; clear `is_direct` unless the tool moved straight down.
+        """Set `is_direct` to False for a motion of the tool in contact that is not straight down.
 
         Args:
             way: translation, m, and rotation vector, rad.
@@ -174,7 +174,7 @@ class PendingPath:
         return count
 
     def remove_solved_time(self, dt: float, *, arrives: bool, timed: bool) -> None:
-        """Remove the time of a solved step from the first tick.
+        """Remove the time of a solved step from the first tick, or the whole tick if the step ended at its end.
 
         Args:
             dt: time of the step, s.

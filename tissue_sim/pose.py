@@ -133,6 +133,7 @@ def _convert_to_floats(values: object, count: int, field: str, names: str) -> tu
 
 
 def _make_numbers_error(values: object, count: int, field: str, names: str) -> InputError:
+    """Make the error that a field is not a sequence of `count` numbers, described by `names`."""
     return InputError(f"must be {count} numbers, {names}; got {values!r}.", field=field)
 
 
@@ -210,7 +211,10 @@ def rotate_pose(pose: Pose, rotation: Vector) -> Pose:
 
 
 def compute_twist_about_axis(orientation: Quaternion) -> Quaternion | None:
-    """Compute the rotation about the tool's axis in a quaternion (swing-twist decomposition); None: no rotation."""
+    """Return the part of an orientation that rotates about the tool's axis, as a quaternion; None without rotation.
+
+    This is the twist of the swing-twist decomposition.
+    """
     w, _, _, z = orientation
     size = math.hypot(w, z)
     if size < QUATERNION.small_sine or abs(z) < QUATERNION.rounding * size:
@@ -238,7 +242,7 @@ def shift_pose_along_z(pose: Pose, height: float) -> Pose:
 
 
 def _compute_relative_rotation(start: Quaternion, end: Quaternion) -> Quaternion:
-    """Compute the rotation vector, rad, from one orientation to another, by at most half a turn."""
+    """Return the quaternion of the rotation, by at most half a turn, from one orientation to another, scene frame."""
     w, x, y, z = start
     relative = _multiply_quaternions(end, (w, -x, -y, -z))
     if relative[0] >= 0.0:
@@ -248,6 +252,7 @@ def _compute_relative_rotation(start: Quaternion, end: Quaternion) -> Quaternion
 
 
 def _multiply_quaternions(left: Quaternion, right: Quaternion) -> Quaternion:
+    """Return the Hamilton product of two quaternions: the rotation `right`, then the rotation `left`."""
     a, b, c, d = left
     e, f, g, h = right
     return (a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g,

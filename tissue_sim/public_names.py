@@ -12,7 +12,7 @@ from typing import Any
 
 def import_on_use(package: str, renamed: Mapping[str, str] | None = None
                   ) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
-    """Return the public names, ``__getattr__`` and ``__dir__`` of a package that imports each name on first use.
+    """Make ``__all__``, ``__getattr__`` and ``__dir__`` of a package that imports each public name on first use.
 
     Args:
         package: ``__name__`` of the package. The folder of the package contains ``__init__.pyi``, which type checkers
@@ -30,6 +30,7 @@ def import_on_use(package: str, renamed: Mapping[str, str] | None = None
                 homes[name] = module
 
     def get(name: str) -> Any:
+        """Import the module of a public name and return the member, which is stored in the package."""
         if renamed and name in renamed:
             warnings.warn(f"{package}.{name} is renamed to {package}.{renamed[name]}", DeprecationWarning, stacklevel=2)
             return getattr(sys.modules[package], renamed[name])
@@ -40,6 +41,7 @@ def import_on_use(package: str, renamed: Mapping[str, str] | None = None
         return value
 
     def list_names() -> list[str]:
+        """Return the names of the package's namespace and its public names, sorted."""
         return sorted({*vars(sys.modules[package]), *homes})
 
     return sorted(homes), get, list_names
@@ -63,6 +65,7 @@ def make_getattr_for_old_names(module: str, renamed: Mapping[str, str]) -> Calla
         ``__getattr__ = make_getattr_for_old_names(__name__, {"Rung": "ResolutionLevel"})``
     """
     def get(name: str) -> Any:
+        """Warn that the name is renamed, and return the member with the new name."""
         if name not in renamed:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         place, _, new = renamed[name].rpartition(":")
@@ -91,7 +94,7 @@ class OldName:
 
 
 def adopt_old_names(subclass: type, renamed: Mapping[str, str]) -> None:
-    """Give members that a subclass defines by old names their new names, with a `DeprecationWarning`.
+    """Rename the members that a subclass defines by old names to their new names, with a `DeprecationWarning`.
 
     To be called in ``__init_subclass__`` of a base class that plug-ins derive from. A member that the subclass defines
     by both names keeps the definition of the new name.

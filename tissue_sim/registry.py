@@ -48,6 +48,7 @@ class Registry(Mapping[str, T], Generic[T]):
 
     @cached_property
     def _installed_entry_points(self) -> dict[str, EntryPoint]:
+        """Name -> entry point of the group in installed packages; a name that occurs twice is an InputError."""
         found: dict[str, EntryPoint] = {}
         for entry in entry_points(group=self.group):
             if entry.name in self._built_in or entry.name in found:
@@ -68,6 +69,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return thing
 
     def _check_entry(self, name: str, thing: T) -> T:
+        """Return the object if it is valid for this registry; else raise an InputError."""
         if not self._accepts(thing):
             raise InputError(f"{name!r} is not a valid {self.what}; give {self._expected}", field=self.group)
         return thing

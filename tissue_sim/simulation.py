@@ -218,7 +218,7 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
         return None
 
     def simulate_forces(samples: np.ndarray) -> np.ndarray:
-        """Forces of the second solution at fractional sample numbers, N, as far as it converges."""
+        """Return the forces at fractional sample numbers, N, from a second solution, up to its first failed step."""
         other, solves = [], 0
         along = replace(model, experiment=replace(model.experiment, protocol=protocol.interpolate_motion(samples)))
         try:
@@ -248,7 +248,7 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
 
 
 def _update_maxima_in_report(report: dict, step: Step) -> None:
-    """Update the maxima over all samples in a report with the values of one step."""
+    """Replace the maxima over all samples in `report`, in place, by larger values of one step."""
     for name, value in (("residual", step.residual), ("penetration_mm", step.violation * 1e3),
                         ("slipping_points", step.slipping)):
         if name in report:
@@ -256,7 +256,7 @@ def _update_maxima_in_report(report: dict, step: Step) -> None:
 
 
 def _compute_times_and_first_contact(positions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return the time of the motion to each position of the tool, s, and the index of the first sample in contact.
+    """Return the duration of the motion from the previous sample to each sample, s, and the index of first contact.
 
     For that sample only the time after the touch counts.
     """

@@ -359,7 +359,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         return other
 
     def _stop_creeping(self) -> None:
-        """Stop a damped path and return to the equilibrium at its start."""
+        """Stop an unfinished damped path; the solver returns to the equilibrium at the start of the path."""
         if self._creep is not None:
             self._creep.steps.close()
             self._creep = None

@@ -157,7 +157,7 @@ class StateOrigin:
 
 
 def describe_material_structure(value: Any) -> str:
-    """Return a text of law, effects and layers of a material without its numbers and name, to compare structures."""
+    """Return law, effects and layers of a material as text, without numbers and names, to compare two structures."""
     if is_dataclass(value):
         inner = [f"{each.name}={describe_material_structure(getattr(value, each.name))}" for each in fields(value)
                  if each.name not in ("name", "bulk", "parameters", "density", "source")]

@@ -47,7 +47,7 @@ class ToolTrack:
 
     Attributes:
         touch: whether the tool has touched; see `TouchState`.
-        pose: last accepted pose, as passed to the simulator; None before the first step.
+        pose: last pose that was not refused, as passed to the simulator; None before the first step.
         twist: rotation about its axis at the last touch, which is removed from the poses of the solver; None: none.
         is_refused: whether the tool entered the tissue at a pose at which the solver cannot place it, and has not left
             the tissue since.
@@ -73,7 +73,7 @@ class ToolTrack:
         return pose if self.twist is None else remove_twist(pose, self.twist)
 
     def to_solver_pose(self, solver: Solver, pose: Pose) -> Pose:
-        """Return the part of a pose that the solver uses, without the rotation about the tool's own axis."""
+        """Return a pose projected to the motions of the solver, without the rotation about the tool's own axis."""
         return solver.project_pose(self.without_own_rotation(pose))
 
     def to_simulator_pose(self, pose: Pose) -> Pose:
@@ -81,7 +81,7 @@ class ToolTrack:
         return pose if self.twist is None else add_twist(pose, self.twist)
 
     def register_step_before_touch(self, solver: Solver, pose: Pose, dt: float) -> tuple[float | None, bool]:
-        """Register a step before the first touch, and place the tool where it touches.
+        """Register a step before the first touch; if the tool touches, place the tool of the solver at the touch.
 
         Args:
             solver: solver whose tissue has not been touched.

@@ -82,14 +82,14 @@ class WaveErrorEstimator:
         self._inertial, self._slope, self._velocity = _AT_REST, _AT_REST, _STANDS
 
     def copy(self) -> WaveErrorEstimator:
-        """An independent copy, for saved states."""
+        """Return an independent copy, for saved states."""
         other = WaveErrorEstimator()
         for name in self.__slots__:
             setattr(other, name, getattr(self, name))
         return other
 
     def register_step_without_mass(self, way: Screw | None, dt: float) -> None:
-        """Update the error estimate with a quasi-static step, in which the inertia of the tissue does not act.
+        """Set the error to zero after a quasi-static step, in which the inertia of the tissue does not act.
 
         Args:
             way: motion of the tool, which tissue in contact follows, m and rad; None if there is no contact.
@@ -108,7 +108,7 @@ class WaveErrorEstimator:
             step_stiffness: stiffness within the step, with the mass of the tissue, as in a `ToolForce`.
             way: motion of the tool in the step, m and rad.
             dt: time of the step, s.
-            scale: of the shear waves.
+            scale: time and speed of the waves under the tool.
         """
         momentum = _compute_tissue_momentum(stiffness, step_stiffness, way, dt)
         before = self._moving_momentum
@@ -127,7 +127,7 @@ class WaveErrorEstimator:
 
 
 def _compute_tissue_momentum(stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float) -> Vector:
-    """Compute the momentum of the tissue that moves with the tool, N s, along the three axes."""
+    """Compute the momentum of the tissue that moves with the tool, N s, along the three axes, from the stiffnesses."""
     x, y, z = (0.0 if own is within else dt * sum((b - a) * part for a, b, part in zip(own, within, way, strict=True))
                for own, within in zip(stiffness[:3], step_stiffness[:3], strict=True))
     return (x, y, z)

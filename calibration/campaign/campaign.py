@@ -57,7 +57,7 @@ MAX_STARTS = 1000
 
 
 def _freeze_mapping(values: Mapping | None = None) -> Mapping:
-    """Return a read-only copy of a mapping; empty without one."""
+    """Return a read-only copy of a mapping; an empty mapping for None."""
     return make_read_only_copy(values or {})
 
 
@@ -202,7 +202,7 @@ class Campaign:
 
     @property
     def name(self) -> str:
-        """Name of the campaign: the file name without its ending."""
+        """Name of the campaign: name of the campaign file without its suffix."""
         return self.path.stem
 
 
@@ -244,7 +244,7 @@ def _find_common_density(tests: tuple[Test, ...]) -> float | None:
 
 def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path,
                 planned: bool) -> tuple[Test, ...]:
-    """Return all tests of a campaign file, with the paths of their recordings and with their experiments."""
+    """Check the tables ``[[test]]`` and return the tests with the paths of their recordings and their experiments."""
     if not table.test:
         raise InputError("test must contain at least one table; got none. Add a [[test]].", field="test")
     tests: dict[str, Test] = {}

@@ -36,7 +36,7 @@ def require_positive(value: float | None, field: str, unit: str = "") -> None:
 
 
 def check_bulk_ratio(ratio: float | None) -> None:
-    """Require a ratio K / mu0 within the validated range of the finite elements, or None."""
+    """Raise an `InputError` for a ratio K / mu0 outside the validated range of the finite elements; None is allowed."""
     if ratio is not None and not BULK_RATIOS[0] <= ratio <= BULK_RATIOS[1]:
         raise InputError(f"bulk_ratio must be {BULK_RATIOS[0]:g} to {BULK_RATIOS[1]:g}, the validated range of the "
                          f"finite elements; got {ratio:g}. Leave bulk_ratio out for an incompressible material",

@@ -86,7 +86,7 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
 
 
 def _read_approach(entry: TestTable, specimen: Specimen, place: str) -> Approach | None:
-    """Return the stated approach of a needle (offset, angle); None if none is stated."""
+    """Return the stated lateral offset and tilt of the path of a needle; None if the test states neither."""
     stated = {key: value for key in _APPROACH if (value := getattr(entry, key)) is not None}
     for key in stated:
         if KINDS[entry.kind].require_tool().is_plate:
@@ -134,7 +134,7 @@ def _read_friction(entry: TestTable, kind: TestKind, key: str, place: str) -> st
 
 
 def _read_tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> Tool:
-    """Return the tool of a test: that of its kind, or a shape with stated sizes."""
+    """Return the tool of a test: the usual tool of its kind, or the stated shape with the stated sizes."""
     kinds_tool = kind.require_tool()
     shape, profile = parse_shape_name(entry.tool or kinds_tool.shape, folder)
     fits = kind.allows_tool(TOOLS.find(shape, f"{place}.tool"))

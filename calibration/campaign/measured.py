@@ -164,7 +164,7 @@ def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, .
 
 
 def get_default_contact_deviation(curves: Sequence[MeasuredCurve]) -> float:
-    """Return the default standard deviation of a contact offset, m.
+    """Return the default standard deviation of the contact offsets of all these recordings, m.
 
     The value is `OffsetDefaults.contact_prior` or a fraction of the displacement of the shortest test, whichever is
     smaller. For tests recorded as strain the value is a fraction of the strain.
@@ -287,7 +287,9 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
 
 def add_noise_to_curve(loading: MeasuredCurve, campaign: Campaign,
                        window: MeasuredCurve | None = None) -> MeasuredCurve:
-    """Return a curve with its stated or estimated noise, interpolated if the campaign states `strain_points`.
+    """Return a copy of `window` whose field `noise` is the stated or estimated noise of the sensor.
+
+    The forces are unchanged, except for interpolation if the campaign states `strain_points`.
 
     Args:
         loading: all samples of the loading, from which the noise is estimated.
@@ -362,7 +364,7 @@ def _read_force_and_displacement(recording: Recording, test: Test, path: Path) -
 
 
 def _require_equal_motions(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> None:
-    """Reject recordings of one test that differ in speed or largest displacement."""
+    """Raise an `InputError` if recordings of one test differ by more than 20 % in speed or largest displacement."""
     first = curves[0]
     for other in curves[1:]:
         depths = [curve.displacement.max() for curve in (first, other)]

@@ -303,6 +303,7 @@ def _make_parameters_of_scope(named: CampaignParameter, tests: Sequence[Test],
     """Return one fit parameter, or one for each specimen, test or recording, by the scope of `named`."""
     def make_fit_parameter(owner: str = "", where: tuple[str, ...] | None = None, recording: str | None = None,
                       specimen: str | None = None) -> FitParameter:
+        """Return a parameter with the path of `named`, named ``path@owner`` or without an owner ``path``."""
         name = f"{named.path}@{owner}" if owner else named.path
         return FitParameter(name, named.path, named.declaration, named.of_law, named.of_material, where, recording,
                             specimen)

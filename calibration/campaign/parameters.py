@@ -179,7 +179,7 @@ def _read_scope(name: str, stated: str | list[str] | None, tests: Sequence[str],
 
 
 def check_stated_values(table: FitTable, named: Mapping[str, CampaignParameter]) -> None:
-    """Check the stated values against their bounds, and the parts of the material for missing parameters.
+    """Require stated values within their bounds, and complete effects of the material (all parameters stated).
 
     Raises:
         InputError: a value is outside its bounds or a part is incomplete; the error states the field.
@@ -217,7 +217,7 @@ def check_stated_values(table: FitTable, named: Mapping[str, CampaignParameter])
 
 
 def _format_file_path(path: str) -> str:
-    """Return a parameter path with the key used in files as its last part."""
+    """Return a parameter path whose last part is the key used in files; unchanged for an unknown path."""
     try:
         full, declaration = find_material_declaration(path)
     except InputError:

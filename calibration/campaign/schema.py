@@ -31,7 +31,7 @@ BY_PARAMETER = {"start": "a number", "fixed": "a number", "prior": "[mean, stand
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Base of all tables; unknown keys are errors."""
+    """Base class of the tables of a campaign file; the decoder rejects unknown keys."""
 
 
 class SpecimenTable(_Table, frozen=True, kw_only=True):
@@ -96,7 +96,7 @@ class TestTable(_Table, frozen=True, kw_only=True):
 
 
 class FitTable(_Table, frozen=True, kw_only=True):
-    """Table ``[fit]``."""
+    """Keys of the table ``[fit]`` in the units of the file; see `calibration.campaign.campaign.FitSettings`."""
 
     method: Literal["analytical", "inverse_fem"] = "analytical"
     laws: list[str]
@@ -116,7 +116,7 @@ class FitTable(_Table, frozen=True, kw_only=True):
 
 
 class NoiseTable(_Table, frozen=True, kw_only=True):
-    """Table ``[noise]``."""
+    """Keys of the table ``[noise]`` in the units of the file; see `calibration.campaign.campaign.Noise`."""
 
     force_N: float | Literal["estimate"] = "estimate"
     nominal_stress_Pa: float | Literal["estimate"] = "estimate"
@@ -230,7 +230,7 @@ def decode_campaign_file(path: Path) -> tuple[CampaignTable, bytes, TestDefaults
 
 
 def _check_parameter_tables(fit: Any) -> None:
-    """Check the types of the values in ``fit.start``, ``fit.fixed``, ``fit.prior`` and ``fit.bounds``.
+    """Raise an `InputError` for wrong types of values in ``fit.start``, ``fit.fixed``, ``fit.prior``, ``fit.bounds``.
 
     Their keys are parameters, which the decoder does not name in its errors.
     """

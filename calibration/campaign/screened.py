@@ -108,7 +108,7 @@ def add_load_at_zero(screening: Screening, motion: np.ndarray, load: np.ndarray,
 
 
 def _describe_force_against_load(found: LoadAtZeroDisplacement, *, stressed: bool, covers: bool) -> str:
-    """Describe a recording that begins under a force against the direction of loading."""
+    """Describe a recording that begins under a force against the direction of loading, with cause and remedy."""
     load = f"{1e-3 * found.load:.3g} kPa" if stressed else f"{found.load:.3g} N"
     finding = (f"the recording begins under {load}, {100 * found.fraction:.0f} % of its range, against the direction "
                "of loading: the load cell was not zeroed")

@@ -30,7 +30,9 @@ _END_FRACTION = 0.1
 
 
 def refit_with_updated_corrections(evidence: FitEvidence) -> FitEvidence:
-    """Recompute jitter and mesh corrections of evidence with an effect, which are those of the fit without it.
+    """Return the evidence of a new fit with jitter and mesh corrections of the model that includes the effect.
+
+    The given evidence has the jitter and the mesh corrections of the fit without the effect.
 
     The evidence is returned unchanged if this fit fails.
     """
@@ -97,7 +99,7 @@ def predict_left_out_recordings(before: FitEvidence, after: FitEvidence | None) 
 
 
 def predict_held_out_tests(before: FitEvidence, after: FitEvidence | None) -> list[HeldOutPrediction]:
-    """Predict the tests that the campaign holds out."""
+    """Predict the tests that the campaign holds out, from the fits without (`before`) and with effects (`after`)."""
     found = []
     for test in before.campaign.tests:
         if not test.hold_out:
@@ -125,7 +127,7 @@ def _build_held_out_record(name: str, kind: str, before: Prediction | str, after
 
 
 def _predict_held_out_test(evidence: FitEvidence, name: str) -> Prediction | str:
-    """Predict a held-out test; return the reason if this is impossible."""
+    """Return root mean square error, N, and adequacy of a predicted test; the reason if the prediction fails."""
     asked = next(test for test in evidence.campaign.tests if test.name == name)
     problem = evidence.problem
     try:
@@ -151,6 +153,7 @@ def _fit_without_last_recordings(evidence: FitEvidence) -> tuple[Estimate, Gener
         return None
 
     def restrict_to_recordings(test, first: int, last: int | None):
+        """Return a copy of a test with its recordings ``[first:last]`` only."""
         changes: dict = {"measured": test.measured[first:last]}
         if hasattr(test, "motion_of"):
             changes["motion_of"] = test.motion_of[first:last]
@@ -168,7 +171,7 @@ def _fit_without_last_recordings(evidence: FitEvidence) -> tuple[Estimate, Gener
 
 
 def _predict_last_recordings(estimate: Estimate, last: GeneralisedProblem) -> list[Prediction | str]:
-    """Predict each test of a problem from an estimate; return the reason if this is impossible."""
+    """Return error, N, and adequacy of the prediction of each test of `last`, or the reason if there is none."""
     if not np.isfinite(estimate.error):
         return [f"no fit to the others: {estimate.failure}"] * len(last.tests)
     covariance = compute_marginal_uncertainty(estimate.problem, estimate.evaluation).covariance
@@ -180,7 +183,7 @@ def _predict_last_recordings(estimate: Estimate, last: GeneralisedProblem) -> li
 
 def _compute_prediction_errors(unseen: GeneralisedProblem, theta: np.ndarray,
                                covariance: np.ndarray) -> list[Prediction]:
-    """Return the prediction error of each test, and whether its residuals are adequate.
+    """Return the root mean square prediction error of each test, N, and whether its residuals are adequate.
 
     Contact offset and zero of each recording are fitted. The covariance of the parameters enters the residual tests as
     a prior.
@@ -211,7 +214,7 @@ def _compute_prediction_errors(unseen: GeneralisedProblem, theta: np.ndarray,
 
 
 def _select_segment_samples(curve: MeasuredCurve, segment: str) -> np.ndarray:
-    """Return the samples of a segment, bool, shape (n,); all samples if the region is a third of a loading."""
+    """Return the mask of the samples of a segment, shape (n,); all true if the region is a third of a loading."""
     if curve.segment is None or segment not in curve.segment:
         return np.ones(curve.force.size, bool)
     return curve.segment == segment

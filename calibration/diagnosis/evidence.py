@@ -74,7 +74,7 @@ class FitEvidence:
 
     @property
     def problem(self) -> GeneralisedProblem:
-        """Least-squares problem of the fit."""
+        """Least-squares problem of the fit, with its jitter and mesh corrections."""
         return self.estimate.problem
 
     @property
@@ -115,7 +115,7 @@ class FitEvidence:
 
     @property
     def has_adequate_residuals(self) -> bool:
-        """Whether no region has a significant smooth misfit."""
+        """Whether no region has a significant smooth misfit; common signals of recordings are not tested."""
         return all(region.adequate for region in self.region_tests)
 
     @cached_property

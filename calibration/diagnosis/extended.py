@@ -37,6 +37,7 @@ def add_effect_to_problem(problem: GeneralisedProblem, campaign: Campaign, candi
     layered = bool(changed.fit.placeholder_material.layers)
 
     def extend_test_with_effect(test: ForwardTest) -> ForwardTest:
+        """Return a test with experiment and rig of the changed campaign; a closed form is returned unchanged."""
         if not isinstance(test, SimulatedTest):
             return test
         asked = by_name[test.name]
@@ -83,6 +84,7 @@ def simulate_force_change_of_effect(problem: GeneralisedProblem, evaluation: Pro
             (problem.shared[t].start, problem.shared[t].stop) for t in touched))])
 
     def fix_parameters(of: GeneralisedProblem) -> GeneralisedProblem:
+        """Return the problem of the tests in `touched`, with all parameters of the fit fixed."""
         # Fixed parameters avoid the computation of derivatives.
         space = of.space.with_all_fixed(dict(zip(problem.space.free, evaluation.theta, strict=True)))
         return GeneralisedProblem(space, tuple(of.tests[t] for t in touched), of.solves, of.jitter,
@@ -117,6 +119,7 @@ def _match_full_motion_simulation(held: GeneralisedProblem, other: GeneralisedPr
         The problem; None if no test changes.
     """
     def simulate_full_motion(test: ForwardTest, of: ForwardTest) -> ForwardTest:
+        """Return `test`, with the simulation of the whole motion requested if only `of` requires it."""
         if not (isinstance(test, SimulatedTest) and isinstance(of, SimulatedTest)):
             return test
         differs = test.uses_position_curve(held.space, np.zeros(0)) and not of.uses_position_curve(
@@ -130,7 +133,7 @@ def _match_full_motion_simulation(held: GeneralisedProblem, other: GeneralisedPr
 
 
 def _fit_residual_at_fixed_parameters(held: GeneralisedProblem, nuisances: np.ndarray) -> np.ndarray:
-    """Return the whitened residual of a problem without free parameters at given nuisances, shape (N,).
+    """Return the whitened model minus data of a problem without free parameters at given nuisances, shape (N,).
 
     Raises:
         InfeasibleError: see `ForwardTest.solve`.

@@ -99,7 +99,7 @@ class CatalogueScores:
 
     @cached_property
     def best_candidates(self) -> dict[str, ScoredCandidate]:
-        """Name -> candidate with the highest score, in the order of the scores."""
+        """Name of a candidate -> its trial shape values with the highest score; highest scores first."""
         found: dict[str, ScoredCandidate] = {}
         for each in sorted(self.all, key=lambda one: one.log_likelihood_ratio):
             found.setdefault(each.candidate.name, each)

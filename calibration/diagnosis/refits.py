@@ -126,7 +126,7 @@ class EffectRefit:
 
     @property
     def is_effect_absent(self) -> bool:
-        """Whether all sizes of the effect ended at their absent values."""
+        """Whether all sizes of the effect ended at the values at which the effect has no influence."""
         values = self.effect_values
         return all(abs(values[name] - self.proposal.absent[path]) <= 1e-6 * abs(size - self.proposal.absent[path])
                    for path, size in self.proposal.candidate.sizes.items()
@@ -217,7 +217,7 @@ def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, c
 
 
 def compute_odds_against(best: EffectRefit, other: EffectRefit) -> float:
-    """Return the odds exp(-delta BIC / 2) of one fit against another."""
+    """Return the odds of the fit `best` against the fit `other`, exp(difference of their BIC / 2)."""
     return float(np.exp(min(0.5 * (best.gain - other.gain), 700.0)))
 
 

@@ -58,7 +58,7 @@ def list_effect_parameters(candidate: Candidate, evidence: FitEvidence) -> list[
 
 def list_candidate_statements(proposals: CatalogueScores, judgement: VerdictWithFits,
                               before: FitEvidence) -> list[CandidateStatement]:
-    """Return the records of all effects: fitted ones by BIC, other testable ones by score, then the rest."""
+    """Return the records of all candidates: fitted by BIC, then testable ones by score, then untestable effects."""
     refits = {each.candidate_name: each for each in judgement.refits}
     best = judgement.refits[0] if judgement.refits else None
     rows = [_make_testable_statement(name, proposal, proposals, refits.get(name), best, before)
@@ -74,7 +74,7 @@ def list_candidate_statements(proposals: CatalogueScores, judgement: VerdictWith
 def _make_testable_statement(name: str, proposal: ScoredCandidate, proposals: CatalogueScores,
                              fitted: EffectRefit | None,
                              best: EffectRefit | None, before: FitEvidence) -> CandidateStatement:
-    """Return the record of a testable candidate."""
+    """Return the record of a testable candidate: detectable size, score and, after a fit, its parameters."""
     effect, finite = proposal.candidate.effect, fitted is not None and np.isfinite(fitted.gain)
     # The detectable size refers to the shape parameters with the highest expected score.
     mine = [each for each in proposals.all if each.candidate.name == name]

@@ -18,7 +18,7 @@ _LENGTH = "experiment.adhesion.length"
 
 
 class Adhesion(Effect):
-    """Adhesive pull-off force of a tool that lifts off; one candidate per trial range."""
+    """Effect of an adhesive pull-off force of a tool that lifts off; one candidate per trial range."""
 
     name = "adhesion"
     category = "contact"

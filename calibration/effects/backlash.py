@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class Backlash(Effect):
-    """Lost motion of the drive at a reversal of its direction, m."""
+    """Effect of lost motion of the drive at a reversal of its direction; the parameter is the lost motion, m."""
 
     name = "backlash"
     category = "rig"
@@ -17,7 +17,7 @@ class Backlash(Effect):
     trial_fraction = 0.01
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        """Return the candidates in the tests with an unloading."""
+        """Return the candidates in the simulated tests with an unloading, one for each stated backlash."""
         tests = require_tests(situation.simulated_tests(situation.test_has_unloading),
                               "no recording has an unloading, and backlash shows only after a reversal")
         return rig_parameter_candidates(

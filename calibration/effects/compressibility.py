@@ -5,7 +5,7 @@ from tissue_sim.material.material import BULK_RATIOS, Bulk
 
 
 class Compressibility(Effect):
-    """Bulk modulus below the assumed one, expressed by the quantity that the campaign states (K/mu, K or D1)."""
+    """Effect of a bulk modulus below the assumed one, in the quantity that the campaign states (K/mu, K or D1)."""
 
     name = "compressibility"
     category = "tissue"
@@ -29,6 +29,7 @@ class Compressibility(Effect):
         path, absent = f"bulk.{bulk.kind}", float(bulk.value or 0.0)
 
         def convert_to_stated_unit(ratio: float) -> float:
+            """Return the parameter of the bulk response (K / mu, K or D1) for a ratio K / mu."""
             return {"bulk_ratio": ratio, "K_Pa": ratio * mu, "D1_per_Pa": 2.0 / (ratio * mu)}[bulk.kind]
 
         low, high = sorted((absent, convert_to_stated_unit(BULK_RATIOS[0])))

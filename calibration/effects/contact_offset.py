@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class ContactOffset(Effect):
-    """Constant shift of the displacement, separate for each test."""
+    """Effect of a constant shift of the displacement, m, separate for each test."""
 
     name = "contact_offset"
     category = "rig"
@@ -16,7 +16,7 @@ class ContactOffset(Effect):
     trial_fraction = 0.005
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        """Return one candidate per test."""
+        """Return one candidate with a trial shift of the displacement, m, for each simulated test."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         return rig_parameter_candidates(
             self, situation, "rig.contact_offset", tests,

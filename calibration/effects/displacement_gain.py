@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class DisplacementGain(Effect):
-    """Relative error that all displacements share."""
+    """Effect of a relative error of the scale that all displacements share."""
 
     name = "displacement_gain"
     category = "rig"

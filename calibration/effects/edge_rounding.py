@@ -6,7 +6,7 @@ from tissue_sim.parameters import list_field_declarations
 
 
 class EdgeRounding(Effect):
-    """Radius of the edge between face and shaft, larger than stated."""
+    """Effect of a radius, m, of the edge between face and shaft of a needle, larger than stated."""
 
     name = "edge_rounding"
     category = "geometry"

@@ -101,7 +101,7 @@ class Candidate:
 
     @property
     def parameter_paths(self) -> frozenset[str]:
-        """Paths of all parameters of the candidate."""
+        """Paths of all parameters of the candidate: of its sizes and of its shape parameters."""
         return frozenset({**self.sizes, **self.shape})
 
     def find_parameter_declaration(self, campaign: Campaign, path: str) -> Declaration:

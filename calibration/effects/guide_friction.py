@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class GuideFriction(Effect):
-    """Constant force against the direction of motion, N."""
+    """Effect of a constant friction force of the guide, N, against the direction of motion."""
 
     name = "guide_friction"
     category = "rig"

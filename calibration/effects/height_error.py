@@ -6,7 +6,7 @@ from calibration.effects.specimen_size import make_specimen_size_candidates
 
 
 class HeightError(Effect):
-    """Relative error of the height, separate for each specimen."""
+    """Effect of a relative error of the stated height, separate for each specimen."""
 
     name = "height_error"
     category = "geometry"

@@ -5,7 +5,7 @@ from calibration.effects.wider_law import WIDER, require_special_case_of_biderma
 
 
 class I2Term(Effect):
-    """Strain energy term C01 (I2 - 3)."""
+    """Effect of a strain energy term C01 (I2 - 3) that the fitted law lacks; the parameter is C01, Pa."""
 
     name = "i2_term"
     category = "tissue"

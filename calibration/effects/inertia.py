@@ -15,7 +15,7 @@ _PATH = "rig.faults.inertia.mass"
 
 
 class Inertia(Effect):
-    """Mass between force sensor and tissue; its inertial force adds to the reading."""
+    """Effect of a mass, kg, between force sensor and tissue, whose inertial force adds to the reading."""
 
     name = "inertia"
     category = "rig"

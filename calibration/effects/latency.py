@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class Latency(Effect):
-    """Time by which the force is recorded later than the displacement, s."""
+    """Effect of a time, s, by which the force is recorded later than the displacement."""
 
     name = "latency"
     category = "rig"

@@ -7,7 +7,7 @@ from calibration.effects.effect import Candidate, Effect, NotTestableError, Situ
 
 
 class Layer(Effect):
-    """Top layer with its own modulus; one candidate per trial thickness."""
+    """Effect of a top layer with its own modulus; one candidate per trial thickness."""
 
     name = "layer"
     category = "tissue"
@@ -25,7 +25,7 @@ class Layer(Effect):
     max_thickness_fraction = 0.4
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        """Return one candidate per trial thickness."""
+        """Return one candidate (ratio of moduli) per trial thickness of the layer; the tests must include a needle."""
         if situation.campaign.fit.placeholder_material.layers:
             raise NotTestableError("the fitted material includes layers already, so this effect is not tested")
         needles = require_tests(situation.simulated_tests(lambda test: not get_experiment(test).tool.is_plate),

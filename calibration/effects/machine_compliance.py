@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class MachineCompliance(Effect):
-    """Deflection of the load train per unit force, m/N."""
+    """Effect of the deflection of the load train per unit force, m/N."""
 
     name = "machine_compliance"
     category = "rig"

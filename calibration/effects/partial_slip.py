@@ -7,7 +7,7 @@ from tissue_sim.errors import InputError
 
 
 class PartialSlip(Effect):
-    """Fraction of the bonded faces that slips, separate for each test."""
+    """Effect of slip on a fraction of the bonded faces, separate for each test."""
 
     name = "partial_slip"
     category = "contact"
@@ -18,7 +18,7 @@ class PartialSlip(Effect):
     trial_fraction = 0.05
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        """Return one candidate per test with bonded faces."""
+        """Return one candidate (slip fraction) for each test with bonded faces."""
         tests = require_tests(situation.simulated_tests(_can_faces_slip),
                               "no test has bonded faces that can slip; tissue that slides round the sharp edge of a "
                               "needle cannot be simulated")

@@ -9,7 +9,7 @@ from tissue_sim.experiment.interfaces import AS_TOOL
 
 
 class PlateFriction(Effect):
-    """Coefficient of Coulomb friction, the same at both plates."""
+    """Effect of Coulomb friction with the same coefficient at both plates."""
 
     name = "plate_friction"
     category = "contact"

@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, NotTestableError, Situ
 
 
 class Population(Effect):
-    """Stiffness factor of each specimen relative to the first specimen."""
+    """Effect of a stiffness factor of each specimen relative to the first specimen."""
 
     name = "population"
     category = "population"

@@ -7,7 +7,7 @@ from calibration.effects.effect import Candidate, Effect, NotTestableError, Situ
 
 
 class Poroelasticity(Effect):
-    """Force relaxation by drainage; one candidate per diffusivity that the recordings can resolve."""
+    """Effect of force relaxation by drainage; one candidate per diffusivity that the recordings can resolve."""
 
     name = "poroelasticity"
     category = "tissue"
@@ -24,7 +24,7 @@ class Poroelasticity(Effect):
     max_diffusivities = 8
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        """Return one candidate per trial diffusivity."""
+        """Return one candidate (relaxing fraction of the stiffness) per trial diffusivity, m2/s."""
         if situation.campaign.fit.placeholder_material.poroelasticity is not None:
             raise NotTestableError("the fitted material includes poroelasticity already, so this effect is not tested")
         radii = [situation.contact_radius(test) for test in require_tests(

@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, NotTestableError, Situ
 
 
 class Puncture(Effect):
-    """Permanent drop of the needle force beyond a depth; one candidate per trial depth."""
+    """Effect of a permanent drop of the needle force beyond a depth; one candidate per trial depth."""
 
     name = "puncture"
     category = "tissue"
@@ -20,7 +20,7 @@ class Puncture(Effect):
     trial_depths = tuple(0.05 * step for step in range(1, 20))
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        """Return one candidate per trial depth."""
+        """Return one candidate (relative drop of the force) per trial depth of the puncture by a needle."""
         if situation.campaign.fit.placeholder_material.puncture is not None:
             raise NotTestableError("the fitted material includes a puncture already, so this effect is not tested")
         needles = require_tests(situation.simulated_tests(lambda test: not get_experiment(test).tool.is_plate),

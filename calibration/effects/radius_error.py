@@ -6,7 +6,7 @@ from calibration.effects.specimen_size import make_specimen_size_candidates
 
 
 class RadiusError(Effect):
-    """Relative error of the radius, separate for each specimen."""
+    """Effect of a relative error of the stated radius, separate for each specimen."""
 
     name = "radius_error"
     category = "geometry"

@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class RateDamping(Effect):
-    """Force of the rig in proportion to the speed, N s/m."""
+    """Effect of a damping force of the rig in proportion to the speed; the parameter is the damping, N s/m."""
 
     name = "rate_damping"
     category = "rig"

@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class SensorDrift(Effect):
-    """Constant rate of change of the sensor's zero, N/s."""
+    """Effect of a constant rate of change of the sensor's zero, N/s."""
 
     name = "sensor_drift"
     category = "rig"

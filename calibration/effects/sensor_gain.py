@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class SensorGain(Effect):
-    """Relative error that all forces share; force and displacement alone cannot separate it from the moduli."""
+    """Effect of a relative error that all forces share; forces alone cannot separate this error from the moduli."""
 
     name = "sensor_gain"
     category = "rig"

@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class SessionScale(Effect):
-    """Stiffness factor of one test relative to the first test."""
+    """Effect of a stiffness factor of one test relative to the first test."""
 
     name = "session_scale"
     category = "tissue"
@@ -19,7 +19,7 @@ class SessionScale(Effect):
     max_factor = 5.0
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        """Return one candidate per test except the first."""
+        """Return one candidate with a stiffness factor for each simulated test except the first."""
         path = "effects.stiffness_scale.ratio"
         situation.require_unused_parameter(path)
         others = require_tests(situation.simulated_tests()[1:],

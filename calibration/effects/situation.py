@@ -76,7 +76,7 @@ class Situation:
 
     @cached_property
     def has_time(self) -> bool:
-        """Whether every recording has a time channel that advances."""
+        """Whether every recording of the fitted tests has a time channel that advances."""
         return all(curve.time is not None and np.ptp(curve.time) > 0 for curve in self.fitted_curves())
 
     @cached_property
@@ -171,6 +171,6 @@ class Situation:
 
 
 def get_experiment(test: Test) -> Experiment:
-    """Return the experiment of a test with a tool; a test without a tool raises an `AssertionError`."""
+    """Return `test.experiment`; raise an `AssertionError` for a gripped test, which has no tool and no experiment."""
     assert test.experiment is not None, test.name
     return test.experiment

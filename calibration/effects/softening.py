@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, NotTestableError, Situ
 
 
 class Softening(Effect):
-    """Loss of stress below the largest previous strain energy; one candidate per shape of the unloading curve."""
+    """Effect of a loss of stress below the largest previous strain energy; one candidate per trial energy fraction."""
 
     name = "softening"
     category = "tissue"

@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class StepLoss(Effect):
-    """Displacement that is lost permanently at one depth; one candidate per test and trial depth."""
+    """Effect of a displacement that is lost permanently at one depth; one candidate per test and trial depth."""
 
     name = "step_loss"
     category = "rig"
@@ -23,6 +23,7 @@ class StepLoss(Effect):
         loss, depth, found = "rig.step_loss", "rig.step_loss_depth", []
 
         def compute_trial_loss(group):
+            """Return the trial loss of the first test of a group, m."""
             return self.trial_fraction * situation.largest_displacement(group[0])
 
         for fraction in self.trial_depths:

@@ -5,7 +5,7 @@ from calibration.effects.wider_law import WIDER, find_lowest_missing_power
 
 
 class StrainStiffening(Effect):
-    """Strain energy term in the lowest power of I1 - 3 that the fitted law lacks."""
+    """Effect of a strain energy term in the lowest power of I1 - 3 that the fitted law lacks."""
 
     name = "strain_stiffening"
     category = "tissue"

@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class Tilt(Effect):
-    """Height difference across the face, m, separate for each test; a tilted face touches on one side first."""
+    """Effect of a height difference across a face, m, separate for each test; one side of the face touches first."""
 
     name = "tilt"
     category = "geometry"
@@ -17,7 +17,7 @@ class Tilt(Effect):
     trial_fraction = 0.03
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        """Return one candidate per test."""
+        """Return one candidate with a trial tilt (height difference, m) for each simulated test."""
         tests = require_tests(situation.simulated_tests(), "no test has a tool")
         return rig_parameter_candidates(
             self, situation, "experiment.tilt", tests,

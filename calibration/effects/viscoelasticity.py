@@ -4,7 +4,7 @@ from calibration.effects.effect import Candidate, Effect, NotTestableError, Situ
 
 
 class Viscoelasticity(Effect):
-    """One more Prony term; one candidate per relaxation time that the recordings can resolve.
+    """Effect of one more Prony term; one candidate per relaxation time that the recordings can resolve.
 
     The effect is added up to three times if one term does not suffice.
     """
@@ -21,7 +21,7 @@ class Viscoelasticity(Effect):
     max_fraction = 0.95
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        """Return one candidate per relaxation time."""
+        """Return one candidate (one more Prony term) per relaxation time that the recordings resolve."""
         series = situation.campaign.fit.placeholder_material.viscoelastic
         number = 0 if series is None else len(series.terms)
         if number >= self.max_instances:

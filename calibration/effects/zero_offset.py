@@ -5,7 +5,7 @@ from calibration.effects.effect import Candidate, Effect, Situation
 
 
 class ZeroOffset(Effect):
-    """Constant error of the force, N; one candidate for all tests together and one for each test."""
+    """Effect of a constant error of the force, N; one candidate for all tests together and one for each test."""
 
     name = "zero_offset"
     category = "rig"
@@ -21,6 +21,7 @@ class ZeroOffset(Effect):
         path = "rig.zero_offset"
 
         def compute_trial_offset(group):
+            """Return the trial offset of a group of tests, N."""
             return self.trial_fraction * min(map(situation.largest_force, group))
 
         shared = rig_parameter_candidates(self, situation, path, tests, compute_trial_offset)

@@ -38,7 +38,7 @@ def build_generalised_problem(law: str, campaign: Campaign, measured: Mapping[st
 
 
 def make_initial_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> ReplicateJitter:
-    """Return the stated jitter, and first guesses of values that are estimated later."""
+    """Return one jitter for all tests: stated values, or first guesses of values that are estimated later."""
     fit, noise = campaign.fit, campaign.noise
     contact, zero, freedom = noise.contact_jitter, noise.zero_jitter, None
     largest = float(np.median([np.abs(curve.force).max() for curve in curves]))

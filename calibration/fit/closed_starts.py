@@ -72,7 +72,7 @@ def _iterate_exponent_combinations(count: int) -> Iterator[tuple[float, ...]]:
 
 
 def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
-    """Return starts of a law without Prony terms, by the sum of squares.
+    """Return starts of a law without Prony terms, smallest sum of squares first.
 
     For each combination of exponents, linear least squares gives the moduli.
     """
@@ -184,7 +184,7 @@ class _RelaxationModel:
 
 
 def _compute_viscoelastic_starts(problem: OrdinaryProblem, variables: LongTermVariables) -> list[np.ndarray]:
-    """Return starts of a law with Prony terms, by the misfit of a fit with a grid of relaxation times."""
+    """Return starts of a law with Prony terms, smallest misfit of a fit on a grid of relaxation times first."""
     model = _RelaxationModel(problem)
     terms = variables.g.size
     shortest, longest = problem.sampling_interval_and_duration

@@ -98,7 +98,7 @@ def assess_modulus_precision(estimate: Estimate, spread: ParameterUncertainty, m
 
 def _differentiate_shear_modulus(modulus: Callable[[np.ndarray], float], theta: np.ndarray,
                                  sizes: np.ndarray) -> np.ndarray:
-    """Return central differences of the modulus with the parameters, shape (p,)."""
+    """Return the gradient of the modulus with respect to the parameters by central differences, shape (p,)."""
     steps = np.diag(SETTINGS.relative_step * sizes)
     return np.array([(modulus(theta + step) - modulus(theta - step)) / (2.0 * step.max()) for step in steps])
 
@@ -108,9 +108,9 @@ def _solve_linearised_least_squares(jacobian: np.ndarray, residual: np.ndarray,
     """Solve the linearised least-squares problem.
 
     Args:
-        jacobian: derivatives of the residual with the parameters, shape (n, p).
+        jacobian: derivatives of the residual with respect to the parameters, shape (n, p).
         residual: residual, shape (n,).
-        slope: relative derivative of the modulus with the parameters, shape (p,).
+        slope: relative derivative of the modulus with respect to the parameters, shape (p,).
 
     Returns:
         Gauss-Newton step, shape (p,), and the largest relative change of the modulus along a direction without

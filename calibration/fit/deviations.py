@@ -63,7 +63,7 @@ def compute_model_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[n
     Args:
         measured: recordings of one test.
         gaps: data minus model without contact offset and zero for each recording, N, shapes (n,).
-        contacts: derivatives of the model with the contact offset, N/m, shapes (n,).
+        contacts: derivatives of the model with respect to the contact offset, N/m, shapes (n,).
         path: path at whose points the deviations are evaluated.
         scatter: known scatter of contact and zero; None: unknown.
     """
@@ -141,9 +141,9 @@ def _find_segment_of_each_sample(curve: MeasuredCurve, first: MeasuredCurve | No
 
 
 def _evaluate_chebyshev_polynomials(curve: MeasuredCurve, part: np.ndarray, name: str, count: int) -> np.ndarray:
-    """Return Chebyshev polynomials along a part of a curve, shape (n, count).
+    """Return the values of Chebyshev polynomials at the samples of a curve in the mask `part`, shape (n, count).
 
-    Unlike cosines, they have large slopes at the ends of a segment, where models often deviate most.
+    The polynomials have large slopes at the ends of a segment, where models often deviate most.
     """
     along = curve.displacement[part] if curve.segment is None else curve.sample_times[part]
     position = (along - along.min()) / max(float(np.ptp(along)), 1e-300)

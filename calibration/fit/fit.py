@@ -213,7 +213,7 @@ class ReplicateJitterStatement(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def jitter_with_units(self) -> tuple[str, str]:
-        """Contact and zero with their units, such as ``30 µm`` and ``5 mN``."""
+        """Jitter of contact and of zero as two texts with units, such as ``30 µm`` and ``5 mN``."""
         if self.stressed:
             return f"{self.contact_mm * 1e-3:.2g} of strain", f"{self.zero_N:.2g} Pa"
         return _format_in_readable_unit(self.contact_mm, "mm", "µm", "nm"), _format_in_readable_unit(self.zero_N, "N",
@@ -382,14 +382,14 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     in_symbols = OldName("format_symbols")
 
     def display_unit(self, name: str) -> str:
-        """Return the unit of a parameter for display; empty for a dimensionless parameter."""
+        """Return the SI unit of a parameter; an empty text for a dimensionless parameter."""
         return "" if self.units[name] == "1" else self.units[name]
 
     @property
     def parameters_on_bounds(self) -> list[str]:
-        """Names of parameters on a bound."""
+        """Names of parameters whose estimates are on a bound, without contact offsets and zeros."""
         return [name for name in self.on_bound if name in self.parameters]
 
     def format_symbols(self, names: Iterable[str]) -> str:
-        """Return the symbols of parameters as a list, such as ``C10, g1``."""
+        """Return the symbols of parameters as one text, such as ``C10, g1``."""
         return ", ".join(self.symbols[name] for name in names)

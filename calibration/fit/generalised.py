@@ -60,7 +60,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         return build_generalised_problem(law, self.campaign, self.measured, self.solves)
 
     def check_law(self, law: str, number: int) -> None:
-        """Check the first start of a law; see `calibration.fit.checks.simulate_and_check_start`."""
+        """Simulate the first start of a law; errors are those of `calibration.fit.checks.simulate_and_check_start`."""
         simulate_and_check_start(self.build_law_problem(law), self.campaign, number)
 
     def fit_laws(self, laws: Sequence[str],
@@ -185,7 +185,7 @@ def descend_from_start(problem: GeneralisedProblem, number: int, theta: np.ndarr
 
 def descend_from_sign_flipped_start(problem: GeneralisedProblem, number: int, theta: np.ndarray, limit: float,
                                     listen: Listener | None = None) -> DescentResult:
-    """Run a descent from one start, unless the sum of squares at the start exceeds `limit`."""
+    """Run a descent from one start; return a failed result if the sum of squares at the start exceeds `limit`."""
     spent = problem.solves.start_effort_meter()
     try:
         error = problem.evaluate(theta).sum_of_squares
@@ -198,7 +198,7 @@ def descend_from_sign_flipped_start(problem: GeneralisedProblem, number: int, th
 
 
 def _select_best_descent(descents: Sequence[DescentResult], problem: GeneralisedProblem) -> DescentResult:
-    """Return the best descent; among equally good ones that with most positive exponents."""
+    """Return the best descent; of equally good ones that with most positive exponents; a failed one if all failed."""
     ordered = sorted(descents, key=lambda end: end.error)
     if not np.isfinite(ordered[0].error):
         return ordered[0]

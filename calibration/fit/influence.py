@@ -132,7 +132,7 @@ def find_outlying_recordings(influence: Mapping[str, Mapping[str, float]], fit: 
 
 
 def _is_parameter_influenced(value: float, without: float) -> bool:
-    """Return whether a recording influences a parameter."""
+    """Return whether a parameter without a recording differs from its value by more than rounding (1e-9)."""
     return abs(without - value) > 1e-9 * abs(value)
 
 
@@ -150,6 +150,7 @@ def fit_displacement_windows(problem: LeastSquaresProblem, theta: np.ndarray) ->
     free = len(problem.space.free)
 
     def fit_window(fraction: float, values: np.ndarray) -> WindowFit:
+        """Return the record of a window from its fitted unknowns `values`; nothing is fitted here."""
         return WindowFit(share=fraction, parameters=dict(zip(problem.space.free, values[:free].tolist(), strict=True)))
 
     found = []

@@ -72,7 +72,7 @@ def compute_lack_of_fit(problem: LeastSquaresProblem, gap: np.ndarray, number: i
 
 
 def find_moving_samples(curve: MeasuredCurve) -> np.ndarray:
-    """Return which samples are not in a hold, bool, shape (n,)."""
+    """Return the mask of the samples outside holds, shape (n,); all true without increasing time or motion."""
     if curve.time is None or np.ptp(curve.sample_times) == 0 or bool(np.any(np.diff(curve.sample_times) < 0)):
         return np.ones(curve.force.size, bool)
     moving = label_motion(curve.sample_times, curve.displacement) != "hold"

@@ -88,16 +88,16 @@ class OrdinaryLeastSquaresEstimator(Estimator):
         return self.build_law_problem(self.campaign.fit.laws[0]).noise
 
     def _build_parameter_space(self, law: str) -> ParameterSpace:
-        """Return the parameter space of a law."""
+        """Return the parameter space of a law, which contains no contact offsets and zeros."""
         return ParameterSpace.from_campaign(law, self.campaign, {name: [curve.name for curve in curves]
                                                       for name, curves in self.measured.items()})
 
     def _build_closed_form_test(self, test: Test) -> ClosedFormTest:
-        """Return the closed form of a test."""
+        """Return the forward model of a test that computes the force by a closed form."""
         return build_analytical_test(test, self.measured[test.name], self.campaign.fit)
 
     def check_law(self, law: str, number: int) -> None:
-        """Check that the tests have more samples than the law has parameters."""
+        """Raise an `InputError` unless the tests have more samples than the law has parameters."""
         samples = sum(curve.force.size for curve in self.fitted)
         unknowns = len(self._build_parameter_space(law).names)
         if samples <= unknowns:
@@ -187,10 +187,12 @@ def fit_law_analytically(problem: OrdinaryProblem) -> tuple[list[DescentResult],
 
     def run_descent(target: OrdinaryProblem, start: np.ndarray, number: int, most: int,
                     tolerance: float = _SETTINGS.tolerance) -> DescentResult:
+        """Minimise the sum of squares of `target` from a start with at most `most` evaluations."""
         return minimise_from_start(target, start, start=number, enough=0.0, tolerance=tolerance, gradient=tolerance,
                                    max_solves=most)
 
     def are_minima_equal(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Return for each free parameter whether two minima agree, bool, shape (p,)."""
         return (np.abs(one - other) <= DESCENT.same_minimum * np.abs(other) + 1e-9)[: len(problem.space.free)]
 
     limits = (_SETTINGS.relaxing_solves, _SETTINGS.relaxing_tolerance) if problem.long_term_variables else \

@@ -115,10 +115,12 @@ class OrdinaryProblem(LeastSquaresProblem):
         The recordings of a test are merged to one if they have no individual unknowns.
         """
         def thin_recording(curve: MeasuredCurve) -> MeasuredCurve:
+            """Return a recording with every `stride`-th sample."""
             time = None if curve.time is None else curve.time[::stride]
             return replace(curve, displacement=curve.displacement[::stride], force=curve.force[::stride], time=time)
 
         def pool_thinned_recordings(curves: list[MeasuredCurve]) -> list[MeasuredCurve]:
+            """Join recordings to one without time, unless they have individual unknowns or depend on the history."""
             if self.shifted or self.is_history_dependent or any(each.recording is not None
                                                                 for each in self.space.unknowns):
                 return curves
@@ -166,7 +168,7 @@ class OrdinaryProblem(LeastSquaresProblem):
         return values
 
     def _compute_weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return unweighted residuals of the nominal stress; see `LeastSquaresProblem._compute_weighted_residuals`."""
+        """Return residuals of the stress over its noise; see `LeastSquaresProblem._compute_weighted_residuals`."""
         free = len(self.space.free)
         force, rates = np.empty(self.samples), np.zeros((self.samples, theta.size))
         answers = [test.solve(self.space, theta[:free], self.solves) for test in self.tests]

@@ -43,7 +43,7 @@ class ForcePredictor:
         """Return the scatter of a predicted force by the uncertainty of the parameters.
 
         Args:
-            rates: derivatives of the force with the free parameters, shape (n, p).
+            rates: derivatives of the force with respect to the free parameters, shape (n, p).
         """
         if self.sampled is None:
             return [ScatterComponent(rates @ _compute_covariance_root(self.covariance))]

@@ -48,7 +48,7 @@ def read_contact_offsets(estimate: Estimate) -> Mapping[str, float]:
 
 
 def list_recording_notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
-    """Return the notes of a recording, with a note on a preload that the fitted contact offset covers.
+    """Return the notes of a recording; the note on a preload is replaced if the fitted contact offset covers it.
 
     Args:
         curve: recording.
@@ -66,7 +66,7 @@ def list_recording_notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, 
 
 
 def contact_offset_explains_preload(curve: MeasuredCurve, contact: float) -> bool:
-    """Return whether a fitted contact offset, m, explains the load at the zero of the displacement."""
+    """Return whether a contact offset, m, explains the preload at zero displacement; true without such a preload."""
     preload = curve.screening.preload
     return preload is None or preload.is_settled or _equals_preload_distance(contact, preload.shift)
 

@@ -55,8 +55,8 @@ class ProblemEvaluation:
     Attributes:
         theta: unknowns, SI, shape (p,).
         residual: whitened model minus data with these nuisances, shape (N,).
-        rates: whitened derivatives with the parameters, shape (N, p).
-        columns: whitened derivatives with the nuisances, shape (N, m).
+        rates: whitened derivatives of the model with respect to the parameters, shape (N, p).
+        columns: whitened derivatives of the model with respect to the nuisances, shape (N, m).
         nuisances: nuisances, shape (m,).
         prior_residual: deviations of the parameters from their priors in standard deviations, shape (q,).
         prior_rates: derivatives of `prior_residual`, shape (q, p).
@@ -88,7 +88,7 @@ class ProblemEvaluation:
     def projected_residual_and_jacobian(self) -> tuple[np.ndarray, np.ndarray]:
         """Residual, shape (M,), and Jacobian, shape (M, p), after elimination of the nuisances (variable projection).
 
-        The derivative of the nuisances with the parameters is -(I + C'C)^-1 C'J with the rates J and C = `columns`.
+        The derivative of the nuisances with respect to the parameters is -(I + C'C)^-1 C'J, J = `rates`, C = `columns`.
 
         Source: Kaufman, BIT 15 (1975) 49.
         """

@@ -53,6 +53,7 @@ def rank_laws(fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], di
                predictions, curves) for fit, predictions, curves in fitted]
 
     def law_sort_key(item: Fitted):
+        """Return the key that sorts the results of laws, best first."""
         fit = item[0]
         return (fit.unusable is not None, bool(fit.parameters_on_bounds), fit.material_file is None,
                 fit.left_out is None, _get_ranking_criterion(fit))

@@ -52,12 +52,12 @@ class CalibrationResult:
 
     @property
     def best(self) -> Fit:
-        """First fit of the ranking."""
+        """First fit of the ranking; this fit may be unusable if no law is usable."""
         return self.fits[0]
 
 
 def describe_method_agreement(results: Sequence[CalibrationResult]) -> list[str]:
-    """Return a sentence for each law on the agreement of methods with the same recordings."""
+    """Return a sentence for each law on the agreement of the methods that were fitted to the same recordings."""
     return describe_method_differences([(result.campaign, result.fits) for result in results])
 
 

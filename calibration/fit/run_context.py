@@ -56,6 +56,7 @@ class RunContext:
             what: description for progress messages.
         """
         def send_iteration(law: str, iteration: DescentIteration) -> None:
+            """Send an iteration of a descent to the listener, if there is one."""
             if self.listen is not None:
                 self.listen(self.campaign, law, iteration)
 
@@ -65,6 +66,7 @@ class RunContext:
             return self.run_task_for_all(function, arguments, what)
 
         def send_history(index: int, answer: Any) -> None:
+            """Send all iterations of a finished descent to the listener."""
             for iteration in answer.history:
                 send_iteration(laws[index], iteration)
 
@@ -87,10 +89,12 @@ class RunContext:
         done: list[int] = []
 
         def report_task_state() -> None:
+            """Send the number of finished tasks and, in sequential execution, the name of the current task."""
             running = len(done) < len(names) and not self.tasks.parallel
             self.report_progress(f"{what}: {names[len(done)]}" if running else what, len(done), len(arguments))
 
         def finish_task(index: int, answer: Any) -> None:
+            """Pass a result to `on_done`, count the task as finished and report the progress."""
             if on_done is not None:
                 on_done(index, answer)
             done.append(index)

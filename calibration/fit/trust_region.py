@@ -160,7 +160,7 @@ class _ReducedProblem:
             (high - u <= near) & (gradient < 0), high, np.nan))
 
     def _finish_on_crossed_bounds(self, u: np.ndarray, evaluation: ProblemEvaluation) -> _NegligibleDecreaseError:
-        """Return the end of the descent: with variables moved onto the bounds `u` unless this increases the error."""
+        """Return the exception that ends the descent; variables are on the bounds `u` unless the error increases."""
         try:
             on_bounds = self.problem.evaluate(np.clip(self.convert_to_unknowns(u), *self.problem.bounds))
         except InfeasibleError:
@@ -216,6 +216,7 @@ def minimise_from_start(problem: LeastSquaresProblem, theta: np.ndarray, *, star
     history: list[DescentIteration] = []
 
     def record_iteration(evaluation: ProblemEvaluation) -> None:
+        """Append an evaluation with new parameters to `history`, and send it to `listen`."""
         if history and history[-1].parameters == name_unknowns(evaluation):
             return
         rmse = float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
@@ -225,9 +226,11 @@ def minimise_from_start(problem: LeastSquaresProblem, theta: np.ndarray, *, star
             listen(history[-1])
 
     def name_unknowns(evaluation: ProblemEvaluation) -> dict[str, float]:
+        """Return name -> value of the free parameters of an evaluation, SI."""
         return dict(zip(space.free, evaluation.theta.tolist(), strict=False))
 
     def build_descent_result(theta: np.ndarray, error: float, converged: bool, failure: str) -> DescentResult:
+        """Return the result with the history and the effort of this descent."""
         return DescentResult(start, theta, error, converged, failure, tuple(history), *spent())
 
     theta = np.clip(theta, *problem.bounds)

@@ -94,6 +94,7 @@ def _satterthwaite_degrees_of_freedom(problem: GeneralisedProblem, evaluation: P
     own = len(problem.places) * len(problem.kinds)
 
     def compute_scaled_variances(kind: int, factor: float) -> np.ndarray:
+        """Return the variances of the scaled parameters with the variance of one kind of jitter times `factor`."""
         columns = evaluation.columns.copy()
         columns[:, kind:own:len(problem.kinds)] *= np.sqrt(factor)
         cross = columns.T @ rates

@@ -85,12 +85,12 @@ def evaluate_usability_clauses(evidence: UsabilityEvidence) -> tuple[list[Usabil
 
 
 def _build_clause(name: str, status: str, reason: str, remedy: str = "") -> UsabilityClause:
-    """Return a clause, which holds if `reason` is empty."""
+    """Return a record of a clause: the clause holds if `reason` is empty, and `remedy` is kept only if it fails."""
     return UsabilityClause(name=name, holds=not reason, status=status, reason=reason, remedy=remedy if reason else "")
 
 
 def _evaluate_shear_modulus_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check that the shear modulus is positive."""
+    """Return the clause that the shear modulus is positive."""
     if evidence.mu0 > 0:
         return _build_clause("physical", "not_physical", "")
     remedy = "no material has that, so no material file is written: set bounds or use another law"
@@ -108,7 +108,7 @@ def _has_falling_force(curve: MeasuredCurve) -> bool:
 
 
 def _evaluate_convergence_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check that the minimisation converged."""
+    """Return the clause that the minimisation converged."""
     estimate = evidence.estimate
     return _build_clause("converged", "not_converged",
                          "" if estimate.converged else estimate.failure or "it did not converge",
@@ -117,7 +117,7 @@ def _evaluate_convergence_clause(evidence: UsabilityEvidence) -> UsabilityClause
 
 
 def _evaluate_stability_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check Drucker stability of the law inside the measured stretches of each mode of loading."""
+    """Return the clause that the law is Drucker-stable inside the measured stretches of each mode of loading."""
     ranges: dict[str, tuple[float, float]] = {}
     for one in evidence.reached.values():
         if one.mode:
@@ -139,7 +139,7 @@ def describe_instability(stability: StabilityRange, mode: str, stretches: tuple[
 
 
 def _evaluate_screening_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check that the screening of the recordings found nothing that makes the moduli of this fit wrong."""
+    """Return the clause that the screening of the recordings found nothing that makes the moduli wrong."""
     problem = evidence.estimate.problem
     space = problem.space
     remembers = space.build_material(space.values(evidence.estimate.theta[: len(space.free)])).remembers \
@@ -160,7 +160,7 @@ def _evaluate_screening_clause(evidence: UsabilityEvidence) -> UsabilityClause:
 
 
 def _evaluate_contact_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check that a contact that is found and not fitted determines the shear modulus well enough."""
+    """Return the clause that a detected (not fitted) contact is certain enough for the shear modulus."""
     return _build_clause("contact", "not_determined", describe_uncertain_contacts(evidence.estimate),
                          "set offset = \"fit\" in [fit], state the contact in mm, or record more air with less noise")
 
@@ -180,7 +180,7 @@ def list_screening_contradictions(curve: MeasuredCurve, remembers: bool) -> list
 
 
 def _evaluate_replicate_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check that recordings of one test, and tests of one kind, have similar stiffnesses."""
+    """Return the clause that recordings of one test, and tests of one kind, have similar stiffnesses."""
     problem = evidence.estimate.problem
     if any(each.recording is not None for each in problem.space.unknowns):
         return _build_clause("replicates", "misfit", "")
@@ -208,7 +208,7 @@ def compute_test_misfits(estimate: Estimate) -> tuple[dict[str, float], dict[str
 
 
 def _evaluate_residual_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check the residuals of each test; too large are those that exceed the limits of force and noise."""
+    """Return the clause on the residuals of each test, which fails if they exceed the limits of force and of noise."""
     problem = evidence.estimate.problem
     percents, ratios = compute_test_misfits(evidence.estimate)
     missed = [f"its residuals in {test.name} are {percents[test.name]:.2g} % of the largest "
@@ -220,7 +220,7 @@ def _evaluate_residual_clause(evidence: UsabilityEvidence) -> UsabilityClause:
 
 
 def _evaluate_explained_variance_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check the explained fraction of the variance of the force, over the samples in which the displacement moves."""
+    """Return the clause on the explained fraction of the variance of the force, without samples of holds."""
     problem, (_, ratios) = evidence.estimate.problem, compute_test_misfits(evidence.estimate)
     gap, missed = evidence.estimate.evaluation.force - problem.data, []
     for number, test in enumerate(problem.tests):
@@ -253,7 +253,7 @@ def _find_negative_start_force(curve: MeasuredCurve, limits: UsabilitySettings) 
 
 
 def _evaluate_displacement_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check the misfit of the displacement in recordings whose force is controlled.
+    """Return the clause on the misfit of the displacement in recordings whose force is controlled.
 
     The residuals of the force do not show this misfit.
     """
@@ -289,7 +289,7 @@ def compute_displacement_r_squared(curve: MeasuredCurve, model: np.ndarray) -> f
 
 
 def _evaluate_bound_dependence_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check that the shear modulus does not depend on bounds that the campaign does not state."""
+    """Return the clause that the shear modulus does not depend on bounds that the campaign does not state."""
     found = evidence.determination
     if found is None or not found.held:
         return _build_clause("bounds", "not_determined", "")
@@ -303,7 +303,7 @@ def _evaluate_bound_dependence_clause(evidence: UsabilityEvidence) -> UsabilityC
 
 
 def _evaluate_determination_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check the standard error of the shear modulus; single parameters may be undetermined."""
+    """Return the clause on the standard error of the shear modulus; single parameters may be undetermined."""
     found = evidence.determination
     if found is None or found.is_precise_enough:
         return _build_clause("determined", "not_determined", "")
@@ -316,7 +316,7 @@ def _evaluate_determination_clause(evidence: UsabilityEvidence) -> UsabilityClau
 
 
 def _evaluate_uniqueness_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check that no other parameters fit equally well and describe another material."""
+    """Return the clause that no other parameters fit equally well and describe another material."""
     sentence = describe_alternative_minima(evidence.alternatives, evidence.symbols, evidence.units)
     remedy = f"add a test such as {evidence.alternatives[0].separated_by}, or bound the parameters in fit.bounds" \
         if evidence.alternatives else ""
@@ -324,7 +324,7 @@ def _evaluate_uniqueness_clause(evidence: UsabilityEvidence) -> UsabilityClause:
 
 
 def _evaluate_population_clause(evidence: UsabilityEvidence) -> UsabilityClause:
-    """Check that several specimens have a population mean."""
+    """Return the clause that specimens with individual parameters have a population mean."""
     return _build_clause("population", "no_population", evidence.specimens.missing_population_reason or "")
 
 

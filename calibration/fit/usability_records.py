@@ -25,7 +25,7 @@ class UsabilityClause(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AlternativeMinimum(msgspec.Struct, frozen=True, kw_only=True):
-    """Parameters that fit the recordings as well as those of the fit and describe another material.
+    """Second set of parameters that fits the recordings as well as the best fit but describes another material.
 
     Attributes:
         parameters: name -> value, SI.
@@ -49,7 +49,10 @@ class AlternativeMinimum(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def stress_ratio_text(self) -> str:
-        """``, 4.2 times``: ratio of the larger stress to the smaller; empty if their signs differ."""
+        """Text that is appended to a sentence, such as ``, 4.2 times``; empty if the two stresses differ in sign.
+
+        The number is the larger of the two stresses (fit and alternative) divided by the smaller.
+        """
         low, high = sorted((abs(self.stress_Pa), abs(self.alternative_stress_Pa)))
         same = self.stress_Pa * self.alternative_stress_Pa > 0
         return f", {high / low:.3g} times" if same else ""

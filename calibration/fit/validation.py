@@ -21,7 +21,7 @@ from calibration.statistics.uncertainty import ParameterUncertainty
 
 @dataclass(frozen=True, eq=False)
 class LeftOutPrediction:
-    """Prediction of a test by a fit to the other tests.
+    """Prediction of a test by a fit to the other tests, and the number of simulations and processor time it used.
 
     Attributes:
         prediction: prediction and its errors.
@@ -37,7 +37,10 @@ class LeftOutPrediction:
 def predict_left_out_test(problem: LeastSquaresProblem, theta: np.ndarray, number: int,
                           uncertainty: Callable[[Any, ProblemEvaluation], ParameterUncertainty],
                           scatter: ReplicateJitter | None) -> LeftOutPrediction:
-    """Fit all tests except one, starting from the joint estimate, and predict this test.
+    """Fit all tests except one, starting from the joint estimate, and predict the test that is left out.
+
+    If the fit fails, or the other tests do not determine the parameters, the prediction has no errors and its note
+    contains the reason.
 
     Args:
         problem: problem with mesh correction.
@@ -76,7 +79,7 @@ def _find_undetermined_parameters(space: ParameterSpace, spread: ParameterUncert
 
 def predict_held_out_test(problem: LeastSquaresProblem, test: ForwardTest, predictor: ForcePredictor | None,
                           scatter: ReplicateJitter | None) -> Prediction:
-    """Predict a held-out test; without a predictor the prediction contains the reason."""
+    """Predict a held-out test; if `predictor` is None, return a prediction without errors, with a note why."""
     if predictor is not None:
         return predict_test(problem, test, predictor, [], scatter)
     specimen = test.measured[0].test.specimen
@@ -87,7 +90,9 @@ def predict_held_out_test(problem: LeastSquaresProblem, test: ForwardTest, predi
 
 def predict_test(problem: LeastSquaresProblem, test: ForwardTest, predictor: ForcePredictor, fitted: list[str],
                  scatter: ReplicateJitter | None) -> Prediction:
-    """Predict a test without contact offsets and zeros, and compare the prediction with its recordings.
+    """Predict a test with contact offset 0 and force zero 0, and compare the prediction with its recordings.
+
+    If the law gives no finite force, the prediction has no errors and its note contains the reason.
 
     Args:
         problem: problem with the law and the cache of simulations.
@@ -125,6 +130,6 @@ def predict_test(problem: LeastSquaresProblem, test: ForwardTest, predictor: For
 
 
 def make_failed_prediction(problem: LeastSquaresProblem, test: ForwardTest, fitted: list[str], note: str) -> Prediction:
-    """Return a prediction without errors, with the reason in its note."""
+    """Return a failed prediction: its error fields are None, and its note contains the reason."""
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None, RMSE_Pa=None, percent=None, fitted=fitted,
                       note=note)

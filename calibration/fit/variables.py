@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class LongTermVariableBounds:
-    """Bounds of the variables of a law with Prony terms whose bounds the campaign does not state.
+    """Default bounds of the variables of a law with Prony terms, used where the campaign states no bounds.
 
     Attributes:
         max_ratio: largest ratio r_i = g_i / (1 - sum g) of a relaxing to the long-term stiffness.
@@ -39,19 +39,19 @@ class ScaledVariables:
     bounds: tuple[np.ndarray, np.ndarray]
 
     def from_unknowns(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the variables of unknowns, shape (k,)."""
+        """Convert unknowns (SI units) to variables of the optimiser; both have shape (k,)."""
         return unknowns / self.sizes
 
     def to_unknowns(self, variables: np.ndarray) -> np.ndarray:
-        """Return the unknowns of variables, shape (k,)."""
+        """Convert variables of the optimiser to unknowns (SI units); both have shape (k,)."""
         return variables * self.sizes
 
     def transform_jacobian(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
-        """Convert a Jacobian with the unknowns to one with the variables (chain rule).
+        """Return derivatives with respect to the variables, from those with respect to the unknowns (chain rule).
 
         Args:
-            jacobian: derivatives with the unknowns, shape (n, k).
-            variables: variables at which the Jacobian holds, shape (k,).
+            jacobian: derivatives with respect to the unknowns, shape (n, k).
+            variables: variables at which the Jacobian was evaluated, shape (k,).
         """
         return jacobian * self.sizes
 
@@ -88,7 +88,7 @@ class LongTermVariables:
         return low, high
 
     def from_unknowns(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the variables of unknowns, shape (k,)."""
+        """Convert unknowns (SI units) to variables of the optimiser; both have shape (k,)."""
         rest, variables = max(1.0 - unknowns[self.g].sum(), 1.0 / _BOUNDS.max_ratio), unknowns.copy()
         variables[self.moduli] *= rest
         variables[self.g] /= rest
@@ -96,7 +96,7 @@ class LongTermVariables:
         return variables
 
     def to_unknowns(self, variables: np.ndarray) -> np.ndarray:
-        """Return the unknowns of variables, shape (k,)."""
+        """Convert variables of the optimiser to unknowns (SI units); both have shape (k,)."""
         factor, unknowns = 1.0 + variables[self.g].sum(), variables.copy()
         unknowns[self.moduli] *= factor
         unknowns[self.g] /= factor
@@ -104,7 +104,7 @@ class LongTermVariables:
         return unknowns
 
     def transform_jacobian(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
-        """Convert a Jacobian with the unknowns to one with the variables; see `ScaledVariables.transform_jacobian`."""
+        """Return derivatives with respect to the variables; see `ScaledVariables.transform_jacobian`."""
         factor, changed = 1.0 + variables[self.g].sum(), jacobian.copy()
         changed[:, self.moduli] *= factor
         changed[:, self.tau] *= np.exp(variables[self.tau])

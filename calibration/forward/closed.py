@@ -74,7 +74,7 @@ class ClosedFormTest:
 
     @property
     def is_path_dependent(self) -> bool:
-        """Whether any recording has more than one segment, such as a hold after a ramp."""
+        """Whether any recording has several segments, such as a ramp and a hold; the material does not matter."""
         return any(curve.segment is not None and np.unique(curve.segment).size > 1 for curve in self.measured)
 
     @property
@@ -93,7 +93,7 @@ class ClosedFormTest:
         return self.kind.require_closed_form()
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> list[ClosedFormParameters]:
-        """Return the parameter values of each recording, which `evaluate_force` uses; see `ForwardTest.solve`."""
+        """Return the parameter values of each recording, which `evaluate_force` needs; computes no force yet."""
         values, solutions = space.values(theta), {}
         marks = [space.find_own_recording(self.name, curve.name) for curve in self.measured]
         for mark in marks:
@@ -103,7 +103,10 @@ class ClosedFormTest:
 
     def _build_parameter_values(self, space: ParameterSpace, values: dict[str, float],
                                 recording: str | None) -> ClosedFormParameters:
-        """Return the parameter values of one recording; None: of recordings without own parameters."""
+        """Return the parameter values of one recording, given by name.
+
+        `recording` is None for all recordings that share the parameters of the test.
+        """
         law = find_law(space.law)
         free = [(law.parameters.index(each.path), column) for column, each in enumerate(space.free_parameters)
                 if each.of_law and each.acts_in(self.name, recording)]
@@ -118,13 +121,15 @@ class ClosedFormTest:
                                     recording, material if material is not None and material.remembers else None)
 
     def evaluate_force(self, answers: list[ClosedFormParameters], recording: int, offset: float, contact: bool = True):
-        """Evaluate force and derivatives; see `ForwardTest.evaluate_force`.
+        """Return the force and its derivatives with respect to the free parameters and the contact offset.
+
+        See `ForwardTest.evaluate_force` for units and shapes.
 
         Args:
             answers: solutions of the recordings from `solve`.
             recording: index in `measured`.
             offset: contact offset, m.
-            contact: whether the derivative with the contact offset is computed; otherwise it is None.
+            contact: whether the derivative with respect to the contact offset is computed; otherwise it is None.
         """
         answer = answers[recording]
         force, rates, rate = self._evaluate_elastic_force(answer, self.measured[recording].displacement - offset,
@@ -136,7 +141,7 @@ class ClosedFormTest:
         return force, rates, rate
 
     def list_differenced_parameters(self, answers: list[ClosedFormParameters]) -> frozenset[str]:
-        """Return the names of parameters whose derivatives are finite differences."""
+        """Return the names of the free parameters whose derivatives are finite differences, not exact ones."""
         names: set[str] = set()
         for i, answer in enumerate(answers):
             if answer.material is not None:
@@ -145,9 +150,10 @@ class ClosedFormTest:
         return frozenset(names)
 
     def _evaluate_elastic_force(self, answer: ClosedFormParameters, displacement: np.ndarray, contact: bool):
-        """Return force (n,), derivatives with the free parameters (n, p) and with the contact offset (n,).
+        """Return force (n,), derivatives with respect to the free parameters (n, p) and the contact offset (n,).
 
-        The material is elastic; `displacement` is counted from contact, m, shape (n,).
+        The material is elastic; `displacement` is measured from contact, m, shape (n,). The last value is None if
+        `contact` is false.
         """
         law, values, closed_form = answer.law, answer.values, self.closed_form
         strain = self.convert_displacement_to_strain(displacement)
@@ -165,13 +171,13 @@ class ClosedFormTest:
 
     def _convert_to_force(self, answer: ClosedFormParameters, stress: np.ndarray, derivatives: np.ndarray,
                           slope: np.ndarray | None):
-        """Multiply nominal stress and its derivatives by the signed cross-section.
+        """Convert nominal stress and its derivatives to force and derivatives with respect to the free parameters.
 
         Args:
             answer: parameter values.
             stress: nominal stress, Pa, shape (n,).
-            derivatives: derivatives of the stress with the parameters of the law, shape (n, m).
-            slope: derivative of the stress with the contact offset, Pa/m, shape (n,), or None.
+            derivatives: derivatives of the stress with respect to the parameters of the law, shape (n, m).
+            slope: derivative of the stress with respect to the contact offset, Pa/m, shape (n,), or None.
         """
         rates = np.zeros((stress.size, len(answer.space.free)))
         if answer.free:
@@ -182,7 +188,7 @@ class ClosedFormTest:
 
     def _evaluate_force_with_memory(self, answer: ClosedFormParameters, material: Material, recording: int,
                                     offset: float, contact: bool):
-        """Return the same quantities as `_evaluate_elastic` for a material with memory."""
+        """Return the same quantities as `_evaluate_elastic_force` for a material with memory."""
         try:
             force = self._compute_force_with_memory(material, recording, offset)
         except InputError as error:
@@ -201,10 +207,10 @@ class ClosedFormTest:
 
     def _differentiate_prony_force(self, answer: ClosedFormParameters, material: Material, recording: int,
                                    offset: float) -> dict[str, np.ndarray]:
-        """Return derivatives of the force of a law with a Prony series; empty for other materials.
+        """Return derivatives of the force with respect to moduli, g_i and tau_i; empty unless a pure Prony material.
 
         The nominal stress P = (1 - sum g_i) P_elastic + sum g_i P_relaxing(tau_i) is linear in the moduli and in g_i,
-        which gives exact derivatives. Derivatives with tau_i are central differences of P_relaxing. Derivatives with
+        which gives exact derivatives. Derivatives by tau_i are central differences of P_relaxing. Derivatives by
         exponents are not included.
 
         Returns:
@@ -238,7 +244,7 @@ class ClosedFormTest:
 
     def _compute_force_difference_quotient(self, answer: ClosedFormParameters, recording: int, offset: float,
                                            index: int, force: np.ndarray) -> np.ndarray:
-        """Return the finite difference of the force with one free parameter, shape (n,).
+        """Return the derivative of the force with respect to one free parameter by finite differences, shape (n,).
 
         The difference is one-sided if the material is invalid on one side, and NaN if it is invalid on both sides.
         """
@@ -273,7 +279,7 @@ class ClosedFormTest:
         return type(self.closed_form) is ClosedForm and self.closed_form.law_mode in ("uniaxial", "simple_shear")
 
     def build_deformation_history(self, recording: int, offset: float = 0.0) -> HomogeneousHistory:
-        """Return the deformation history of the specimen in a recording."""
+        """Return the deformation history of the specimen in a recording; cached if the contact offset is 0."""
         if offset == 0.0 and recording in self._histories:
             return self._histories[recording]
         measured = self.measured[recording]
@@ -286,11 +292,11 @@ class ClosedFormTest:
         return found
 
     def convert_displacement_to_strain(self, displacement: np.ndarray) -> np.ndarray:
-        """Return stretch or shear strain at displacements, m, any shape."""
+        """Return the stretch (in shear: the shear strain) at displacements in m; same shape as the displacements."""
         return self.kind.compute_stretch_or_shear_strain(displacement / self.height)
 
     def update_mesh_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
-        """Return 0: a closed form has no mesh error."""
+        """Return 0 and change nothing: a closed form has no mesh error."""
         return 0.0
 
     def remove_mesh_correction(self) -> None:

@@ -38,6 +38,7 @@ class ColumnTest(ClosedFormTest):
         return ClosedFormTest(self.name, self.kind, self.height, self.area, self.measured)
 
     def _evaluate_elastic_force(self, answer: ClosedFormParameters, displacement: np.ndarray, contact: bool):
+        """Return the same quantities as in `ClosedFormTest`, for a column that has settled under its weight."""
         column, law, values = Column(self.specimen), answer.law, answer.values
         deepest = max(float(curve.displacement.max()) for curve in self.measured) + self.reserve
         # With the deepest point appended, the column is solved at the same states for every offset.
@@ -51,7 +52,7 @@ class ColumnTest(ClosedFormTest):
         return self._convert_to_force(answer, stress, derivatives, slope)
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
-        """Return the stretches between the base in the deepest state and the unloaded top."""
+        """Return the range of stretches, from that of the base in the deepest state to 1 at the unloaded top."""
         law, values = find_law(space.law), space.select_law_parameters(space.values(theta), self.name)
         displacement = np.concatenate([curve.displacement for curve in self.measured])
         base = Column(self.specimen).base_stretch(law, displacement, law.as_array(values))

@@ -67,7 +67,7 @@ class ForwardTest(Protocol):
 
     @property
     def is_path_dependent(self) -> bool:
-        """Whether the force depends on the path that led to a displacement."""
+        """Whether the force may depend on the loading path, so that it is no function of displacement alone."""
 
     @property
     def area(self) -> float | None:
@@ -82,7 +82,7 @@ class ForwardTest(Protocol):
         """Closed form (stress as a function of strain) of a homogeneous test."""
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> Any:
-        """Compute what `evaluate_force` needs at given parameters: a simulation, or the values in a closed form.
+        """Return the input of `evaluate_force` at given parameters: a simulation, or parameter values of a closed form.
 
         Args:
             space: parameter space.
@@ -90,14 +90,14 @@ class ForwardTest(Protocol):
             solves: cache of simulations.
 
         Returns:
-            Solution, which `evaluate_force` uses.
+            Solution, the first argument of `evaluate_force`.
 
         Raises:
             InfeasibleError: the material is invalid, or the solver does not converge.
         """
 
     def evaluate_force(self, answer: Any, recording: int, offset: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate the force at the samples of a recording.
+        """Return the force at the samples of a recording, and its derivatives.
 
         Args:
             answer: solution from `solve`.
@@ -105,25 +105,25 @@ class ForwardTest(Protocol):
             offset: contact offset, m.
 
         Returns:
-            Force, N, shape (n,); its derivatives with the free parameters, shape (n, p); its derivative with the
-            contact offset, N/m, shape (n,).
+            Force, N, shape (n,); its derivatives with respect to the free parameters, shape (n, p); its derivative
+            with respect to the contact offset, N/m, shape (n,).
 
         Raises:
             InfeasibleError: the force is not finite.
         """
 
     def list_differenced_parameters(self, answer: Any) -> frozenset[str]:
-        """Return the names of the free parameters whose derivatives are finite differences."""
+        """Return the names of the free parameters whose derivatives are finite differences, not exact ones."""
 
     def update_mesh_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
-        """Compute the difference of the accurate and the fast mesh at `theta`; later solutions add this difference.
+        """Compute and store the force difference between accurate and fast mesh at `theta`; later forces include it.
 
         Returns:
-            The largest difference relative to the largest force; 0 if every mesh is exact.
+            The largest absolute difference divided by the largest force; 0 if every mesh is exact.
         """
 
     def remove_mesh_correction(self) -> None:
-        """Remove the mesh correction."""
+        """Delete the stored mesh correction, so that forces are those of the fast mesh."""
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
-        """Return the range of stretches that the recordings reach with these parameters."""
+        """Return the range of principal stretches that the specimen reaches in all recordings at `theta`."""

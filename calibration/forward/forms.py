@@ -43,7 +43,7 @@ _MARGINS = DepthMarginSettings()
 
 def build_forward_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings,
                        contact: float) -> SimulatedTest | ClosedFormTest:
-    """Return the forward model of a test in an inverse fit.
+    """Return the forward model of a test in an inverse (finite element) fit; a closed form for stress recordings.
 
     Args:
         test: test of the campaign.
@@ -84,7 +84,7 @@ def build_forward_test(test: Test, curves: Sequence[MeasuredCurve], settings: Fi
 
 
 def build_closed_form_test(test: Test, curves: Sequence[MeasuredCurve]) -> ClosedFormTest:
-    """Return the closed form of a homogeneous test without self-weight.
+    """Return the closed form of a homogeneous test; self-weight of the specimen is ignored.
 
     Recordings of stretch and stress belong to a cube of 1 m, for which force equals stress and displacement equals
     strain.
@@ -104,7 +104,7 @@ def build_analytical_test(test: Test, curves: Sequence[MeasuredCurve], settings:
 
 
 def compute_mesh_uncertainty(test: ForwardTest, errors: Mapping[str, float]) -> float:
-    """Return the relative standard deviation of the force by the error of the mesh; 0 if every mesh is exact.
+    """Return the relative standard deviation of the force due to the mesh error; 0 if every mesh is exact.
 
     Args:
         test: forward model, after `ForwardTest.update_mesh_correction` if `errors` are those of the accurate mesh.

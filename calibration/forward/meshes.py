@@ -74,7 +74,10 @@ class SolverMeshes(NamedTuple):
     slow: bool = False
 
     def shows_mesh_error(self, experiment: Experiment) -> bool:
-        """Return whether the finest mesh determines the error of the accurate mesh; never for a mesh from a file."""
+        """Return whether the finest mesh is used to find the error of the accurate mesh in an experiment.
+
+        False for a mesh from a file.
+        """
         return (self.finest is not None and experiment.tool.shape in self.finest_under
                 and not experiment.specimen.from_file)
 
@@ -92,7 +95,10 @@ def get_solver_meshes(solver: str) -> SolverMeshes:
 
 
 def make_exact_block_mesh(model: Model, solver: str) -> SolidMesh | None:
-    """Return a mesh of eight elements for a block in homogeneous deformation, where every mesh is exact; else None."""
+    """Return a mesh of eight elements for a block in homogeneous deformation; None for all other models.
+
+    Every mesh is exact if the deformation is homogeneous.
+    """
     experiment = model.experiment
     if (solver != "solid" or not isinstance(experiment.specimen, Block) or not experiment.homogeneous
             or experiment.acting_laws or experiment.tilt or experiment.slip or model.material.layers):
@@ -116,7 +122,9 @@ class MeshError:
 
     @classmethod
     def from_forces(cls, depth: np.ndarray, accurate: np.ndarray, finest: np.ndarray) -> MeshError:
-        """Return the error from the forces of both meshes at the knots of one loading.
+        """Return the relative error from the forces of both meshes at the knots of one loading.
+
+        The error is unknown if fewer than `MeshErrorSettings.min_knots` knots have a force that is large enough.
 
         Args:
             depth: depth of the knots, m, shape (k,).
@@ -129,16 +137,16 @@ class MeshError:
 
     @classmethod
     def make_unknown_error(cls) -> MeshError:
-        """Return an unknown error, for a finest mesh that does not converge."""
+        """Return an error without knots: `largest_error` is infinite and the correction factor is 1."""
         return cls(np.zeros(0), np.zeros(0))
 
     @property
     def largest_error(self) -> float:
-        """Largest relative error of the force along the loading; infinite if unknown."""
+        """Largest absolute value of the relative force error along the loading; infinite if unknown."""
         return float(np.abs(self.relative).max(initial=0.0)) if self.relative.size else float("inf")
 
     def compute_correction_factor(self, depth: np.ndarray) -> np.ndarray:
-        """Return the factor that corrects the force of the accurate mesh; 1 if the error is unknown.
+        """Return the factors by which forces of the accurate mesh are multiplied; 1 if the error is unknown.
 
         Args:
             depth: positions of the tool, m, any shape.

@@ -87,13 +87,13 @@ class MonotonicLoading:
 
     @property
     def with_equal_steps(self) -> MonotonicLoading:
-        """Loading to the same depth with the same number of equal steps."""
+        """Copy of this loading with the same depth and the same number of steps, which are equal."""
         return replace(self, depth=np.linspace(self.depth[0], self.depth[-1], self.depth.size))
 
     def with_fewer_steps(self) -> tuple[MonotonicLoading, np.ndarray]:
         """Return a loading with about `MotionStepSettings.smooth_steps` steps.
 
-        It serves for quantities that vary more slowly than the force.
+        The loading serves for quantities that vary more slowly than the force.
 
         Returns:
             The loading, and the indices of the knots that it keeps.
@@ -103,12 +103,12 @@ class MonotonicLoading:
         return replace(self, depth=self.depth[kept]), kept
 
     def evaluate_curve_at_knots(self, curve: ForceCurve) -> np.ndarray:
-        """Return the columns of a curve at the knots, shape (k, m)."""
+        """Return force and derivatives of a curve at the knots, minus their values at zero depth, shape (k, m)."""
         # The rounded corner makes the force at rest slightly positive; the difference removes this value.
         return curve(None, self.depth, 0.0)[0] - curve(None, self.depth[:1], 0.0)[0]
 
     def make_curve(self, columns: np.ndarray) -> ForceCurve:
-        """Return the curve through values at the knots.
+        """Return the curve that interpolates values at the knots.
 
         Args:
             columns: force and its derivatives, force first, shape (k, m).
@@ -119,8 +119,8 @@ class MonotonicLoading:
 class _LoadingCurve:
     """Force and its derivatives as functions of depth; the force is zero before first contact.
 
-    The corner of the force at first contact is rounded. The sum of squares is then differentiable with the contact
-    offset also if the offset moves a sample across first contact.
+    The corner of the force at first contact is rounded, so that the sum of squares is a differentiable function of the
+    contact offset also if the offset moves a sample across first contact.
 
     Args:
         depth: depth of the knots, m, shape (k,).
@@ -143,7 +143,8 @@ class _LoadingCurve:
             offset: contact offset, m.
 
         Returns:
-            Columns, shape (n, m), and the derivative of the force with the contact offset, shape (n,).
+            Force and derivatives, shape (n, m), and the derivative of the force with respect to the contact offset,
+            N/m, shape (n,).
         """
         inside, simulated, derivative = self._depth_in_tissue(displacement - offset)
         rate = self._slope(simulated)
@@ -168,12 +169,12 @@ class _LoadingCurve:
 
 @dataclass(frozen=True, eq=False)
 class TimedMotion:
-    """Recorded motion as a sequence of straight parts in time.
+    """Recorded motion, approximated by straight segments of displacement over time.
 
     Attributes:
         time: time of the knots, s, shape (k,).
         displacement: displacement of the knots, m, shape (k,).
-        legs: index of the first and last knot of each straight part.
+        legs: indices of the first and last knot of each straight segment.
         sampled_from: time of the first sample of the recording, s.
     """
 
@@ -185,9 +186,9 @@ class TimedMotion:
     @classmethod
     def from_recording(cls, time: np.ndarray, displacement: np.ndarray, *,
                        steps: int = MOTION_STEPS.timed_steps) -> TimedMotion:
-        """Return a recorded motion as a sequence of straight parts in time.
+        """Return a recorded motion, approximated by straight segments of displacement over time.
 
-        If a recording begins below the surface, its first straight part is extrapolated to first contact.
+        If a recording begins below the surface, its first segment is extrapolated to first contact.
 
         Args:
             time: time of the samples, s, shape (n,).
@@ -219,7 +220,7 @@ class TimedMotion:
         return cls(np.concatenate(knots_t), np.concatenate(knots_d), tuple(legs), float(time[0]))
 
     def is_moving_after_knot(self, first: int, last: int) -> bool:
-        """Return whether the tool moves between two knots; otherwise the straight part is a hold."""
+        """Return whether the tool moves between two knots, given by index; otherwise the segment is a hold."""
         change = abs(self.displacement[last] - self.displacement[first])
         return bool(change > MOTION_STEPS.hold_fraction * np.ptp(self.displacement))
 
@@ -230,7 +231,7 @@ class TimedMotion:
 
     @property
     def with_equal_steps(self) -> TimedMotion:
-        """Motion with equal steps in its first straight part."""
+        """Copy of this motion with equal steps in its first straight segment; other steps are unchanged."""
         first, last = self.legs[0]
         time, displacement = self.time.copy(), self.displacement.copy()
         for values in (time, displacement):
@@ -238,11 +239,11 @@ class TimedMotion:
         return replace(self, time=time, displacement=displacement)
 
     def evaluate_curve_at_knots(self, curve: ForceCurve) -> np.ndarray:
-        """Return the columns of a curve at the knots, shape (k, m)."""
+        """Return force (first column) and its derivatives of a curve at the knots, shape (k, m)."""
         return curve(self.time, self.displacement, 0.0)[0]
 
     def is_equal_within_tolerance(self, other: TimedMotion) -> bool:
-        """Return whether two motions agree within the tolerance of straight parts (`MotionSettings.straightness`)."""
+        """Return whether times and displacements of two motions agree, relative to `MotionSettings.straightness`."""
         if self.legs != other.legs:
             return False
         tolerance = MOTION_SETTINGS.straightness * np.ptp(self.displacement)
@@ -252,7 +253,7 @@ class TimedMotion:
 
     def make_curve(self, columns: np.ndarray, *, position: np.ndarray | None = None,
                    separates: bool = False) -> ForceCurve:
-        """Return the curve through values at the knots, as a function of the recording's time.
+        """Return the curve that interpolates values at the knots, as a function of the recording's time.
 
         Args:
             columns: force and its derivatives, force first, shape (k, m).
@@ -276,7 +277,7 @@ class _TimedCurve:
 
     Args:
         motion: recorded motion with k knots.
-        columns: force, its derivatives, and the derivative of the force with the contact offset as the last column,
+        columns: force, its derivatives, and the derivative of the force by the contact offset as the last column,
             shape (k, m + 1).
         position: true position of the tool at the knots, m, shape (k,).
         separates: see `TimedMotion.make_curve`.
@@ -301,7 +302,8 @@ class _TimedCurve:
             offset: contact offset, m.
 
         Returns:
-            Columns, shape (n, m), and the derivative of the force with the contact offset, shape (n,).
+            Force and derivatives, shape (n, m), and the derivative of the force with respect to the contact offset,
+            N/m, shape (n,).
         """
         motion, values = self._motion, np.empty((time.size, self._size))
         leg_of = np.searchsorted(self._ends, time, side="left")
@@ -326,7 +328,7 @@ ForceCurve = _LoadingCurve | _TimedCurve
 
 
 def _remove_hold_corners(displacement: np.ndarray, corners: np.ndarray, tolerance: float) -> list[int]:
-    """Return the corners of a motion without those inside a hold.
+    """Return the indices of the corners of a motion, without corners inside a hold.
 
     Args:
         displacement: displacement of the samples, m, shape (n,).
@@ -342,7 +344,7 @@ def _remove_hold_corners(displacement: np.ndarray, corners: np.ndarray, toleranc
 
 
 def compute_offset_derivative(recording: Recording) -> np.ndarray:
-    """Return the derivative of the force of a simulated recording with the contact offset, N/m, shape (n,).
+    """Return the derivative of the force of a simulated recording with respect to the contact offset, N/m, (n,).
 
     The force at an offset follows from the loading curve of the recording, see `tissue_sim.rig.rig.Rig`. The one-sided
     second-order difference (3 F(0) - 4 F(-h) + F(-2h)) / (2 h) uses offsets that move the tool into the tissue, since
@@ -354,7 +356,7 @@ def compute_offset_derivative(recording: Recording) -> np.ndarray:
 
 
 def build_cubic_spline(knots: np.ndarray, values: np.ndarray):
-    """Return the cubic spline through values at knots; a piecewise linear function for fewer than four knots.
+    """Return the cubic spline through values at knots; a piecewise linear spline if there are fewer than four knots.
 
     Args:
         knots: abscissae, shape (k,).

@@ -21,7 +21,7 @@ from tissue_sim.rig.rig import Rig
 
 
 def compute_difference_step(value: float) -> float:
-    """Return the step of a finite difference at a parameter value.
+    """Return the step of a finite difference at a parameter value, in the unit of the parameter.
 
     Readings depend almost linearly on the parameters of the readout, so a small relative step is accurate.
     """
@@ -29,7 +29,7 @@ def compute_difference_step(value: float) -> float:
 
 
 def parameter_affects_readings_only(rig: Rig, path: str, value: float) -> bool:
-    """Return whether a parameter of a rig changes readings and not the motion of the tool.
+    """Return whether a parameter of a rig changes only the readings, and not the motion of the tool.
 
     Args:
         rig: rig with the parameter.
@@ -48,12 +48,12 @@ class RigReadout:
 
     @cached_property
     def readout_faults(self) -> Rig | None:
-        """Rig with only the faults that change readings; None if the rig reads true forces."""
+        """Rig that has only the faults that change readings; None if no fault changes readings."""
         reading = self.rig.reading_only
         return None if reading.is_ideal else reading
 
     def convert_to_readings(self, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
-        """Convert true forces to the readings of the force sensor.
+        """Return the readings of the force sensor, N, shape (n,), for given true forces.
 
         Args:
             measured: recording with displacement and time of the samples.
@@ -74,8 +74,8 @@ class RigReadout:
             measured: recording.
             true: true force, N, shape (n,).
             read: readings of `true`, N, shape (n,).
-            rates: derivatives of the true force with the parameters, shape (n, p).
-            rate: derivative of the true force with the contact offset, shape (n,).
+            rates: derivatives of the true force with respect to the parameters, shape (n, p).
+            rate: derivative of the true force with respect to the contact offset, shape (n,).
 
         Returns:
             Derivatives of the readings, shapes (n, p) and (n,).
@@ -94,7 +94,7 @@ class RigReadout:
 
 @dataclass(frozen=True, eq=False)
 class ReadoutEffects:
-    """Effects in reduced form, which multiply the simulated force at the samples of a recording.
+    """Effects of the material that are applied after the simulation, as a factor of the simulated force.
 
     These effects are jumps of the force, which an interpolation between the knots of a simulation would smear.
 
@@ -120,7 +120,7 @@ class ReadoutEffects:
         return any(part in (effect.name, f"effects.{effect.name}") for effect in self.effects)
 
     def remove_effects_from_model(self, model: Model) -> Model:
-        """Return the model without these effects, so that a simulation does not apply them twice."""
+        """Return a copy of the model without these effects, so that a simulation does not apply the effects twice."""
         material = model.material
         if not self.effects:
             return model
@@ -129,7 +129,7 @@ class ReadoutEffects:
         return replace(model, material=replace(material, puncture=puncture, effects=kept))
 
     def compute_force_factor(self, measured: MeasuredCurve, depth: np.ndarray) -> np.ndarray:
-        """Return the factor of the force at the samples of a recording.
+        """Return the factor by which the effects multiply the simulated force at the samples of a recording.
 
         Args:
             measured: recording.
@@ -149,7 +149,7 @@ class ReadoutEffects:
 
 def compute_depth_in_tissue(curve: ForceCurve | AlignedCurve, measured: MeasuredCurve,
                             offset: float | np.ndarray) -> np.ndarray:
-    """Return the true depth of the tool at the samples of a recording.
+    """Return the true depth of the tool at the samples of a recording; negative before contact.
 
     Args:
         curve: force curve of the recording.
@@ -166,7 +166,7 @@ def compute_depth_in_tissue(curve: ForceCurve | AlignedCurve, measured: Measured
 
 @dataclass(frozen=True, eq=False)
 class SimulatedSolution:
-    """Simulated forces of one test at one set of parameters, and their derivatives.
+    """Simulated force curves of one test at one set of parameters, and the readout of each recording.
 
     Attributes:
         curves: force and derivatives of each recording.

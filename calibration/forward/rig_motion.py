@@ -27,7 +27,7 @@ STEPS = MOTION_STEPS.timed_steps
 
 @dataclass(frozen=True)
 class RigMotionSettings:
-    """Settings of the position of a tool behind a compliant load train.
+    """Settings of the computation of the tool position behind a compliant load train.
 
     Attributes:
         step_tolerance: fraction of the last step within which the tool counts as at the last knot.
@@ -47,7 +47,7 @@ _SETTINGS = RigMotionSettings()
 
 
 def build_rig_loading(depth: float, deepest: float, limit: float) -> MonotonicLoading:
-    """Return a loading from rest to the deepest position of the tool.
+    """Return a monotonic loading from zero depth to the deepest true position of the tool, at most `limit`.
 
     Args:
         depth: largest reported depth, m.
@@ -65,7 +65,7 @@ class ForcePositionCurve:
     """Force and its derivatives as functions of the tool position.
 
     Attributes:
-        columns: interpolant of force and derivatives with the parameters, force first.
+        columns: interpolant of force and derivatives with respect to the parameters, force first.
         force_alone: interpolant of the force.
         end: largest simulated position, m.
         holds: whether the tissue pulls at a tool that retracts past the first contact; otherwise the force is zero.
@@ -81,7 +81,7 @@ class ForcePositionCurve:
     @classmethod
     def make_interpolant(cls, depth: np.ndarray, columns: np.ndarray, *, holds: bool,
                          tilt: float = 0.0) -> ForcePositionCurve:
-        """Return the interpolant of values at knots.
+        """Return the curve that interpolates values at knots.
 
         Args:
             depth: depth of the knots from 0 on, m, shape (k,).
@@ -93,7 +93,7 @@ class ForcePositionCurve:
                    holds, _divide_tilted_face(tilt))
 
     def with_tilt(self, tilt: float) -> ForcePositionCurve:
-        """Return the curve of a face with another tilt, m."""
+        """Return a copy of the curve for a tool face with another tilt (height difference across the face, m)."""
         return replace(self, strips=_divide_tilted_face(tilt))
 
     def __call__(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -103,7 +103,7 @@ class ForcePositionCurve:
             position: tool positions, m, shape (n,).
 
         Returns:
-            Columns, shape (n, m), and the derivative of the force with the position, N/m, shape (n,).
+            Force and derivatives, shape (n, m), and the derivative of the force by the position, N/m, shape (n,).
         """
         columns, slope = np.zeros(()), np.zeros(())
         for lag, fraction in self.strips:
@@ -116,11 +116,11 @@ class ForcePositionCurve:
 
     @cached_property
     def _position_derivatives(self) -> Any:
-        """Derivative of the columns with the position."""
+        """Interpolant of the derivatives of all columns (force and its derivatives) with respect to tool position."""
         return self.columns.derivative()
 
     def compute_force(self, position: np.ndarray) -> np.ndarray:
-        """Return the force at tool positions, m, any shape."""
+        """Return the force at tool positions in m, N, same shape as `position`."""
         force = np.zeros(position.shape)
         for lag, fraction in self.strips:
             depth, _ = _compute_strip_position(position, lag)
@@ -133,21 +133,21 @@ class ForcePositionCurve:
         return force
 
     def _limit_to_simulated_range(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions limited to the simulated range, and 1 where the tool is in contact (else 0).
+        """Return positions limited to the simulated range, and a factor: 1 if the tissue exerts a force, else 0.
 
-        The force is extrapolated linearly beyond the simulated range.
+        Callers extrapolate the force linearly beyond the simulated range.
         """
         return np.clip(position, 0.0, self.end), np.ones(position.shape) if self.holds else (
             position >= 0.0).astype(float)
 
 
 def _divide_tilted_face(tilt: float) -> list[tuple[float, float]]:
-    """Return lag, m, and fraction of the face for the strips of a tilted face; one strip without tilt."""
+    """Return (lag behind the deepest strip in m, fraction of the face area) of each strip; one strip without tilt."""
     return split_tilted_face_into_strips(tilt) if tilt else [(0.0, 1.0)]
 
 
 def _compute_strip_position(position: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the position of a strip of a tilted face, m, and its derivative with the position of the face."""
+    """Return the positions of a strip of a tilted face, m, and their derivatives with respect to the face position."""
     if not lag:
         return position, np.ones(position.shape)
     inside = np.maximum(position - lag, 0.0)
@@ -181,7 +181,7 @@ class AlignedCurve:
             offset: contact offset, m.
 
         Returns:
-            Columns, force first, shape (n, m), and the derivative of the force with the contact offset, shape (n,).
+            Force and derivatives, shape (n, m), and the derivative of the force by the contact offset, N/m, shape (n,).
 
         Raises:
             InfeasibleError: the load train is unstable (snap-through), or the tool has no equilibrium position.
@@ -239,7 +239,7 @@ class AlignedCurve:
 
 
 def is_path_dependent(model: Model) -> bool:
-    """Return whether the force of a model depends on the path of the tool and not on its position alone.
+    """Return whether the force of a model depends on the path of the tool and not on the tool position alone.
 
     Effects in reduced form are path-dependent too if the true depth of the tool differs from the reported one.
     """
@@ -253,7 +253,7 @@ def tool_separates_on_retraction(experiment: Experiment) -> bool:
 
 
 def is_rig_motion_parameter(path: str) -> bool:
-    """Return whether a parameter changes the position of the tool and not the response of the tissue.
+    """Return whether a parameter belongs to the rig or is the tilt, so that the tissue's response does not change.
 
     Args:
         path: path of the parameter.
@@ -262,5 +262,5 @@ def is_rig_motion_parameter(path: str) -> bool:
 
 
 def replace_rig_by_ideal_rig(model: Model) -> Model:
-    """Return the model with an ideal rig and without tilt: the tool is at the position of the stage."""
+    """Return a copy of the model with an ideal rig and without tilt: the tool is at the position of the stage."""
     return replace(model, experiment=replace(model.experiment, tilt=0.0), rig=Rig())

@@ -56,12 +56,12 @@ class SimulatedTest(SimulatedMotions):
 
     @property
     def is_path_dependent(self) -> bool:
-        """Whether the force depends on the path that led to a displacement."""
+        """Whether the motions have reversals or holds, so that the force may depend on the loading path."""
         return isinstance(self.motions[0], TimedMotion)
 
     @property
     def _timed_motions(self) -> tuple[TimedMotion, ...]:
-        """Motions that have reversals or holds."""
+        """Distinct motions that have reversals or holds; `motion_of` maps recordings to motions."""
         return tuple(motion for motion in self.motions if isinstance(motion, TimedMotion))
 
     @property
@@ -71,11 +71,11 @@ class SimulatedTest(SimulatedMotions):
 
     @property
     def is_homogeneous(self) -> bool:
-        """Whether every mesh is exact."""
+        """Whether the deformation is homogeneous, so that every mesh is exact."""
         return not self.layered and self._build_experiment(self.motions[0]).homogeneous
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> SimulatedSolution:
-        """Simulate force and derivatives along each motion, with the mesh correction; see `ForwardTest.solve`.
+        """Simulate force curves and derivatives for each recording, with the mesh correction; see `ForwardTest.solve`.
 
         If the force depends on the tool position alone, one simulated loading gives the force at all positions, and the
         positions follow from the rig without further simulations.
@@ -173,7 +173,7 @@ class SimulatedTest(SimulatedMotions):
         return curves, differences
 
     def _make_aligned_curve(self, recording: int, curve: ForcePositionCurve, model: Model) -> AlignedCurve:
-        """Return the force at the samples of a recording for the rig and the tilt of a model."""
+        """Return the curve of the force at the samples of a recording, for the rig and the tilt of a model."""
         motion, measured = self._timed_motions[self.motion_of[recording]], self.measured[recording]
         tilt, time = model.experiment.tilt, measured.sample_times - measured.sample_times[0] + motion.sampled_from
         # Path-dependent faults (backlash, lost steps) act on the straight parts of the motion: noise of the
@@ -183,7 +183,7 @@ class SimulatedTest(SimulatedMotions):
         return AlignedCurve(curve.with_tilt(tilt) if tilt else curve, position, model.rig.compliance)
 
     def _build_loading(self, rig: Rig) -> MonotonicLoading:
-        """Return a loading to the largest depth that a rig gives the tool in any of the motions.
+        """Return a monotonic loading to the largest true tool depth that a rig produces in any of the motions.
 
         Raises:
             InfeasibleError: the largest depth is not positive.
@@ -199,7 +199,7 @@ class SimulatedTest(SimulatedMotions):
         return build_rig_loading(depth, deepest, 0.999 * self.experiment.thickness)
 
     def _interpolate_correction(self, loading: MonotonicLoading) -> np.ndarray:
-        """Return the mesh correction at the knots of a loading, N, shape (k,)."""
+        """Return the mesh correction (force difference) at the knots of a loading, N, shape (k,); 0 if not computed."""
         if self.position_correction is None:
             return np.zeros(loading.depth.size)
         depth, force = self.position_correction
@@ -209,7 +209,7 @@ class SimulatedTest(SimulatedMotions):
         """Compute the force difference of the accurate and the fast mesh, and store it as the correction.
 
         Returns:
-            The largest difference, relative to the largest force.
+            The largest absolute difference divided by the largest force.
 
         Raises:
             InfeasibleError: the accurate mesh does not converge.
@@ -239,7 +239,7 @@ class SimulatedTest(SimulatedMotions):
 
     def _find_mesh_error(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
                          loading: MonotonicLoading, accurate: np.ndarray, *, rigid: bool) -> None:
-        """Compute `mesh_error` once, by comparison of the accurate with the finest mesh.
+        """Set `mesh_error` by comparison of accurate and finest mesh, unless it is set or the finest mesh is not used.
 
         Args:
             space: parameter space.
@@ -260,11 +260,11 @@ class SimulatedTest(SimulatedMotions):
             self.mesh_error = MeshError.make_unknown_error()
 
     def remove_mesh_correction(self) -> None:
-        """Remove the mesh correction."""
+        """Delete the stored mesh correction, so that forces are those of the fast mesh."""
         self.correction, self.position_correction = [], None
 
     def evaluate_force(self, answer: SimulatedSolution, recording: int, offset: float):
-        """Evaluate force and derivatives at the samples of a recording; see `ForwardTest.evaluate_force`."""
+        """Return readings and their derivatives at the samples of a recording; see `ForwardTest.evaluate_force`."""
         measured, readout = self.measured[recording], answer.readouts[recording]
         rig = readout.rig
         values, rate = answer.curves[recording](self._convert_to_motion_time(recording), measured.displacement, offset)
@@ -291,17 +291,17 @@ class SimulatedTest(SimulatedMotions):
 
     def _apply_reduced_effects(self, answer: SimulatedSolution, recording: int, offset: float, values: np.ndarray,
                                rate: np.ndarray):
-        """Multiply simulated forces by the factor of effects in reduced form.
+        """Multiply simulated force and derivatives by the factor of the effects that are applied after the simulation.
 
         Args:
             answer: simulated forces of the test.
             recording: index of the recording.
             offset: contact offset, m.
             values: force and its derivatives at the samples, shape (n, 1 + p).
-            rate: derivative of the force with the contact offset, shape (n,).
+            rate: derivative of the force with respect to the contact offset, shape (n,).
 
         Returns:
-            `values` and `rate` with the effects.
+            `values` and `rate` multiplied by the factor; derivatives by parameters of the effects are added.
         """
         effects, measured, space = answer.effects[recording], self.measured[recording], answer.space
         depth = compute_depth_in_tissue(answer.curves[recording], measured, offset)
@@ -318,7 +318,7 @@ class SimulatedTest(SimulatedMotions):
         return scaled, factor * rate
 
     def list_differenced_parameters(self, answer: SimulatedSolution) -> frozenset[str]:
-        """Return the names of parameters whose derivatives are finite differences."""
+        """Return the names of the free parameters whose derivatives are finite differences, not exact ones."""
         return answer.differences
 
     def compute_forces_at_offsets(self, answer: SimulatedSolution, recording: int, offsets: np.ndarray) -> np.ndarray:
@@ -334,7 +334,7 @@ class SimulatedTest(SimulatedMotions):
             if effects.effects else forces
 
     def _convert_to_motion_time(self, recording: int) -> np.ndarray | None:
-        """Return the time of the samples on the clock of their motion, s, shape (n,).
+        """Return the times of the samples in the time scale of the simulated motion, s, shape (n,); None without times.
 
         Recordings with equivalent motions share one simulated motion and may have begun at other times.
         """
@@ -344,7 +344,7 @@ class SimulatedTest(SimulatedMotions):
         return measured.time
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
-        """Return the range of stretches over the volume, without the lowest and highest 1 %."""
+        """Return the range of principal stretches over the volume at the largest depth, without the outer 1 % each."""
         deepest = max(float(curve.displacement.max()) for curve in self.measured)
         if self.is_homogeneous:
             return compute_homogeneous_range(self.closed_form, 1 - deepest / self.specimen.height)

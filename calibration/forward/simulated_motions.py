@@ -41,7 +41,7 @@ class SimulatedMotions:
         measured: recordings of the test.
         layered: whether the material has layers.
         correction: force of the accurate mesh minus that of the fast mesh at the knots of each motion, N, shape (k,);
-            empty before `update_correction`.
+            empty before `update_mesh_correction`.
         position_correction: depth, m, and the same difference of forces, N, at the knots of one loading, shapes (k,).
         mesh: key of the mesh; tests with the same key have the same mesh error. Empty: no other test shares the mesh.
         full_motion: whether the whole motion is simulated even if the force depends on the tool position alone.
@@ -69,12 +69,12 @@ class SimulatedMotions:
         return self.experiment.specimen
 
     def _build_experiment(self, motion: MonotonicLoading | TimedMotion) -> Experiment:
-        """Return the experiment with this motion of the tool."""
+        """Return a copy of the experiment in which the tool follows this motion."""
         return replace(self.experiment, protocol=motion.tool_protocol)
 
     def _build_model(self, space: ParameterSpace, values: dict[str, float], motion: MonotonicLoading | TimedMotion,
                      recording: str | None) -> Model:
-        """Return the model of a recording with a motion.
+        """Return the model of a recording: material and rig at these parameter values, and the given motion.
 
         Raises:
             InfeasibleError: the values give no valid model.
@@ -96,7 +96,7 @@ class SimulatedMotions:
                                  motion: MonotonicLoading | TimedMotion, resolution: str, recording: str | None = None,
                                  *, rigid: bool = False
                                  ) -> tuple[np.ndarray, np.ndarray, set[str]]:
-        """Simulate a motion, or take the result from the cache.
+        """Return force and derivatives along a motion, from the cache or from a new simulation that is then cached.
 
         If forces are proportional to the moduli, the simulation uses normalised moduli and its force is scaled, so that
         one simulation serves all moduli with the same ratios.
@@ -111,8 +111,8 @@ class SimulatedMotions:
             rigid: whether the rig is ideal and the tool not tilted.
 
         Returns:
-            Force, N, shape (k,); derivatives with the free parameters, shape (k, p), computed on the fast mesh only and
-            without columns otherwise; names of parameters whose derivatives are finite differences.
+            Force, N, shape (k,); derivatives with respect to the free parameters, shape (k, p) on the fast mesh and
+            (k, 0) on other meshes; names of parameters whose derivatives are finite differences.
 
         Raises:
             InfeasibleError: the model is invalid, or the solver does not converge.
@@ -125,6 +125,7 @@ class SimulatedMotions:
             values, factor = space.normalise_moduli(values)
 
         def build_true_model(of: dict[str, float]) -> Model:
+            """Return the model at parameter values `of`, whose rig moves the tool but does not change readings."""
             # The readout is applied to the samples later, so only the motion of the rig is simulated.
             model = self._build_model(space, of, motion, recording)
             return replace_rig_by_ideal_rig(model) if rigid else replace(model, rig=model.rig.motion_only)

@@ -30,7 +30,7 @@ from tissue_sim.specimen import Specimen
 
 
 class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
-    """Force and its derivatives at the knots of a simulated motion.
+    """Simulated force and its derivatives at the knots of a motion, or the reason why the simulation failed.
 
     Attributes:
         force: force, N, shape (k,) as a list; empty if the simulation failed.
@@ -48,7 +48,7 @@ class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
 
 
 class SimulationCache:
-    """Cache of simulated curves in memory and in files; the key is the hash of model, motion and mesh.
+    """Cache of simulated curves in memory and in files; the key is the hash of model, motion, mesh and source code.
 
     Args:
         folder: folder with one file per curve; None: curves are kept in memory only.
@@ -67,7 +67,7 @@ class SimulationCache:
                 "_curves": {} if self.folder else self._curves, "counts": Counter()}
 
     def find_curve(self, key: str) -> SimulatedCurve | None:
-        """Return the curve of a key; None if it is not cached or its file cannot be read."""
+        """Return the curve with a key; None if no curve is cached or the file cannot be read."""
         if key not in self._curves and self._read_folder is not None:
             with contextlib.suppress(OSError, msgspec.DecodeError, msgspec.ValidationError):
                 self._curves[key] = msgspec.msgpack.decode((self._read_folder / f"{key}.msgpack").read_bytes(),
@@ -81,21 +81,21 @@ class SimulationCache:
             write_bytes(self.folder / f"{key}.msgpack", msgspec.msgpack.encode(curve))
 
     def start_effort_meter(self) -> Callable[[], tuple[dict[tuple[str, str], int], float]]:
-        """Start a measurement of computing effort.
+        """Return a function that measures the computing effort from now on.
 
         Returns:
-            Function that returns the effort since this call: (test, resolution) -> number of simulations, and the
-            processor time in s.
+            Function without arguments that returns the effort since this call: (test, resolution) -> number of computed
+            simulations, and the processor time in s.
         """
         began, counted = time.process_time(), self.counts.copy()
         return lambda: (dict(self.counts - counted), time.process_time() - began)
 
     def add_read_folder(self, folder: Path) -> None:
-        """Read cached curves from a folder; new curves are not written there."""
+        """Set the folder from which cached curves are read, in place of the previous one; nothing is written there."""
         self._read_folder = folder
 
     def move_to_folder(self, folder: Path) -> None:
-        """Write all curves to a folder, and read and write there from now on."""
+        """Write all curves in memory to a folder, and use it for reading and writing; old files are not deleted."""
         # The absolute path is valid in worker processes with another working directory.
         self.folder = self._read_folder = folder.resolve()
         for key, curve in self._curves.items():
@@ -104,12 +104,12 @@ class SimulationCache:
 
 def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], resolution: str,
                    solver: str = "axisymmetric", *, one_sided: bool = False) -> SimulatedCurve:
-    """Simulate a model, and return its force with the derivatives by the free parameters.
+    """Simulate a model, and return its force and derivatives, or the reason of a failure instead of an exception.
 
     Args:
         model: model, see `tissue_sim.simulation.simulate`.
         topology: model whose mesh is moved to the geometry of `model`; None: `model` is meshed.
-        names: paths of the parameters of the derivatives.
+        names: paths of the parameters with respect to which derivatives are computed.
         resolution: name of the resolution.
         solver: name of the solver.
         one_sided: whether finite differences are one-sided, see `tissue_sim.differentiation.sensitivities`.
@@ -161,7 +161,7 @@ def _hash_solver_source() -> str:
 
 
 def _convert_to_plain_data(value: Any) -> Any:
-    """Convert immutable data to nested lists, dictionaries and strings that determine a simulation."""
+    """Convert immutable data to nested lists, dictionaries and strings, from which the key of a curve is computed."""
     if isinstance(value, Tool):
         # The geometry determines the contact; the path of the tool's file does not.
         return [value.shape, _convert_to_plain_data({name: getattr(value, name)

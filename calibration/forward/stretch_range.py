@@ -11,7 +11,7 @@ from tissue_sim.simulation import simulate
 
 
 def compute_homogeneous_range(closed_form: ClosedForm, low: float) -> StretchRange:
-    """Return the range of the principal stretches in a homogeneous test.
+    """Return the range of the principal stretches in a homogeneous compression, from `low` to 1 along the load.
 
     Args:
         closed_form: closed form of the test.
@@ -21,9 +21,9 @@ def compute_homogeneous_range(closed_form: ClosedForm, low: float) -> StretchRan
 
 
 def compute_simulated_range(model: Model | None, solver: str, strain: float) -> StretchRange:
-    """Return the range over the volume of a model, without the lowest and highest 1 % of the volume.
+    """Simulate a model, and return the range of its principal stretches without the lowest and highest 1 % of volume.
 
-    Without a converged simulation the nominal strain gives the range.
+    Without a converged simulation the range is 1 - `strain` to 1.
 
     Args:
         model: model in its most deformed state; None: no valid model exists.

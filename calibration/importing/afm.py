@@ -38,7 +38,7 @@ def is_afm_file(path: Path) -> bool:
 
 
 def interpret_afm_file(path: Path) -> FileInterpretation:
-    """Interpret a file of force curves of an AFM as replicates of a needle indentation.
+    """Read a file of force curves of an AFM, and interpret the curves as replicates of a needle indentation.
 
     Raises:
         InputError: as `tissue_sim.recording.formats.afm.read_afm`.

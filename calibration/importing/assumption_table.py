@@ -16,7 +16,7 @@ HEADINGS = ("assumption", "value", "evidence", "against", "or", "flag")
 
 @dataclass(frozen=True)
 class AssumptionTableSettings:
-    """Sizes of the table of assumptions.
+    """Limits of text lengths in the table of assumptions.
 
     Attributes:
         campaign_width: largest number of characters in a line of a campaign.
@@ -68,7 +68,7 @@ def make_assumption_rows(tests: Sequence[ImportedTest]) -> list[AssumptionRow]:
 
 
 def _format_modulus_factor(modulus_ratio: float | None) -> str:
-    """Format the factor by which an alternative changes the modulus, in brackets; empty for an unknown factor."""
+    """Format the factor by which an alternative changes the modulus as `` (modulus x 1.5)``; empty if it is None."""
     return "" if modulus_ratio is None else f" (modulus x {modulus_ratio:.3g})"
 
 
@@ -97,7 +97,7 @@ def format_campaign_comment(tests: Sequence[ImportedTest]) -> str:
 
 
 def format_wrapped_table(tests: Sequence[ImportedTest], width: int, most: int) -> list[str]:
-    """Format the table as text: at most `most` lines of at most `width` characters, one for each assumption.
+    """Return the lines of the table: at most `most` lines of at most `width` characters, one for each assumption.
 
     Each line shows subject, value, alternatives and evidence; longer texts are shortened.
     """

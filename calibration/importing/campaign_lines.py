@@ -29,7 +29,7 @@ _BULK_RATIO = 1000.0
 
 
 def merge_specimen_sizes(reading: TableGroup, wishes: ImportOptions) -> dict[str, SizeOrSpeed]:
-    """Return the sizes of the specimen by their keys in ``[[specimen]]``.
+    """Return the sizes of the specimen that the user, the sidecar or the file states: key in ``[[specimen]]`` -> size.
 
     Sizes that the user states override those of the sidecar, and sizes of the sidecar override those of the file.
     """
@@ -115,7 +115,7 @@ def make_test_lines(parts: Sequence[ReplicateFile], wishes: ImportOptions) -> tu
 
 
 def _make_speed_lines(parts: Sequence[ReplicateFile], stated: float | None) -> list[CampaignLine]:
-    """Return the line ``speed_mm_s`` for recordings without displacement or without time."""
+    """Return the line ``speed_mm_s`` for recordings without displacement or without time; otherwise an empty list."""
     reading = parts[0].reading
     if reading.speed is not None:
         speed, source = reading.speed
@@ -176,7 +176,7 @@ def _make_air_and_failure_lines(parts: Sequence[ReplicateFile]) -> list[Campaign
 
 
 def _get_channel_flag(channel: str) -> str:
-    """Return the name of a channel in a command-line flag, such as ``shear_strain`` in ``--unit shear_strain=...``."""
+    """Return the name of a channel as the user types it in a flag: ``shear_strain`` in ``--unit shear_strain=...``."""
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
 

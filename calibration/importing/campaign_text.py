@@ -77,7 +77,7 @@ def _have_equal_key_and_value(first: CampaignLine, second: CampaignLine) -> bool
 
 
 def _format_toml_line(line: CampaignLine) -> str:
-    """Format a line as TOML with its reason as a comment.
+    """Return the text of a line of a campaign: ``key = value`` (TOML) with the reason as a comment.
 
     A line without a value becomes a comment that the user fills in.
     """

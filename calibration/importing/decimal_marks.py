@@ -11,7 +11,7 @@ from tissue_sim.recording.formats.guesses import FileInterpretation, TableGroup
 
 
 def apply_common_decimal_mark(understood: Sequence[FileInterpretation]) -> list[FileInterpretation]:
-    """Add the option ``decimal`` of some files to all files with the same decimal mark.
+    """Copy the option ``decimal`` of some files to the options of all other files that have the same decimal mark.
 
     A file with thousands separators states its decimal mark in the campaign. Replicates with smaller numbers have no
     separators; with the same option, they remain replicates.
@@ -23,7 +23,7 @@ def apply_common_decimal_mark(understood: Sequence[FileInterpretation]) -> list[
     mark, = stated
 
     def set_decimal_mark(each: FileInterpretation, reading: TableGroup) -> TableGroup:
-        """Return the reading of a file with the common mark among its options, if the file has this mark."""
+        """Return the reading with the option ``decimal``; unchanged if the file has another mark or open questions."""
         if "decimal" in reading.options or "columns" not in reading.options or each.decimal_mark != mark or any(
                 assumption.needs_user_decision for assumption in each.assumptions):
             return reading
@@ -36,7 +36,7 @@ def apply_common_decimal_mark(understood: Sequence[FileInterpretation]) -> list[
 
 
 def explain_stated_decimal_mark(parts: Sequence[ReplicateFile]) -> str:
-    """Return the reason why a campaign states the decimal mark of its files, in one sentence."""
+    """Return the reason why a campaign states the decimal mark of its files; empty if no assumption concerns it."""
     found = [assumption for part in parts for assumption in part.understanding.assumptions
              if assumption.subject in ("thousands separator", "decimal mark")]
     found.sort(key=lambda each: each.subject, reverse=True)

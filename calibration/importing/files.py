@@ -59,7 +59,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
         files: texts, spreadsheets, arrays or AFM files: replicates of a test, or several tests.
         output: path of the campaign (``.toml``); a picture of the interpretation is written to the same folder
             (``.png``). None: no files are written.
-        wishes: options of the user, which override the content of the files.
+        wishes: options of the user, which override the content of the files; None: no options.
         overwrite: whether existing output files are replaced.
 
     Returns:
@@ -105,7 +105,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
 
 
 def _check_input_and_output_paths(paths: Sequence[Path], output: Path | None, overwrite: bool) -> None:
-    """Check the paths of an import.
+    """Check that the paths of an import differ, and that the output is a new TOML file (unless `overwrite`).
 
     Raises:
         InputError: no input, a repeated input, an output that is no TOML file, that is an input, or that exists while
@@ -190,9 +190,9 @@ def _has_height_and_cross_section(sizes: Mapping[str, SizeOrSpeed]) -> bool:
 
 def _add_zero_load_assumption(parts: Sequence[ReplicateFile], wishes: ImportOptions
                               ) -> tuple[tuple[ReplicateFile, ...], ZeroLoadInterpretation | None]:
-    """Return the replicates with the assumption about their load at zero displacement, and its interpretation.
+    """Return the replicates, extended by the assumption about their load at zero displacement, and this assumption.
 
-    The interpretation is None if the load is zero at zero displacement.
+    The second value is None if the load is zero at zero displacement.
     """
     sizes = {key: size.value for key, size in merge_specimen_sizes(parts[0].reading, wishes).items()}
     laws = list_laws_linear_in_parameters(wishes.laws or DEFAULT_LAWS["analytical"])
@@ -202,7 +202,7 @@ def _add_zero_load_assumption(parts: Sequence[ReplicateFile], wishes: ImportOpti
 def _build_imported_tests(groups: Sequence[tuple[str, tuple[ReplicateFile, ...], ZeroLoadInterpretation | None, str]],
                           wishes: ImportOptions
            ) -> tuple[tuple[ImportedTest, ...], dict[str, tuple[CampaignLine, ...]], tuple[str, ...]]:
-    """Build the tests of the campaign.
+    """Return the tests of the campaign, its specimens, and the missing information.
 
     Args:
         groups: (name, replicates, interpretation of the load at zero, reason of the grouping) of each test.
@@ -248,7 +248,9 @@ def _build_imported_tests(groups: Sequence[tuple[str, tuple[ReplicateFile, ...],
 
 
 def _find_reason_against_calibration(format_campaign_for_folder: Callable[[Path], str]) -> str | None:
-    """Return the reason why the campaign cannot be calibrated; None: it can.
+    """Return the reason why the complete campaign cannot be calibrated, or None if it can be calibrated.
+
+    The campaign is written to a temporary folder and read.
 
     Args:
         format_campaign_for_folder: returns the text of the campaign for a folder.

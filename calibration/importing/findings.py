@@ -11,7 +11,7 @@ from tissue_sim.recording.screening import EQUAL_LOAD, Screening, format_sample_
 
 def list_recording_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool,
                    controlled: str | None = None) -> tuple[Assumption, ...]:
-    """Return the assumptions about one recording: samples left out, contact, controlled quantity.
+    """Return the assumptions about one recording that its signals show: omitted samples, contact, controlled quantity.
 
     Args:
         screening: findings on the recording, with the controlled quantity.

@@ -66,14 +66,14 @@ def applies_to_test_kind(key: str, value: Any, kind: TestKind | None) -> bool:
 
 
 def _is_plate_shape(shape: Any) -> bool:
-    """Return whether a tool shape is a plate."""
+    """Return whether the name of a tool shape, such as ``plate``, stands for a plate."""
     name = parse_shape_name(shape)[0]
     return name in TOOLS and TOOLS[name].is_plate
 
 
 def _find_unused_options(wishes: ImportOptions, files: Sequence[FileInterpretation], tests: Sequence[ImportedTest]
             ) -> Iterator[tuple[str, str]]:
-    """Yield (flag, reason) of each option without effect."""
+    """Yield (flag, reason) of each option of the user that has no effect on the files."""
     yield from _find_options_unused_by_file_kind(wishes, files)
     yield from _find_options_of_unread_channels(wishes, files)
     kinds = [KINDS[test.kind] if test.kind else None for test in tests]

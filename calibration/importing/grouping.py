@@ -47,7 +47,7 @@ def group_into_tests(parts: Sequence[ReplicateFile]) -> list[tuple[str, tuple[Re
 
 
 def _strip_replicate_numbers(files: Sequence[Path]) -> dict[Path, str]:
-    """Return file -> name of the file without the number of the replicate at its end.
+    """Return file -> name that replicates have in common: the name of the file without the number at its end.
 
     Numbers that differ widely, such as in ``gel_10`` and ``gel_50``, are part of the name of the specimen.
     """

@@ -136,7 +136,7 @@ class ImportResult:
 
     @property
     def assumptions(self) -> tuple[tuple[str, Assumption], ...]:
-        """(file name, assumption) of all files: about the file, its tables, then its recordings."""
+        """Pairs (file name, assumption) of all files: about the file, its tables, then its recordings."""
         return list_assumptions_of_tests(self.tests)
 
     @property
@@ -153,7 +153,7 @@ class ImportResult:
 
 
 def list_assumptions_of_tests(tests: Sequence[ImportedTest]) -> tuple[tuple[str, Assumption], ...]:
-    """Return (file name, assumption) of all files of the tests, without repetition.
+    """Return the pairs (file name, assumption) of all files of the tests, each pair once.
 
     The assumptions of one file are about the file, then about its tables, then about its recordings.
     """
@@ -176,7 +176,7 @@ def list_questions_of_tests(tests: Sequence[ImportedTest]) -> tuple[str, ...]:
 
 
 def convert_import_to_json(imported: ImportResult) -> dict[str, Any]:
-    """Convert the result of an import to JSON types, lengths in mm.
+    """Return the result of an import as a dictionary of JSON types, with lengths in mm.
 
     Returns:
         Dictionary with the keys ``campaign``, ``picture``, ``files``, ``tests``, ``assumptions``, ``questions``,
@@ -195,7 +195,7 @@ def convert_import_to_json(imported: ImportResult) -> dict[str, Any]:
 
 
 def _make_file_entry(understanding: FileInterpretation, imported: ImportResult) -> dict[str, Any]:
-    """Return the entry of a file under the key ``files`` of `convert_import_to_json`."""
+    """Return the dictionary that describes a file under the key ``files`` of `convert_import_to_json`."""
     parts = [part for test in imported.tests for part in test.parts if part.understanding is understanding]
     recordings = [_make_recording_entry(motion, recording.name or part.reading.name, len(recording))
                   for part in parts for motion, recording in zip(part.motions, part.reading.recordings, strict=True)]
@@ -214,7 +214,7 @@ def _make_file_entry(understanding: FileInterpretation, imported: ImportResult) 
 
 
 def _make_recording_entry(motion: RecordedMotion, name: str, points: int) -> dict[str, Any]:
-    """Return the entry of a recording with `points` samples under ``recordings`` of its file; lengths in mm."""
+    """Return the dictionary that describes a recording with `points` samples under ``recordings``; lengths in mm."""
     contact = motion.contact
     channel, in_mm = ("displacement_mm", 1e3) if motion.channel == "displacement" else ("strain", 1.0)
     return {"name": name, "points": points, "rate_Hz": motion.rate, "duration_s": motion.duration,

@@ -62,12 +62,12 @@ class RecordedMotion:
     kept: np.ndarray | None = None
 
     def recording_index_of(self, index: int) -> int:
-        """Convert an index of the kept samples to the index in the recording of the file, both from 0."""
+        """Return the index of a sample in the recording of the file, from its index among the kept samples (from 0)."""
         return index if self.kept is None else int(self.kept[index])
 
     @property
     def segments(self) -> tuple[MotionSegment, ...]:
-        """Segments in the order of time."""
+        """Segments in the order of time, with indices of the recording of the file."""
         return tuple(MotionSegment(name, self.recording_index_of(first), self.recording_index_of(end - 1))
                      for name, first,
                      end in self.found.iterate_segments())
@@ -79,7 +79,7 @@ class RecordedMotion:
 
     @property
     def failure(self) -> Failure | None:
-        """Failure of the specimen; None: intact."""
+        """Failure of the specimen; None if the specimen stays intact."""
         return self.found.failure
 
     @property
@@ -92,7 +92,7 @@ class RecordedMotion:
 
     @property
     def starts_in_air(self) -> bool | None:
-        """Whether the recording starts with motion in air or slack before contact; None: unclear."""
+        """Whether the recording starts with motion in air or slack before contact; None if this is unclear."""
         contact = self.found.contact
         if contact is None or contact.status == "before":
             return False
@@ -102,7 +102,7 @@ class RecordedMotion:
 
 
 def describe_motion(recording: Recording, kind: str | None, controlled: str | None = None) -> RecordedMotion:
-    """Find sampling, segments, contact, failure and assumptions of one recording.
+    """Analyse the motion of one recording: sampling, segments, contact, failure, warnings and assumptions.
 
     Args:
         recording: recording with a channel of `MOTIONS` and a force or stress.
@@ -139,7 +139,7 @@ def describe_motion(recording: Recording, kind: str | None, controlled: str | No
 
 
 def _find_controlled_quantity(recording: Recording, kind: str | None) -> ControlFindings:
-    """Return the controlled quantity of a recording."""
+    """Return the findings about control: which quantity the machine controls, holds, creep and relaxation."""
     motion, load, _ = get_motion_and_load(recording, KINDS.get(kind) if kind else None)
     return analyse_control_and_creep(motion, load, recording.time if "time" in recording
                                      and np.ptp(recording.time) > 0 else None)

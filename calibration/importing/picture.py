@@ -17,7 +17,7 @@ from tissue_sim.recording.screening import Screening
 
 @dataclass(frozen=True)
 class PictureSettings:
-    """Sizes of the picture.
+    """Layout of the picture of an import.
 
     Attributes:
         most_tests: largest number of tests in the picture.
@@ -109,13 +109,13 @@ def _draw_recordings_of_test(left, right, test: ImportedTest) -> None:
 
 
 def _convert_to_plotted_unit(recording: Recording, channel: str, raw: set[str]) -> np.ndarray:
-    """Return the values of a channel in the unit of the picture; channels in `raw` have no known unit."""
+    """Return the values of a channel in the unit of the picture; channels in `raw` (unknown unit) are unchanged."""
     return recording.channel(channel) * (1.0 if channel in raw else _SHOWN[channel][1])
 
 
 def _mark_omitted_samples(left, right, clocks: np.ndarray, ways: np.ndarray, loads: np.ndarray, kept: np.ndarray,
                    screening: Screening) -> None:
-    """Mark the omitted samples: outliers as crosses, saturated samples as dots.
+    """Mark the samples that are left out: outliers as red crosses, saturated samples as grey dots.
 
     An outlier outside the range of the kept samples is drawn at the edge of this range.
     """
@@ -136,7 +136,7 @@ def _mark_omitted_samples(left, right, clocks: np.ndarray, ways: np.ndarray, loa
 def _set_axis_labels(left, right, way: str, load: str, raw: set[str], *, timed: bool) -> None:
     """Label the axes with quantity and unit; channels in `raw` have no known unit."""
     def make_axis_label(channel: str) -> str:
-        """Return quantity and unit of a channel."""
+        """Return the label of an axis: name and unit of a channel."""
         return f"{channel}, unit not known" if channel in raw else _SHOWN[channel][0]
 
     left.set_xlabel("time, s" if timed else "sample")

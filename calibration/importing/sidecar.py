@@ -41,7 +41,7 @@ def find_test_kind_in_sidecar(said: Mapping[str, Any]) -> str | None:
 
 def add_sidecar_metadata(found: FileInterpretation, said: Mapping[str, Any], *,
                          kind_stated: bool) -> FileInterpretation:
-    """Return the interpretation of a file with the kind of test, specimen sizes and tool of its sidecar.
+    """Return a copy of the interpretation of a file with the kind of test, specimen sizes and tool of its sidecar.
 
     Args:
         found: interpretation of the file.
@@ -60,7 +60,7 @@ def add_sidecar_metadata(found: FileInterpretation, said: Mapping[str, Any], *,
     about = {key: value for key, value in about.items() if value is not None}
 
     def add_metadata_to_reading(reading: TableGroup) -> TableGroup:
-        """Return a reading with the kind, the sizes and the metadata of the sidecar."""
+        """Return a copy of a reading with the kind of test, the specimen sizes and the tool that the sidecar states."""
         guess = reading.kind if kind is None or kind_stated else KindGuess(kind, reason)
         return replace(reading, kind=guess, specimen=make_read_only_copy(sizes),
                        recordings=tuple(each.with_metadata(**about) for each in reading.recordings))

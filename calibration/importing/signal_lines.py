@@ -80,7 +80,7 @@ def make_contact_offset_lines(tests: Sequence[ImportedTest], *, bounded: bool) -
 
 
 def _find_preload_offsets(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffsetPrior]:
-    """Yield a prior of the contact offset for each test whose displacement was zeroed at a preload."""
+    """Yield a prior of the contact offset, mm, for each test whose displacement was zeroed at a preload."""
     for test in tests:
         if test.zero is None or test.zero.value != PRELOAD:
             continue
@@ -92,7 +92,7 @@ def _find_preload_offsets(tests: Sequence[ImportedTest]) -> Iterator[_ContactOff
 
 
 def _find_wide_interval_offsets(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffsetPrior]:
-    """Yield a prior of the contact offset for each recording whose contact is too uncertain for the modulus.
+    """Yield a prior of the contact offset, mm, for each recording whose contact is too uncertain for the modulus.
 
     The limit is `MODULUS_TOLERANCE`; only tests with motion in air before contact are examined.
     """
@@ -118,9 +118,9 @@ def _find_wide_interval_offsets(tests: Sequence[ImportedTest]) -> Iterator[_Cont
 
 
 def make_viscoelastic_start_line(tests: Sequence[ImportedTest]) -> list[CampaignLine]:
-    """Return the line ``start`` of ``[fit]`` with one Prony term if an elastic law cannot describe a test.
+    """Return the line ``start`` of ``[fit]`` (start values of one Prony term) as a list of one line.
 
-    The list has one line for the first such test, or no line.
+    The values are from the first test that an elastic law cannot describe; without such a test the list is empty.
     """
     for test in tests:
         for part in test.parts:

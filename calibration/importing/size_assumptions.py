@@ -22,7 +22,7 @@ _GIVEN_BY = {"radius_mm": ("diameter", "radius", "circumference", "area"), "area
 
 
 def add_size_assumptions(found: FileInterpretation, wishes: ImportOptions) -> FileInterpretation:
-    """Add an assumption for each size that the file states."""
+    """Return a copy of the interpretation with one assumption for each size of the specimen that the file states."""
     return replace(found, readings=tuple(
         replace(reading, assumptions=(*reading.assumptions, *list_size_assumptions(reading, wishes.specimen)))
         for reading in found.readings))
@@ -53,7 +53,7 @@ def list_size_assumptions(reading: TableGroup, stated: Mapping[str, Any]) -> tup
 
 
 def explain_unclear_size(reading: TableGroup, key: str) -> str:
-    """Return the reason why a statement in the file does not give the size `key`; empty without such a statement."""
+    """Return why a size in the file cannot be used for `key` (unknown unit, or sizes without names); else empty."""
     seen = find_sizes_without_unit(reading.stated)
     found = next((seen[name] for name in _GIVEN_BY.get(key, ()) if name in seen), "")
     if found:
@@ -63,12 +63,12 @@ def explain_unclear_size(reading: TableGroup, key: str) -> str:
 
 
 def _get_size_flag(size: SizeOrSpeed) -> str:
-    """Return the flag of the command line that states a size."""
+    """Return the command-line flag that states a size, with its value, such as ``--height-mm 10``."""
     return f"--{size.key.replace('_', '-')} {size.value:g}"
 
 
 def _compute_modulus_ratio(key: str, first: SizeOrSpeed, other: SizeOrSpeed, reading: TableGroup) -> float | None:
-    """Return the ratio of the moduli with the other and the first size (homogeneous deformation); None: unknown."""
+    """Return the modulus with size `other` divided by that with size `first`; None if the test has no closed form."""
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     if kind is None or kind.closed_form is None:
         return None

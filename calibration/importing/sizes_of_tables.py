@@ -21,7 +21,7 @@ _LEAST_RANGE_RATIO = 1.0 / 3.0
 
 
 def add_question_about_table_sizes(found: FileInterpretation, wishes: ImportOptions) -> FileInterpretation:
-    """Add a question if tables of different sizes have the same forces.
+    """Return a copy with a question if tables of different sizes have about the same stiffness; else the argument.
 
     The stiffness of a homogeneous specimen is proportional to its cross-section over its height. Tables whose
     stiffnesses differ by less than a third of that ratio show one specimen, or a list of sizes that belongs to others.
@@ -48,7 +48,7 @@ def add_question_about_table_sizes(found: FileInterpretation, wishes: ImportOpti
 
 
 def _compute_area_over_height(reading: TableGroup) -> float | None:
-    """Return cross-section over height, mm; None: an unknown size, or a reading without force and displacement."""
+    """Return cross-section divided by height, mm; None if a size is unknown, or force or displacement is missing."""
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     read = {column.channel for column in reading.columns if not column.missing_information}
     if kind is None or kind.closed_form is None or "force" not in read or any(
@@ -60,7 +60,10 @@ def _compute_area_over_height(reading: TableGroup) -> float | None:
 
 
 def _compute_secant_stiffnesses(recordings: Sequence[Recording]) -> list[float]:
-    """Return the secant stiffness of each first loading up to the common displacement, N/m; 0: unknown."""
+    """Return the stiffness (slope of a line through zero, least squares) of each first loading, N/m.
+
+    All loadings are used up to their largest common displacement. The result is [0.0] if a recording is invalid.
+    """
     loadings = []
     for each in recordings:
         try:

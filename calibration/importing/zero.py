@@ -30,7 +30,7 @@ from tissue_sim.units import find_quantity_of_unit, get_si_factor_and_offset
 
 @dataclass(frozen=True)
 class ZeroExplanationSettings:
-    """Settings of `add_zero_load_assumption`.
+    """Limits for the choice between the two explanations of a load at zero displacement.
 
     Attributes:
         decisive_difference: difference of the Bayesian information criteria above which no question is asked (10: very
@@ -67,7 +67,7 @@ _PRELOAD_AGAINST_LOADING = ("the specimen was strained against the direction of 
 
 @dataclass(frozen=True)
 class _ExplanationFit:
-    """Fit of one explanation.
+    """Fit of one explanation of the load at zero displacement (preload, or load cell not zeroed) to a first loading.
 
     Attributes:
         criterion: Bayesian information criterion.
@@ -85,7 +85,7 @@ class _ExplanationFit:
 def add_zero_load_assumption(parts: Sequence[ReplicateFile], sizes: Mapping[str, float], laws: Sequence[str],
                              stated: str | None
               ) -> tuple[tuple[ReplicateFile, ...], ZeroLoadInterpretation | None]:
-    """Add the assumption about the load at zero displacement to the replicates of a test.
+    """Return the replicates of a test with the assumption about their load at zero displacement; also interpret it.
 
     If the load cell was not zeroed, its offset is also subtracted from the recorded forces.
 
@@ -120,10 +120,11 @@ def add_zero_load_assumption(parts: Sequence[ReplicateFile], sizes: Mapping[str,
 
 def _select_first_loading(recording: Recording, motion: RecordedMotion, kind: TestKind | None
                           ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return displacement (m) and force (N) of the first loading, positive under load.
+    """Return displacement (m) and force (N) of the first loading, both positive under load, shapes (n,).
 
     Returns:
-        None: a recording without displacement and force, with motion in air before contact, or of an oscillation.
+        The two arrays; None for a recording without displacement and force, with motion in air before contact, or of an
+        oscillation.
     """
     if motion.channel != "displacement" or "force" not in recording or motion.found.has_air:
         return None
@@ -138,7 +139,7 @@ def _select_first_loading(recording: Recording, motion: RecordedMotion, kind: Te
 
 
 def _find_load_jump_evidence(parts: Sequence[ReplicateFile], load: float) -> str | None:
-    """Return the evidence that the load rises from zero within one sample; None: no such evidence.
+    """Return a sentence with the evidence that the load rises from zero within one sample; None without evidence.
 
     A first sample that was left out and reads zero load may be right. Then the load cell was zeroed, the specimen was
     unloaded, and the load jumps, as in a peel test or where static friction holds. No elastic law describes a jump.
@@ -158,7 +159,7 @@ def _find_load_jump_evidence(parts: Sequence[ReplicateFile], load: float) -> str
 
 def _fit_explanations(curve: tuple[np.ndarray, np.ndarray], start: LoadAtZeroDisplacement, kind: TestKind | None,
              sizes: Mapping[str, float], laws: Sequence[str]) -> tuple[dict[str, _ExplanationFit], float] | None:
-    """Fit all laws with each explanation to the first loading of one recording.
+    """Fit all laws with each explanation to the first loading of one recording; return the best fit for each.
 
     Args:
         curve: displacement, m, and force, N, of the first loading, each of shape (n,).
@@ -230,7 +231,7 @@ def _fit_explanation(value: str, displacement: np.ndarray, load: np.ndarray, shi
 
 
 def list_laws_linear_in_parameters(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the laws whose stress is linear in their parameters; ``neo_hooke`` without such a law."""
+    """Return those of the given laws whose stress is linear in the parameters; ``("neo_hooke",)`` if there is none."""
     strain = np.array([0.9, 0.95])
 
     def is_linear(name: str) -> bool:
@@ -245,7 +246,9 @@ def list_laws_linear_in_parameters(names: Sequence[str]) -> tuple[str, ...]:
 def _choose_explanation(explanations: Sequence[tuple[dict[str, _ExplanationFit], float]], start: LoadAtZeroDisplacement,
                           kind: TestKind | None, stated: str | None, jump: str | None
                           ) -> tuple[Assumption, str, float | None]:
-    """Choose the explanation of the load at zero displacement that fits all replicates of a test better.
+    """Return the assumption about the load at zero displacement that fits all replicates of a test better.
+
+    If the curves do not decide, the assumption is a question: it states the other explanation as an alternative.
 
     Args:
         explanations: explanations and noise of each replicate.
@@ -302,7 +305,9 @@ def _make_unzeroed_assumption(start: LoadAtZeroDisplacement, stated: str | None)
 
 def _apply_zero_load_interpretation(part: ReplicateFile, assumption: Assumption, zero: ZeroLoadInterpretation, *,
                                     is_constant: bool) -> ReplicateFile:
-    """Return a file's replicates with the assumption; subtract the offset of a load cell that was not zeroed.
+    """Return a copy of a file's replicates with the assumption and a warning.
+
+    If the load cell was not zeroed, its offset is subtracted from the forces and stated in the column of the force.
 
     Args:
         part: replicates of a test in one file.
@@ -326,6 +331,6 @@ def _apply_zero_load_interpretation(part: ReplicateFile, assumption: Assumption,
 
 
 def _convert_to_offset_of_column(unit: str | None, load: float) -> float:
-    """Convert minus `load`, N, to the unit of the column of the force, with four digits."""
+    """Return the offset of the force column, which is minus `load` (N), in the unit of the column, with four digits."""
     factor = 1.0 if unit is None or find_quantity_of_unit(unit) == "signal" else get_si_factor_and_offset(unit)[0]
     return float(f"{-load / factor:.4g}")

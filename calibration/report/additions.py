@@ -76,14 +76,17 @@ def write_effect_files(diagnosis: Diagnosis, after: FitEvidence | None, folder: 
 
 
 def _is_effect_of_single_tests(effect: FoundEffect) -> bool:
+    """Return whether an effect acts only in the tests that it names, and not in all tests."""
     return bool(effect.tests)
 
 
 def _make_rig_file_name(number: int) -> str:
+    """Return the name of the rig file of a test; `number` is the index of the test from 0."""
     return f"test_{number + 1}.rig.json"
 
 
 def _build_material_file(diagnosis: Diagnosis, after: FitEvidence, folder: Path) -> MaterialFile:
+    """Return the material file of the fitted law and tissue effects, with the diagnosis in its provenance."""
     fit = diagnosis.fit_after
     assert fit is not None
     # An effect of a single test or session is not a property of the tissue: the material file has it switched off.
@@ -103,7 +106,7 @@ def _build_material_file(diagnosis: Diagnosis, after: FitEvidence, folder: Path)
 
 
 def _set_fitted_rig_values(after: FitEvidence, test: Test) -> Rig:
-    """Return the rig of a test with the fitted rig parameters."""
+    """Return a copy of the rig of a test with the fitted values of its parameters."""
     space = after.problem.space
     values = {each.path.removeprefix("rig."): after.parameter_values[each.name] for each in space.unknowns
               if each.path.startswith("rig.") and each.acts_in(test.name, None) and each.recording is None}
@@ -111,7 +114,7 @@ def _set_fitted_rig_values(after: FitEvidence, test: Test) -> Rig:
 
 
 def _format_campaign_file(diagnosis: Diagnosis, after: FitEvidence) -> str:
-    """Return the campaign file (TOML) in which the effects found are additional unknowns with start values."""
+    """Return the text of a campaign (TOML) in which the effects found are additional unknowns with start values."""
     campaign = after.campaign
     folder = campaign.path.parent.resolve()
     content = replace_file_names(read_toml(campaign.path, "a campaign (TOML)"), folder, get_absolute_path)
@@ -170,10 +173,12 @@ def format_toml(content: Mapping[str, Any]) -> str:
 
 
 def _is_list_of_tables(value: Any) -> bool:
+    """Return whether a value is a list of mappings with at least one item (an array of tables in TOML)."""
     return isinstance(value, list) and bool(value) and all(isinstance(each, Mapping) for each in value)
 
 
 def _format_toml_key(name: str) -> str:
+    """Return a TOML key with quotation marks if necessary."""
     return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else json.dumps(name)
 
 
@@ -183,6 +188,7 @@ def _format_toml_entry(entry: tuple[str, Any]) -> str:
 
 
 def _format_toml_value(value: Any) -> str:
+    """Return a value as TOML text; a mapping becomes an inline table."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):

@@ -20,6 +20,7 @@ def list_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]
 
 
 def _list_analytical_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]:
+    """Return the assumptions of a fit with closed forms, one sentence each."""
     fit, noise = result.campaign.fit, result.campaign.noise
     lines = ["The material is incompressible; its viscoelastic parameters are fitted to ramps, holds and unloading."]
     if not fit.non_law_paths:
@@ -51,6 +52,7 @@ def _list_analytical_assumptions(result: CalibrationResult, units: ReportUnits) 
 
 
 def _list_simulation_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]:
+    """Return the assumptions of an inverse fit with finite elements, one sentence each."""
     best, campaign = result.best, result.campaign
     shared = "All tests have the same material" if not best.material_of else "Each specimen has a separate material"
     lines = [f"{shared}. Each recording has a separate contact offset and force zero; both are unknown and "

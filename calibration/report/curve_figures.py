@@ -147,7 +147,7 @@ class ResidualAxis:
     label: str
 
     def compute_sample_positions(self, measured: MeasuredCurve) -> np.ndarray:
-        """Return the position of each sample on this axis, in the unit of the axis, shape (n,)."""
+        """Return the coordinate of each sample on this axis, in the unit of the axis, shape (n,)."""
         return measured.sample_times if self.timed else measured.displacement / self.travel.size
 
     def compute_bin_edges(self, recordings: Sequence[MeasuredCurve]) -> np.ndarray:
@@ -158,7 +158,7 @@ class ResidualAxis:
 
     def iterate_region_spans(self, region: RegionMisfitTest,
                              recordings: Sequence[MeasuredCurve]) -> Iterator[tuple[float, float]]:
-        """Yield the interval of a region on this axis; on a time axis one interval for each cycle."""
+        """Yield (start, end) of one region in the unit of this axis; on a time axis one pair for each cycle."""
         measured = recordings[0]
         start, end = _find_region_ends(region, measured.test)
         if not self.timed:
@@ -175,7 +175,7 @@ class ResidualAxis:
 
 
 def _draw_prediction_band(axes, best: TestCurves, colour: str, x: ResidualAxis) -> None:
-    """Draw the law minus the recordings, contact offsets and force zeros not removed, in the prediction band."""
+    """Draw the law minus each recording, and the prediction band; contact offsets and force zeros are not removed."""
     axes.set_title("Raw recordings in the prediction band")
     axes.axhline(0.0, color=colour, lw=1.6)
     y = 1 / x.load.size
@@ -265,7 +265,7 @@ def iterate_residual_bins(measured: MeasuredCurve, residual: np.ndarray, x: Resi
 
 
 def compute_standard_deviation_of_mean(count: np.ndarray, step: float, correlation_time: float) -> np.ndarray:
-    """Return the standard deviation of the mean of correlated samples of unit variance.
+    """Return the standard deviations of means of correlated samples of unit variance, shape of `count`.
 
     The samples have the autocorrelation exp(-lag / correlation_time). The variance of the mean of n samples is
     [(1 + phi) / (1 - phi) - 2 phi (1 - phi^n) / (n (1 - phi)^2)] / n with phi = exp(-step / correlation_time).
@@ -284,7 +284,7 @@ def compute_standard_deviation_of_mean(count: np.ndarray, step: float, correlati
 
 
 def _write_misfit_labels(axes, spans, load: DisplayUnit) -> None:
-    """Write the misfit above each region that is wide enough for the text."""
+    """Write the misfit, in the unit of force, above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
         if end - start > LAYOUT.min_labelled_width * (right - left):

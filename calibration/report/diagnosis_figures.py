@@ -25,7 +25,10 @@ AFTER: dict = {"color": COLOURS[0], "ls": "-"}
 
 
 def select_diagnosis_curves(evidence: FitEvidence, name: str) -> TestCurves:
-    """Return the measured and fitted curves of one test, with the offset and zero of each recording, without bands."""
+    """Return measured and fitted curves of the test `name`; fitted ones include contact offsets and force zeros.
+
+    The prediction bands are NaN.
+    """
     problem = evidence.problem
     number = next(i for i, test in enumerate(problem.tests) if test.name == name)
     test, force = problem.tests[number], evidence.evaluation.force
@@ -108,7 +111,7 @@ def _draw_residuals(axes, drawn, x: ResidualAxis) -> None:
 
 
 def _write_misfit_labels(axes, spans, gaps: dict[str, SegmentMisfit], x: ResidualAxis) -> None:
-    """Write the misfit before and after above each region that is wide enough for the text."""
+    """Write the misfit without and with the added effects above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
         gap = gaps.get(region.segment)
@@ -120,7 +123,10 @@ def _write_misfit_labels(axes, spans, gaps: dict[str, SegmentMisfit], x: Residua
 
 
 def draw_region_significance(regions: Sequence[SegmentMisfit], units: ReportUnits):
-    """Draw the significance of the residuals of each region, before and after, in standard deviations."""
+    """Draw the significance of the residuals of each region without and with the added effects; return the figure.
+
+    The axis is the number of standard deviations of a normal distribution.
+    """
     figure = create_figure(LAYOUT.width, LAYOUT.frame_height + LAYOUT.bar_height * len(regions))
     axes = figure.subplots()
     rows = -np.arange(len(regions), dtype=float)
@@ -157,6 +163,7 @@ def _format_segment_and_speed(region: SegmentMisfit) -> str:
 
 
 def _format_misfits(region: SegmentMisfit, units: ReportUnits) -> str:
+    """Return the misfits of a region without and with the added effects as text, such as ``0.2 N → 0.1 N``."""
     sizes = [units.force.format_quantity(size, 2) for size in (region.before_N, region.after_N) if size is not None]
     return " → ".join(sizes)
 
@@ -202,7 +209,7 @@ def draw_candidate_scores(candidates: Sequence[CandidateStatement], names: Seque
 
 
 def _format_odds_against_best(each: CandidateStatement) -> str:
-    """Return the odds against the best candidate, such as ``, 1 : 45``; empty for the best."""
+    """Return text with the odds against the best candidate, such as ``, 1 : 45``; empty for the best candidate."""
     ratio = each.evidence_ratio
     return "" if ratio is None or ratio <= 1.0 else f", 1 : {format_odds_ratio(ratio)}"
 

@@ -66,7 +66,9 @@ def write_diagnosis(result: DiagnosisResult, before: FitEvidence, after: FitEvid
 
 
 def _format_residual_table(before: FitEvidence, after: FitEvidence | None) -> str:
-    """Return the CSV table of all samples: measured force, and both models with the recording's offset and zero.
+    """Return a CSV table of all samples: measured force, and forces of the models without and with the added effects.
+
+    The model forces include the contact offset and the force zero of each recording.
 
     Forces are in N; for recordings of stress the values are in Pa and the displacement is a strain.
     """

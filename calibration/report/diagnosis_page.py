@@ -131,6 +131,7 @@ def list_misfit_sentences(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def _list_separation_sentences(diagnosis: Diagnosis, effects: Mapping[str, Effect]) -> Iterator[str]:
+    """Yield for each effect that these data cannot distinguish a sentence on what would distinguish it."""
     if diagnosis.verdict != "SET":
         return
     labels = format_candidate_labels(diagnosis.candidates)
@@ -157,7 +158,7 @@ def _list_bias_sentences(before: Fit, after: Fit | None, units: ReportUnits) -> 
 
 
 def _list_unfitted_sentences(diagnosis: Diagnosis, units: ReportUnits) -> Iterator[str]:
-    """Yield a sentence about the prediction error of recordings left out, and one about tests held out."""
+    """Yield a sentence on the prediction errors in recordings left out of the fit, and one on tests held out."""
     for kind, noun, how in (("replicate", "recording", "left out"), ("test", "test", "held out")):
         predicted = [each for each in diagnosis.held_out if each.kind == kind and each.before_N is not None]
         if not predicted:
@@ -174,12 +175,14 @@ def _list_unfitted_sentences(diagnosis: Diagnosis, units: ReportUnits) -> Iterat
 
 
 def _format_smallest_and_largest(sizes: Sequence[float | None]) -> list[float]:
+    """Return the smallest and the largest value that is not None, once if they are equal; empty without values."""
     known = [size for size in sizes if size is not None]
     return sorted({min(known), max(known)}) if known else []
 
 
 def _make_misfit_section(diagnosis: Diagnosis, before: FitEvidence, after: FitEvidence | None, units: ReportUnits,
                          pictures: FigureEmbedder) -> Iterator[str]:
+    """Yield the HTML parts of the section on misfit: one figure for each test, then the evidence by region."""
     yield "<h2>Where model and measurement differ</h2>"
     yield f'<p class="quiet">{_NOTE}</p>'
     label = join_as_enumeration([each.title for each in diagnosis.effects])
@@ -204,6 +207,7 @@ def _make_misfit_section(diagnosis: Diagnosis, before: FitEvidence, after: FitEv
 
 def _make_effect_catalogue_section(diagnosis: Diagnosis, units: ReportUnits,
                                    pictures: FigureEmbedder | None) -> Iterator[str]:
+    """Yield the HTML parts of the section on the effects of the catalogue: one figure and three tables."""
     seen = [each for each in diagnosis.candidates if each.testable]
     yield "<h2>Effects of the catalogue in these tests</h2>"
     limits = DecisionLimits(**diagnosis.decision_limits)
@@ -228,13 +232,17 @@ def _make_effect_catalogue_section(diagnosis: Diagnosis, units: ReportUnits,
 
 
 def _list_added_candidates(diagnosis: Diagnosis, seen: Sequence[CandidateStatement]) -> list[str]:
-    """Return the names of the candidates that were added; an effect of one test matches the candidate of that test."""
+    """Return those names of the candidates `seen` whose effect was added to the model.
+
+    An effect that acts in one test matches only the candidate of this test.
+    """
     added = {(each.name, tuple(each.tests)) for each in diagnosis.effects}
     return [each.name for each in seen for test in (each.name.partition("@")[2],)
             if (each.effect, (test,) if test else ()) in added]
 
 
 def _format_next_experiments(diagnosis: Diagnosis) -> str:
+    """Return the proposed experiments as a numbered HTML list, with the effects that each would distinguish."""
     labels = format_candidate_labels(diagnosis.candidates)
     lines = []
     for each in diagnosis.next_experiment:

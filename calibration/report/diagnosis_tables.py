@@ -40,7 +40,7 @@ def format_candidate_label(candidate: CandidateStatement) -> str:
 
 
 def format_candidate_labels(candidates: Iterable[CandidateStatement]) -> dict[str, str]:
-    """Return the display name of each candidate by its name."""
+    """Return a dictionary: name of each candidate -> display name."""
     return {each.name: format_candidate_label(each) for each in candidates}
 
 
@@ -135,7 +135,7 @@ def make_undetectable_effects_table(candidates: Sequence[CandidateStatement]) ->
 
 
 def capitalise_first_letter(words: str) -> str:
-    """Return the text with a capital first letter."""
+    """Return the text with its first letter as a capital letter; other letters are unchanged."""
     return words[:1].upper() + words[1:]
 
 
@@ -170,11 +170,12 @@ def make_segment_misfit_table(regions: Sequence[SegmentMisfit], units: ReportUni
 
 
 def _mark_inadequate_p_value(text: str, adequate: bool) -> str:
+    """Return a number as HTML: in the colour of a warning if it is not adequate, otherwise unchanged."""
     return text if adequate else f'<span class="bad">{text}</span>'
 
 
 def make_parameter_bias_table(before: Fit, after: Fit | None, units: ReportUnits) -> str:
-    """Return the HTML table of the parameters: estimates before and after, and the bias due to the missing effect."""
+    """Return the HTML table of the parameters: estimates without and with the added effects, and the resulting bias."""
     rows = []
     for name in dict.fromkeys((*before.parameters, *(() if after is None else after.parameters))):
         cells = [format_parameter_symbol(before if after is None or name in before.parameters else after, name)]
@@ -191,11 +192,11 @@ def make_parameter_bias_table(before: Fit, after: Fit | None, units: ReportUnits
 
 
 def format_relative_bias(before: Fit, after: Fit | None, name: str) -> float | None:
-    """Return the relative error of a parameter in the fit without the effect: value before / value after - 1.
+    """Return the relative error (a number) of a parameter in the fit without the effect: value before / after - 1.
 
     Returns:
-        The relative error; None if there is no fit with an effect, if either fit lacks the parameter, or if the
-        parameter was fixed.
+        The relative error, such as 0.1 for 10 % too large; None if there is no fit with an effect, if either fit lacks
+        the parameter, or if the parameter was fixed.
     """
     if after is None or name not in before.parameters or not after.parameters.get(name) \
             or before.standard_errors[name] == 0:
@@ -206,6 +207,7 @@ def format_relative_bias(before: Fit, after: Fit | None, name: str) -> float | N
 def make_prediction_error_table(held_out: Sequence[HeldOutPrediction], units: ReportUnits) -> str:
     """Return the HTML table of the prediction errors in data that were not fitted."""
     def format_error(value: float | None, noise: float | None, adequate: bool | None) -> str:
+        """Return an error as HTML with its ratio to the noise, such as ``0.1 N (2 × noise)``; ``-`` for None."""
         if value is None:
             return "-"
         ratio = f" ({value / noise:.2g} × noise)" if noise else ""
@@ -227,7 +229,7 @@ def make_prediction_error_table(held_out: Sequence[HeldOutPrediction], units: Re
 
 
 def make_stage_duration_table(diagnosis: Diagnosis) -> str:
-    """Return the HTML table of the time and the simulations of each stage."""
+    """Return the HTML table of the duration, s, and the number of simulations of each stage, and their sums."""
     rows = [[escape(each.name), f"{each.wall_s:.1f}", str(each.simulations)] for each in diagnosis.stages]
     rows.append(["all", f"{sum(each.wall_s for each in diagnosis.stages):.1f}",
                  str(sum(each.simulations for each in diagnosis.stages))])

@@ -44,7 +44,7 @@ def choose_marker_style(points: int) -> dict:
 
 
 def make_thinning_slice(size: int) -> slice:
-    """Return a slice that reduces `size` samples to about `ReportLayout.data_points`, to keep the file small."""
+    """Return a slice with a constant step that reduces `size` samples to about `ReportLayout.data_points` samples."""
     return slice(None, None, max(1, size // LAYOUT.data_points))
 
 
@@ -64,7 +64,7 @@ def create_figure(width: float, height: float):
 
 
 def create_panel_figure(counts: Sequence[int], height: float, width: float = LAYOUT.width):
-    """Create a figure with rows of panels.
+    """Create a figure with rows of panels; rows may have different numbers of panels.
 
     Args:
         counts: number of panels in each row.
@@ -81,13 +81,13 @@ def create_panel_figure(counts: Sequence[int], height: float, width: float = LAY
 
 
 def compute_panels_per_row(count: int, most: int = LAYOUT.panels_per_row) -> list[int]:
-    """Return the number of panels in each row for `count` panels with at most `most` in a row, evenly distributed."""
+    """Return a list with the number of panels in each row, for `count` panels and at most `most` panels in a row."""
     rows = -(-count // most)
     return [count // rows + (row < count % rows) for row in range(rows)]
 
 
 def add_legend_above(figure, columns: int = LAYOUT.legend_columns) -> None:
-    """Add one legend above all panels; entries with the same label appear once."""
+    """Add one legend of the whole figure above all panels; entries with the same label appear once."""
     handles: dict[str, Any] = {}
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -98,7 +98,7 @@ def add_legend_above(figure, columns: int = LAYOUT.legend_columns) -> None:
 
 
 def render_figure(figure, kind: str, **options) -> bytes:
-    """Return the figure as ``png``, ``svg`` or ``pdf``, reproducible byte for byte."""
+    """Return the bytes of a figure file of format `kind` (``png``, ``svg`` or ``pdf``), which are reproducible."""
     stream = io.BytesIO()
     dated = {"svg": "Date", "pdf": "CreationDate"}.get(kind)
     figure.savefig(stream, format=kind, metadata={dated: None} if dated else None, **options)

@@ -51,6 +51,7 @@ def draw_profiles(fit: Fit, bounds: Mapping[str, tuple[float, float]], units: Re
 
 
 def _draw_parameter_profile(axes, fit: Fit, name: str, bounds: tuple[float, float] | None, units: ReportUnits) -> None:
+    """Draw the profile likelihood of one parameter, its quadratic approximation, 95 % interval and bounds."""
     profile, unit = fit.profiles[name], units.choose_parameter_unit(fit.units[name])
     values, rises = np.array(profile.values) / unit.size, np.array(profile.rises)
     estimate, error = fit.parameters[name] / unit.size, (fit.standard_errors[name] or 0.0) / unit.size
@@ -144,7 +145,9 @@ def _draw_parameter_by_specimen(axes, fits: Sequence[Fit], root: str, owners: Se
 
 
 def draw_parameters_by_strain_window(fit: Fit, units: ReportUnits):
-    """Draw the parameters fitted to the first part of the strain of each test, compared with those of all data.
+    """Draw the parameters fitted to the first part of the strain of each test, over the size of this part.
+
+    The estimates from all data are drawn as a band.
 
     Returns:
         The matplotlib figure; None if there are fewer than two windows or no free parameter.
@@ -196,6 +199,7 @@ def draw_parameter_correlation(fit: Fit, units: ReportUnits):
 
 
 def _draw_correlation_matrix(figure, axes, symbols: Sequence[str], matrix: np.ndarray) -> None:
+    """Draw a correlation matrix as coloured cells with numbers, and its colour bar."""
     from matplotlib.colors import LinearSegmentedColormap
 
     shades = LinearSegmentedColormap.from_list("signed", [
@@ -220,6 +224,7 @@ def _draw_correlation_matrix(figure, axes, symbols: Sequence[str], matrix: np.nd
 
 
 def _draw_confidence_ellipse(axes, fit: Fit, names: Sequence[str], units: ReportUnits) -> None:
+    """Draw the joint 68 % and 95 % confidence regions of two parameters, and the 95 % interval of each."""
     scales = [units.choose_parameter_unit(fit.units[name]) for name in names]
     indices = [fit.covariance.order.index(name) for name in names]
     sizes = np.array([unit.size for unit in scales])
@@ -244,6 +249,7 @@ def _draw_confidence_ellipse(axes, fit: Fit, names: Sequence[str], units: Report
 
 
 def _draw_poorly_determined_combinations(axes, fit: Fit, names: Sequence[str]) -> None:
+    """Draw up to four parameter combinations with the largest relative errors as bars, one bar per parameter."""
     directions = fit.directions[:4]
     height = 0.8 / len(directions)
     for k, (direction, style) in enumerate(zip(directions, iterate_line_styles(), strict=False)):

@@ -34,7 +34,7 @@ _SIGNED_TICKS = (-1e3, -100, -10, -1, 0, 1, 10, 100, 1e3)
 
 
 def draw_region_misfits(fits: Sequence[Fit], tests: Sequence[Test], units: ReportUnits):
-    """Draw the smooth misfit in each region of each test, coloured by its significance in standard errors.
+    """Draw the smooth misfit in each region of each test as a cell, coloured by its significance in standard errors.
 
     Args:
         fits: fits of all laws; each fit with regions gets one row per test, in this order.
@@ -151,11 +151,12 @@ def draw_prediction_errors(predictions: Sequence[Prediction], tests: Sequence[Te
 
 
 def format_percent(value: float) -> str:
-    """Return a percentage as text, such as ``1.7 %`` or ``120 %``."""
+    """Return a number that is in percent as text, such as ``1.7 %`` for 1.7."""
     return f"{value:.2g}\u00a0%" if value < 99.5 else f"{value:.0f}\u00a0%"
 
 
 def _format_prediction_label(test: Test, fitted: Sequence[str], of_mean: int) -> str:
+    """Return the label of a prediction: name of the test, and the tests or specimens from which it is predicted."""
     if of_mean:
         return f"{test.name}\n{'held' if test.hold_out else 'left'} out, mean of {of_mean}"
     others = f"{len(fitted)} others" if len(fitted) >= 3 else ", ".join(fitted)
@@ -184,6 +185,7 @@ def find_best_start_number(fit: Fit) -> int:
 
 
 def _draw_law_convergence(above, below, fit: Fit) -> None:
+    """Draw the sum of squares (axes `above`) and the parameters (axes `below`) of all starts over the FEM solves."""
     from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
     starts: dict[int, list] = {}

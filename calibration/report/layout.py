@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ReportLayout:
-    """Layout numbers of the figures and lists of all reports.
+    """Settings of the layout of all reports: sizes of figures, numbers of drawn points, and limits of lists.
 
     Attributes:
         width: width of a figure that fills the page, inches. A larger width makes text smaller on the page.

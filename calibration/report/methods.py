@@ -65,7 +65,7 @@ _REFERENCES = {
 
 def write_methods_text(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
                        units: ReportUnits) -> str:
-    """Return the methods text: paragraphs on data, model, method, noise and results, then the cited references.
+    """Return the methods section as plain text: data, model, method, noise, results, then the cited references.
 
     Args:
         result: result of the calibration, fits best first.
@@ -75,6 +75,7 @@ def write_methods_text(result: CalibrationResult, measured: Mapping[str, Sequenc
     cited: dict[str, None] = {}
 
     def cite(*keys: str) -> str:
+        """Return the citation of some references, such as ``(Ogden 1972)``, and add them to the list of references."""
         cited.update(dict.fromkeys(keys))
         return f"({'; '.join(_REFERENCES[key][0] for key in keys)})"
 
@@ -86,6 +87,7 @@ def write_methods_text(result: CalibrationResult, measured: Mapping[str, Sequenc
 
 
 def _write_data_paragraph(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]]) -> str:
+    """Return the paragraph on the tests, specimens and recordings."""
     parts = []
     for test in result.campaign.tests:
         curves = measured[test.name]
@@ -119,6 +121,7 @@ def _count_recordings_from_contact(result: CalibrationResult,
 
 
 def _write_laws_paragraph(result: CalibrationResult, cite) -> str:
+    """Return the paragraph on the fitted laws and their formulas."""
     laws = []
     for fit in sorted(result.fits, key=lambda fit: fit.law):
         key = next((key for key in _REFERENCES if fit.law.startswith(key)), None)
@@ -132,6 +135,7 @@ def _write_laws_paragraph(result: CalibrationResult, cite) -> str:
 
 
 def _write_method_paragraph(result: CalibrationResult, cite) -> str:
+    """Return the paragraph on the forward models, the optimisation, and the ranking of the laws."""
     if result.campaign.fit.method == "analytical":
         text = ("Identification. The closed forms of the homogeneous deformation of the incompressible material were "
                 "fitted to the nominal stress by non-linear least squares (trust region reflective, several "
@@ -152,12 +156,14 @@ def _write_method_paragraph(result: CalibrationResult, cite) -> str:
 
 
 def _write_ranking_sentence(result: CalibrationResult, cite) -> str:
+    """Return the sentence that names the criterion by which the laws are ranked."""
     by = "the prediction error in tests that they were not fitted to" \
         if are_laws_ranked_by_prediction(result.fits) else f"the Bayesian information criterion {cite('BIC')}"
     return f"Laws were ranked by {by}."
 
 
 def _write_noise_paragraph(result: CalibrationResult, units: ReportUnits) -> str:
+    """Return the paragraph on the noise, the scatter between recordings, and the source of the standard errors."""
     tests = {test.name: test for test in result.campaign.tests}
     levels = [f"{units.get_load_unit(tests[n.test]).format_quantity(n.deviation_N, 2)} in {n.test} ({n.source}, " + (
         "white)" if n.correlation_time_s == 0 else f"correlated over {n.correlation_time_s:.2g} s)")
@@ -176,6 +182,7 @@ def _write_noise_paragraph(result: CalibrationResult, units: ReportUnits) -> str
 
 
 def _write_results_paragraph(result: CalibrationResult, units: ReportUnits, cite) -> str:
+    """Return the paragraph with the parameters of all laws, their populations, and the predictions of the best law."""
     sentences = []
     for fit in result.fits:
         unusable = f" Not usable: {fit.unusable}." if fit.unusable else ""
@@ -200,6 +207,7 @@ def _write_results_paragraph(result: CalibrationResult, units: ReportUnits, cite
 
 
 def _format_parameters(fit: Fit, units: ReportUnits) -> Iterator[str]:
+    """Yield for each parameter its symbol, estimate and 95 % interval as text."""
     for name in fit.parameters:
         interval = format_parameter_interval(fit, name, units)
         estimate = format_parameter_estimate(fit, name, units)
@@ -208,6 +216,7 @@ def _format_parameters(fit: Fit, units: ReportUnits) -> Iterator[str]:
 
 
 def _write_software_paragraph(cite) -> str:
+    """Return the paragraph on the software, with versions and references."""
     used = []
     for package in ("taichi", "numpy", "scipy"):
         try:

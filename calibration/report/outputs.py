@@ -70,7 +70,7 @@ def write_failure_report(campaign: Campaign, failures: Mapping[str, str], folder
 
 def build_material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
                         method: str) -> MaterialFile:
-    """Return the material file of a fit: parameters, uncertainty, valid range and provenance.
+    """Return the content of the material file of a fit: parameters, uncertainty, valid range and provenance.
 
     Args:
         fit: the fit of one law.
@@ -150,7 +150,7 @@ def write_summary_table(results: Sequence[CalibrationResult], path: Path) -> Non
 
 
 def _format_curve_table(curves: Curves) -> str:
-    """Return the CSV table of the fitted curves with standard errors and prediction bands.
+    """Return a CSV table of the fitted curves of all laws and tests, with standard errors and prediction bands.
 
     The half widths of the 95 % bands are for single samples of a new recording and for its entire curve.
     """
@@ -167,7 +167,10 @@ def _format_curve_table(curves: Curves) -> str:
 
 
 def _format_residual_table(curves: Curves) -> str:
-    """Return the CSV table of all samples: measured, model with the recording's offset and zero, and residual."""
+    """Return a CSV table of all samples of all laws and tests: measured force, model and residual.
+
+    The model includes the contact offset and the force zero of each recording.
+    """
     rows = []
     for law, tests in curves.items():
         for test in tests:

@@ -105,7 +105,7 @@ def are_laws_ranked_by_prediction(fits: Iterable[Fit]) -> bool:
 
 
 def format_number(value: float | None, digits: int) -> str:
-    """Return a number with this many significant digits; ``-`` for None."""
+    """Return a number as text with this many significant digits; ``-`` for None."""
     return "-" if value is None else f"{value:.{digits}g}"
 
 
@@ -130,7 +130,10 @@ def format_parameter_estimate(fit: Fit, name: str, units: ReportUnits) -> str:
 
 
 def format_parameter_interval(fit: Fit, name: str, units: ReportUnits) -> str:
-    """Return the 95 % interval of a parameter in the unit of the estimate, such as ``0.937 to 1.040``; may be empty."""
+    """Return the 95 % interval of a parameter in its display unit, without the unit, such as ``0.937 to 1.040``.
+
+    The text is empty if the interval or the standard error is unknown.
+    """
     unit = units.choose_parameter_unit(fit.units[name])
     error, interval = fit.standard_errors[name], fit.intervals95[name]
     if interval is None or not error:
@@ -153,6 +156,7 @@ def compute_shear_modulus_error(fit: Fit) -> float | None:
         return None
 
     def differentiate_modulus(name: str) -> float:
+        """Return the derivative of the initial shear modulus with respect to one parameter (central difference)."""
         step = _STEP * (abs(values[name]) or 1.0)
         ends = (law.mu0({**values, name: values[name] + side * step}) for side in (1, -1))
         return (next(ends) - next(ends)) / (2 * step)
@@ -166,7 +170,10 @@ def compute_shear_modulus_error(fit: Fit) -> float | None:
 
 
 def format_initial_moduli(fit: Fit, units: ReportUnits) -> tuple[str, str]:
-    """Return E0 and mu0 as text without unit, rounded to the precision of their standard errors."""
+    """Return Young's modulus and the shear modulus as text, in the pressure unit of the report but without its name.
+
+    Both are rounded to the precision of their standard errors, which are not written.
+    """
     size, error = units.pressure.size, compute_shear_modulus_error(fit)
     ratio = fit.E0 / fit.mu0 if fit.mu0 else 3.0
     return (format_value_rounded_by_error(fit.E0 / size, error and abs(ratio) * error / size),
@@ -193,7 +200,7 @@ def format_stable_stretches(fit: Fit) -> str:
 
 def group_fits_by_remarks(fits: Sequence[Fit],
                           of: Callable[[Fit], Sequence[str]]) -> Iterator[tuple[tuple[Fit, ...], str]]:
-    """Yield groups of fits with their common remarks, the largest group first.
+    """Yield (fits, their common remarks joined by ``;``) for each group of fits, the largest group first.
 
     A remark that several laws share appears once.
 
@@ -225,7 +232,7 @@ def make_remark_list(fits: Sequence[Fit]) -> str:
 
 
 def make_parameter_tables(fits: Sequence[Fit], units: ReportUnits, figures: bool) -> list[str]:
-    """Return the HTML tables of all parameters of each law: estimate, standard error, interval and its limit."""
+    """Return HTML parts: for each law a heading with its formula, and the table of its estimates and intervals."""
     parts = []
     for fit in fits:
         png = draw_formula(fit.law) if figures else None
@@ -247,7 +254,7 @@ def make_parameter_tables(fits: Sequence[Fit], units: ReportUnits, figures: bool
 
 
 def make_correlation_tables(fits: Sequence[Fit]) -> list[str]:
-    """Return the HTML tables of the parameter correlations of each law with more than one free parameter."""
+    """Return HTML parts: heading and table of correlations for each law with several free parameters; or no part."""
     parts = []
     for fit in fits:
         free = list_free_parameters(fit)
@@ -262,7 +269,7 @@ def make_correlation_tables(fits: Sequence[Fit]) -> list[str]:
 
 
 def list_free_parameters(fit: Fit) -> list[str]:
-    """Return the names of the parameters that are neither fixed nor at a bound, in the order of the covariance."""
+    """Return the names of the parameters with a standard error: neither fixed nor at a bound, in covariance order."""
     return [name for name in fit.covariance.order if fit.standard_errors[name] not in (None, 0.0)]
 
 
@@ -270,6 +277,7 @@ def make_nuisance_table(fit: Fit, travel: DisplayUnit, load: DisplayUnit) -> str
     """Return the HTML table of contact offset and force zero of each recording, in these units."""
 
     def format_nuisance(value: float, error: float | None, size: float) -> str:
+        """Return a value with its standard error as text without unit, in the unit with this size."""
         return use_minus_signs(format_value_and_error(value / size, error and error / size))
 
     rows = [[escape(n.replicate), format_nuisance(n.contact_offset_mm, n.contact_offset_error_mm, travel.size * 1e3),

@@ -73,11 +73,12 @@ def _cache_axis_measurements(figure: Any) -> Iterator[None]:
 
 
 def _cache_by_frame_and_limits(axes: Any, measure: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a version of an axis method that is evaluated again only if the frame or the limits have changed."""
+    """Return a cached version of an axis method, which is called again only if the frame or the limits have changed."""
     cache: dict[tuple, Any] = {}
     last_position: list[Any] = []
 
     def measure_or_reuse(*arguments: Any, **options: Any) -> Any:
+        """Return the cached measurement, or measure if the frame or the limits have changed or options are given."""
         if options:
             return measure(*arguments, **options)
         position = [*axes.bbox.extents.round(_POSITION_DECIMALS).tolist(), *axes.viewLim.extents.tolist()]
@@ -95,7 +96,7 @@ def _cache_by_frame_and_limits(axes: Any, measure: Callable[..., Any]) -> Callab
 
 
 def _cache_tight_bbox_margin(axes: Any) -> Callable[..., Any]:
-    """Return a version of `get_tightbbox` that reuses the margin between the frame and the outer box.
+    """Return a function in place of `get_tightbbox` that reuses the margin between the frame and the outer box.
 
     The margin is measured again if the tick labels change or if the frame changes its size by `_MAX_SIZE_CHANGE`.
     """
@@ -105,6 +106,7 @@ def _cache_tight_bbox_margin(axes: Any) -> Callable[..., Any]:
     cache: list[tuple[list[list[str]], Any, Any]] = []
 
     def measure_or_reuse(renderer: Any = None, **options: Any) -> Any:
+        """Return the frame widened by a cached margin, or measure the outer box and store the margin."""
         # A frame with fixed aspect or with a locator is not placed by the layout.
         if not options.get("for_layout_only") or axes.get_aspect() != "auto" or axes.get_axes_locator():
             return measure(renderer, **options)

@@ -63,7 +63,7 @@ def iterate_population_rows(fit: Fit, population: PopulationStatement, units: Re
 
 
 def make_population_section(fits: Sequence[Fit], units: ReportUnits, pictures: FigureEmbedder) -> Iterator[str]:
-    """Yield the HTML of the section on the population of specimens; empty if no fit has a population."""
+    """Yield the HTML parts of the section on the population of specimens; no part if no fit has a population."""
     having = [(fit, fit.population) for fit in fits if fit.population is not None]
     if not having:
         return
@@ -101,6 +101,7 @@ def draw_population_figure(fit: Fit, population: PopulationStatement, units: Rep
 
 
 def _draw_population_parameter(axes, fit: Fit, population: PopulationStatement, k: int, units: ReportUnits) -> None:
+    """Draw the parameter with index `k` of all specimens: estimates, population mean, range of further specimens."""
     name = f"{population.order[k]}@{population.specimens[0]}"
     unit = units.choose_parameter_unit(fit.units[name])
     rows = np.arange(len(population.specimens))

@@ -127,6 +127,7 @@ def _format_summary(result: CalibrationResult, tests: Mapping[str, Test], units:
 
 
 def _format_best_law(fit: Fit, units: ReportUnits) -> str:
+    """Return the law, its parameters, Young's modulus and stable stretches as HTML; with a warning if not usable."""
     parts = [f"{format_parameter_symbol(fit, name)} = {use_minus_signs(format_parameter_estimate(fit, name, units))}"
              for name in fit.parameters]
     usable = "" if fit.status == "converged" else f' <span class="bad">{escape(fit.unusable or fit.message)}</span>'
@@ -136,7 +137,7 @@ def _format_best_law(fit: Fit, units: ReportUnits) -> str:
 
 
 def _replace_law_names_by_titles(result: CalibrationResult) -> str:
-    """Return the message with the title of each law instead of its name in files."""
+    """Return the message of a calibration, in which the names of laws are replaced by their titles."""
     message = result.message
     for law in sorted(result.campaign.fit.laws, key=len, reverse=True):
         message = re.sub(rf"\b{re.escape(law)}\b", find_law(law).title, message)
@@ -144,6 +145,7 @@ def _replace_law_names_by_titles(result: CalibrationResult) -> str:
 
 
 def _format_prediction(prediction: Prediction, test: Test, units: ReportUnits) -> str:
+    """Return the error of the prediction of a test as HTML, compared with the error by chance; or why there is none."""
     how = "held out of every fit" if test.hold_out else f"fitted to {', '.join(prediction.fitted)} only"
     how += f", its specimen from the mean of {len(prediction.mean_of)} others" if prediction.mean_of else ""
     name = f"<b>{escape(prediction.test)}</b>, {escape(how)}: "
@@ -158,6 +160,7 @@ def _format_prediction(prediction: Prediction, test: Test, units: ReportUnits) -
 
 
 def _list_misfit_sentences(fit: Fit, tests: Mapping[str, Test], units: ReportUnits) -> Iterator[str]:
+    """Yield HTML sentences on the most significant misfits of a fit, and the number of further ones."""
     bad = sorted((r for r in fit.regions if not r.adequate), key=lambda r: r.p)
     for r in bad[:LAYOUT.summary_misfits]:
         test = tests[r.test]
@@ -169,6 +172,7 @@ def _list_misfit_sentences(fit: Fit, tests: Mapping[str, Test], units: ReportUni
 
 
 def _list_undetermined_sentences(fits: Sequence[Fit], units: ReportUnits) -> Iterator[str]:
+    """Yield an HTML sentence for each law with parameters that the tests do not determine, and one for the best law."""
     for i, fit in enumerate(fits):
         if fit.not_identifiable:
             names = ", ".join(format_parameter_symbol(fit, name) for name in fit.not_identifiable)
@@ -184,6 +188,7 @@ def _list_undetermined_sentences(fits: Sequence[Fit], units: ReportUnits) -> Ite
 
 def _make_figure_sections(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], units: ReportUnits,
                           pictures: FigureEmbedder) -> Iterator[str]:
+    """Yield the HTML parts of all figure sections: predictions, tests, misfit, specimens, estimates, convergence."""
     campaign, fits = result.campaign, result.fits
     # Without an expected error by chance the figure shows no more than the table.
     if any(p.percent is not None and (p.expected_N is not None or p.fitted) for p in result.predictions):
@@ -236,11 +241,12 @@ def _make_figure_sections(result: CalibrationResult, curves: Mapping[str, Sequen
 
 
 def _has_parameter_figures(fit: Fit, result: CalibrationResult) -> bool:
-    """Return whether the report draws the parameters of a fit: the best fit and all fits with profiles."""
+    """Return whether a fit is the best one or has profile likelihoods, so that the report draws its parameters."""
     return fit is result.best or bool(fit.profiles)
 
 
 def _draw_estimate_figures(fit: Fit, campaign: Campaign, units: ReportUnits, pictures: FigureEmbedder) -> Iterator[str]:
+    """Yield the HTML of the figures of the estimates of one law: profiles, strain windows and correlation."""
     if fit.profiles:
         note = ("Increase of the sum of squares when one parameter is fixed and all others are fitted again. If the "
                 "profile differs from the dashed parabola, ± 2 standard errors are not a 95 % interval.")

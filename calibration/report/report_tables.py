@@ -64,7 +64,7 @@ def make_prediction_table(predictions: Iterable[Prediction], tests: Mapping[str,
 
 
 def make_segment_test_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: ReportUnits) -> str:
-    """Return the HTML table of the residual tests of each region."""
+    """Return the HTML table of the statistical tests of the residuals, one row per law and region of a test."""
     rows: list[list[str | None]] = []
     for fit in fits:
         last = None
@@ -88,6 +88,7 @@ def make_identifiability_table(fits: Sequence[Fit], units: ReportUnits) -> str:
     Columns: condition number, poorly determined combinations, parameters that are not identifiable, and remedies.
     """
     def format_suggestions(fit: Fit) -> str:
+        """Return the suggested tests of a fit as HTML, separated by semicolons; empty if there is none."""
         return "; ".join(escape(describe_suggestion(each, fit, units, format_plain_symbol)) for each in fit.suggestions)
 
     rows = [[format_law_title(fit.law), format_number(fit.condition, 3),
@@ -138,7 +139,7 @@ def describe_suggestion(suggestion: SuggestedTest, fit: Fit, units: ReportUnits,
 
 
 def make_history_table(fit: Fit, units: ReportUnits) -> str:
-    """Return the HTML table of all solves of all starts of a fit."""
+    """Return the HTML table of all solves of all starts of a fit: parameters, error and RMSE, one row per solve."""
     names = list(fit.history[0].parameters)
     scales = [units.choose_parameter_unit(fit.units[name]) for name in names]
     rows = [[f"{step.start}", f"{step.run}", *(use_minus_signs(f"{step.parameters[name] / unit.size:.5g}")

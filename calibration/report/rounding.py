@@ -17,7 +17,7 @@ NORMAL_95 = 1.96
 
 @dataclass(frozen=True)
 class NumberFormat:
-    """Format of numbers in reports.
+    """Settings of numbers in reports: digits without an error, and limits for powers of ten.
 
     Attributes:
         digits: significant digits of a number without a known error.
@@ -84,7 +84,7 @@ def format_interval(low: float, high: float, error: float | None, value: float =
 
 
 def format_error(error: float) -> str:
-    """Return a rounded error as text, such as ``0.0053``."""
+    """Return a standard error as text, rounded by the rule of this module, such as ``0.0053``."""
     is_plain = _is_usable_error(error) and _FORMAT.min_plain / 10 < error < _FORMAT.max_plain
     return _scale_and_round(error, find_last_kept_power_of_ten(error), 0) if is_plain else f"{error:.2g}"
 
@@ -96,13 +96,14 @@ def format_criterion_difference(gain: float) -> str:
 
 
 def format_odds_ratio(ratio: float) -> str:
-    """Return odds as text, such as ``4.9``, ``48 600`` or ``> 10⁶``."""
+    """Return the number of odds ``n : 1`` as text, such as ``4.9``, ``48 600`` or ``> 10⁶``."""
     if ratio > 1e6:
         return "> 10⁶"
     return format_criterion_difference(float(f"{ratio:.3g}")) if ratio >= 100 else f"{ratio:.2g}"
 
 
 def _is_usable_error(error: float | None) -> TypeGuard[float]:
+    """Return whether an error is a positive finite number."""
     return error is not None and error > 0 and math.isfinite(error)
 
 
@@ -115,10 +116,11 @@ def _choose_common_power_of_ten(value: float, error: float) -> int:
 
 
 def _scale_and_round(value: float, place: int, power: int) -> str:
-    """Return value / 10**power rounded to the decimal place 10**place."""
+    """Return text: the value rounded to the decimal place 10**place, then divided by 10**power."""
     scaled = round(value, -place) / 10.0**power + 0.0  # a rounded zero has no sign
     return f"{scaled:.{max(power - place, 0)}f}"
 
 
 def _format_power_of_ten(power: int) -> str:
+    """Return a power of ten as a factor, such as `` × 10⁻⁶``."""
     return f" × 10{str(power).translate(_SUPERSCRIPTS)}"

@@ -69,6 +69,7 @@ def draw_segment_figure(displacement: np.ndarray, force: np.ndarray, time: np.nd
 
 
 def _draw_displacement_over_time(axes, clock: np.ndarray, travel: np.ndarray, label: str) -> None:
+    """Draw the displacement over time as a dashed line, with its label on the right axis."""
     axes.plot(clock, travel, color="0.45", lw=1.0, ls=(0, (4, 2)))
     axes.set_ylabel(f"{label} (dashed)", color="0.4")
     axes.grid(visible=False)
@@ -76,6 +77,7 @@ def _draw_displacement_over_time(axes, clock: np.ndarray, travel: np.ndarray, la
 
 
 def _draw_segment_spans(axes, clock: np.ndarray, segmentation: Segmentation) -> None:
+    """Shade the time span of each segment in the colour of its name."""
     named: set[str] = set()
     for name, first, end in segmentation.iterate_segments():
         last = min(end, clock.size - 1)
@@ -85,6 +87,7 @@ def _draw_segment_spans(axes, clock: np.ndarray, segmentation: Segmentation) -> 
 
 
 def _mark_failure(axes, clock: np.ndarray, load: np.ndarray, segmentation: Segmentation) -> None:
+    """Mark the sample of the failure by a triangle; draw nothing if there is no failure."""
     failure = segmentation.failure
     if failure is not None:
         axes.plot(clock[failure.index], load[failure.index], "v", color=SPANS["failure"], ms=9, zorder=4,
@@ -93,6 +96,7 @@ def _mark_failure(axes, clock: np.ndarray, load: np.ndarray, segmentation: Segme
 
 def _draw_contact_detail(axes, travel: np.ndarray, load: np.ndarray, clock: np.ndarray, contact: Contact,
                          words: tuple[str, str], stressed: bool) -> None:
+    """Draw load over displacement near first contact: zero and drift of the force, contact, and its 95 % interval."""
     scale, factor = (1.0, 1e-3) if stressed else (1e3, 1.0)
     position = scale * contact.displacement
     low, high = (scale * end for end in contact.interval)
@@ -141,6 +145,7 @@ def make_segment_section(campaign: Campaign, recordings: Mapping[str, Sequence[M
 
 
 def _draw_recording_segments(curve: MeasuredCurve):
+    """Draw the segments of the whole recording from which a curve was selected; return the matplotlib figure."""
     whole = curve.whole
     assert whole is not None
     return draw_segment_figure(whole.displacement + whole.shift, whole.recorded_force, whole.time, whole.segmentation,
@@ -148,6 +153,7 @@ def _draw_recording_segments(curve: MeasuredCurve):
 
 
 def _describe_recording(curve: MeasuredCurve) -> str:
+    """Return an HTML sentence on a recording: its segments, number of fitted samples, contact and notes."""
     whole = curve.whole
     assert whole is not None
     found = whole.segmentation
@@ -163,7 +169,7 @@ def _describe_recording(curve: MeasuredCurve) -> str:
 
 
 def _count_segments(runs: Sequence[str]) -> str:
-    """List the segments and count equal pairs, such as ``approach, ramp, 3 × (unload, reload)``."""
+    """Return the names of the segments as text, equal pairs counted: ``approach, ramp, 3 × (unload, reload)``."""
     parts: list[str] = []
     k = 0
     while k < len(runs):

@@ -18,7 +18,7 @@ def format_html_symbol(symbol: str) -> str:
 
 
 def format_mathtext_symbol(symbol: str) -> str:
-    """Return a symbol in mathtext for the labels of figures."""
+    """Return a symbol as matplotlib mathtext (subscripts, Greek letters), with its specimen, test or recording."""
     name, index, owner = _split_symbol(symbol)
     if not index and name not in _GREEK:
         return symbol.replace("$", r"\$")

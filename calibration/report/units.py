@@ -57,7 +57,7 @@ class ReportUnits:
 
     @classmethod
     def choose_for_calibration(cls, result: CalibrationResult) -> ReportUnits:
-        """Choose the units for a calibration.
+        """Return the units for a calibration, which suit the best fit.
 
         The pressure unit suits the shear modulus of the best law. Length and force are in mm and N, or in smaller units
         for small tests, such as 2 µm instead of 0.002 mm.
@@ -66,14 +66,14 @@ class ReportUnits:
 
     @classmethod
     def choose_for_fit(cls, fit: Fit) -> ReportUnits:
-        """Choose the units for one fit; see `of`."""
+        """Return the units that suit the displacements, forces and shear modulus of one fit."""
         travel = max((region.end * 1e-3 for region in fit.regions), default=1e-3)
         force = 1.0 if fit.RMSE_N is None else fit.RMSE_N / _RELATIVE_ERROR
         return cls.choose_for_typical_sizes(travel, force, fit.mu0)
 
     @classmethod
     def choose_for_typical_sizes(cls, travel: float, force: float, modulus: float) -> ReportUnits:
-        """Choose the units for typical displacements (m), forces (N) and moduli (Pa); see `of`."""
+        """Return the units that suit typical displacements (m), forces (N) and moduli (Pa)."""
         return cls(_choose_largest_fitting_unit(_LENGTH_UNITS, 10 * travel),
                    _choose_largest_fitting_unit(_FORCE_UNITS, 10 * force), DisplayUnit(*choose_pressure_unit(modulus)))
 
@@ -86,7 +86,7 @@ class ReportUnits:
         return DisplayUnit("", 1.0) if test.specimen is None else self.length
 
     def format_replicate_jitter(self, jitter: ReplicateJitterStatement, tests: Sequence[Test]) -> tuple[str, str]:
-        """Return the scatter of contact point and force zero as text.
+        """Return two texts: standard deviations of contact point and of force zero between recordings, with units.
 
         The scatter is a length and a force, or a strain and a stress if no test has a specimen.
         """
@@ -116,7 +116,7 @@ def _choose_largest_fitting_unit(units: Mapping[str, float], size: float) -> Dis
 
 
 def choose_pressure_unit(pressure: float) -> tuple[str, float]:
-    """Return the unit for a pressure in Pa and its size in Pa; Pa for zero and for values that are not finite."""
+    """Return (name, size in Pa) of the unit that suits a pressure in Pa; ``("Pa", 1.0)`` for 0, NaN and infinity."""
     # Round first: 999.999 Pa is written as 1 kPa.
     size = float(f"{abs(pressure):.4g}") if math.isfinite(pressure) else 0.0
     unit = _choose_largest_fitting_unit(PRESSURE_UNITS, size)

@@ -28,7 +28,10 @@ CRITERIA = {
 
 
 def make_usability_section(fits: Sequence[Fit], failures: Mapping[str, str], units: ReportUnits) -> list[str]:
-    """Return the HTML of the section on usable laws: criteria with reasons of failure, and alternative optima."""
+    """Return the HTML parts of the section on usable laws: criteria with reasons of failure, and alternative optima.
+
+    The list is empty if no fit was judged.
+    """
     if not any(fit.clauses for fit in fits):
         return []
     rows: list[list[str | None]] = []
@@ -49,6 +52,7 @@ def make_usability_section(fits: Sequence[Fit], failures: Mapping[str, str], uni
 def _make_alternatives_table(fit: Fit, units: ReportUnits) -> str:
     """Return the HTML table of the alternative optima of a law and the tests that distinguish them."""
     def format_values(parameters: Mapping[str, float]) -> list[str]:
+        """Return the values of parameters with their display units as texts, one for each cell of a row."""
         scales = [units.choose_parameter_unit(fit.units[name]) for name in parameters]
         return [use_minus_signs(f"{value / unit.size:.5g} {unit.name}".strip())
                 for value, unit in zip(parameters.values(), scales, strict=True)]

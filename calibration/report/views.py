@@ -59,11 +59,11 @@ class CurveTrace:
 
     @classmethod
     def from_recording(cls, measured: MeasuredCurve) -> CurveTrace:
-        """Return the curve of a recording."""
+        """Return the trace of the measured force and displacement of a recording, without a band."""
         return cls(measured.time, measured.displacement, measured.force, measured.segment)
 
     def iterate_segments(self) -> Iterator[tuple[str, int, int]]:
-        """Yield (label, first sample, sample after the last) of each segment; without labels one ``ramp``."""
+        """Yield (label, first index, index after the last) of each segment; without labels one segment ``ramp``."""
         if self.segment is None:
             yield "ramp", 0, self.force.size
             return
@@ -154,7 +154,7 @@ def is_drawn_over_time(recordings: Sequence[MeasuredCurve]) -> bool:
 
 
 def compute_law_curve(curves: TestCurves, own: bool = False) -> CurveTrace | None:
-    """Return the curve of a law.
+    """Return the fitted curve of a law for drawing; None if the recording and the model have no common time.
 
     For a timed test the curve is evaluated at the samples of the first recording, otherwise along the model's motion.
 
@@ -195,7 +195,7 @@ def interpolate_law_at_samples(curves: TestCurves, measured: MeasuredCurve) -> n
 
 @dataclass(frozen=True)
 class _LoadDisplacementView:
-    """Load against displacement, or stress against strain.
+    """Conversion of traces to lines of load against displacement, or of stress against strain, in display units.
 
     Attributes:
         x: unit of the abscissa.
@@ -208,6 +208,7 @@ class _LoadDisplacementView:
     window: float = 0.0
 
     def iterate_lines(self, trace: CurveTrace) -> Lines:
+        """Yield one line: displacement, load and band (or None), in display units."""
         band = None if trace.band is None else trace.band / self.y.size
         yield trace.displacement / self.x.size, trace.force / self.y.size, band
 
@@ -221,7 +222,7 @@ class _LoadDisplacementView:
 
 @dataclass(frozen=True)
 class _LoadTimeView:
-    """Load against time.
+    """Conversion of traces to lines of load against time, in display units.
 
     Attributes:
         y: unit of the load.
@@ -230,6 +231,7 @@ class _LoadTimeView:
     y: DisplayUnit
 
     def iterate_lines(self, trace: CurveTrace) -> Lines:
+        """Yield one line: time (s), load and band (or None), load in its display unit."""
         assert trace.time is not None
         yield trace.time, trace.force / self.y.size, None if trace.band is None else trace.band / self.y.size
 
@@ -246,7 +248,7 @@ class _LoadTimeView:
 
 
 def _choose_tangent_half_width(recordings: Sequence[MeasuredCurve], curve: _LoadDisplacementView) -> float:
-    """Return the half width h of the tangent window for the allowed noise of a slope.
+    """Return the half width h of the tangent window, in the unit of the x axis, for the allowed noise of a slope.
 
     The slope of a line through n samples over a width of 2 h has the standard deviation s sqrt(3 / n) / h, where s is
     the noise of a sample.
@@ -263,7 +265,7 @@ def _choose_tangent_half_width(recordings: Sequence[MeasuredCurve], curve: _Load
 
 
 def compute_local_slopes(x: np.ndarray, y: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
-    """Fit straight lines to the samples in windows along a curve.
+    """Fit straight lines to the samples in windows along a curve; return their mean positions and slopes.
 
     Args:
         x: abscissa, shape (n,).

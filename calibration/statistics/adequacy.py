@@ -11,7 +11,7 @@ from scipy import special
 
 @dataclass(frozen=True)
 class ScoreTestSettings:
-    """Numerical limits of Rao's score tests.
+    """Numerical tolerances of Rao's score tests: which modes and directions count as independent.
 
     Attributes:
         min_free_fraction: smallest fraction of a mode's squared norm outside the span of the design for which the mode

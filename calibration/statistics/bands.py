@@ -46,7 +46,7 @@ class ScatterComponent:
 
     @property
     def variance(self) -> np.ndarray:
-        """Variance at the points, shape (k,)."""
+        """Variance of the component at each point of the curve, shape (k,)."""
         return np.sum(self.columns**2, axis=1)
 
 

@@ -75,7 +75,7 @@ def compute_variance_ratio(residuals: np.ndarray) -> tuple[float, int, int]:
 
 
 def find_common_signal(residuals: np.ndarray, segments: Sequence[slice]) -> CommonSignal:
-    """Return the most significant common signal of several recordings.
+    """Return the most significant common signal of several recordings, also if it is not significant (large p value).
 
     F ratios are computed over all samples, in windows of dyadic widths, and at Fourier frequencies. The p value is
     corrected for their number by Bonferroni's inequality. A significant window or wave has precedence over a signal
@@ -101,7 +101,10 @@ def find_common_signal(residuals: np.ndarray, segments: Sequence[slice]) -> Comm
 
 
 def _find_best_window_signal(residuals: np.ndarray) -> list[CommonSignal]:
-    """Return the most significant window among windows of dyadic widths that overlap by half; empty for few samples."""
+    """Return a list of one item: the most significant window of dyadic width; an empty list for few samples.
+
+    The windows overlap by half, and the p value is corrected for their number.
+    """
     count, size = residuals.shape
     totals = np.concatenate([np.zeros((count, 1)), np.cumsum(residuals, axis=1)], axis=1)
     best, tried, width = (1.0, 0, 0), 0, _SETTINGS.narrowest
@@ -120,9 +123,9 @@ def _find_best_window_signal(residuals: np.ndarray) -> list[CommonSignal]:
 
 
 def _find_best_wave_signal(residuals: np.ndarray, segment: slice) -> list[CommonSignal]:
-    """Return the most significant frequency of a segment, with a p value corrected for the number of frequencies.
+    """Return a list of one item: the most significant wave in a segment; an empty list for a short segment.
 
-    The list is empty for a short segment.
+    The p value is corrected for the number of frequencies.
     """
     part = residuals[:, segment]
     count, size = part.shape

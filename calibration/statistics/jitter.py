@@ -54,9 +54,9 @@ class WhitenedReplicate:
 
     Attributes:
         residual: model minus data without contact offset, zero and mesh error, shape (n,).
-        contact: derivative dF/da with the contact offset a, 1/m, shape (n,).
-        zero: derivative dF/db with the zero b, 1/N, shape (n,).
-        parameters: derivatives dF/dtheta with the unknowns that all tests share, shape (n, p).
+        contact: derivative dF/da with respect to the contact offset a, 1/m, shape (n,).
+        zero: derivative dF/db with respect to the zero b, 1/N, shape (n,).
+        parameters: derivatives dF/dtheta with respect to the unknowns that all tests share, shape (n, p).
         shared: effects that all replicates of the test share, per standard deviation (mesh error), shape (n, m).
     """
 
@@ -102,11 +102,13 @@ def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: fl
     unknown = [kind for kind, stated in enumerate((contact, zero)) if stated is None]
 
     def insert_stated_values(values: np.ndarray) -> np.ndarray:
+        """Return pairs (contact, zero) of standard deviations: stated values, and `values` for the unknown ones."""
         result = np.broadcast_to([contact or 0.0, zero or 0.0], (*values.shape[:-1], 2)).copy()
         result[..., unknown] = values
         return result
 
     def evaluate_reml_criterion(values: np.ndarray) -> np.ndarray:
+        """Return -2 log restricted likelihood for unknown standard deviations, shape (..., unknowns) -> (...)."""
         return _evaluate_criterion(grams, fixed, insert_stated_values(values))
 
     ranges = [_find_search_range(repeated, kind) for kind in unknown]
@@ -122,7 +124,7 @@ def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: fl
 
 
 class _GramMatrices:
-    """Gram matrices of the columns of one test.
+    """Gram matrices (products of all pairs of columns) of the replicates of one test.
 
     Column blocks: offset and zero of each replicate (2), shared effects (m), fixed effects (p + 2), residual (1).
     """
@@ -169,7 +171,7 @@ def _assemble_normal_matrix(grams: Sequence[_GramMatrices], blocks: Sequence[np.
 
 
 def _remove_dependent_effects(grams: Sequence[_GramMatrices]) -> np.ndarray:
-    """Return linearly independent combinations of the fixed effects, shape (fixed effects, rank).
+    """Return the coefficients of linearly independent combinations of the fixed effects, shape (fixed effects, rank).
 
     The rank does not depend on the covariance, so one computation serves all standard deviations.
     """
@@ -203,7 +205,7 @@ def _evaluate_criterion(grams: Sequence[_GramMatrices], fixed: np.ndarray, devia
 
 
 def _find_search_range(tests: Sequence[Sequence[WhitenedReplicate]], kind: int) -> tuple[float, float]:
-    """Return the smallest and largest trial value of a standard deviation.
+    """Return the smallest and largest trial value of a standard deviation (m or N); (0, 0) if it has no influence.
 
     Args:
         tests: replicates of each test.
@@ -236,6 +238,7 @@ def _minimise_over_log_deviations(criterion: Callable[[np.ndarray], np.ndarray],
         Smallest criterion and the standard deviations there, shape (size,); infinite if a range is empty.
     """
     def evaluate(logarithms: np.ndarray) -> np.ndarray:
+        """Return the criterion for logarithms of the nonzero standard deviations, shape (..., present) -> (...)."""
         values = np.zeros((*logarithms.shape[:-1], size))
         values[..., present] = np.exp(logarithms)
         return criterion(values)
@@ -250,6 +253,7 @@ def _minimise_over_log_deviations(criterion: Callable[[np.ndarray], np.ndarray],
         return np.inf, np.zeros(size)
 
     def evaluate_with_slope(point: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the criterion and its gradient with respect to the logarithms, by one-sided finite differences."""
         steps = np.where(point + _SETTINGS.step <= high, _SETTINGS.step, -_SETTINGS.step)
         value, *others = evaluate(np.vstack([point, point + np.diag(steps)]))
         if not np.isfinite(value):

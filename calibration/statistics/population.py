@@ -155,6 +155,7 @@ def _estimate_between_covariance(x: np.ndarray, V: np.ndarray) -> np.ndarray:
     lower = np.tril_indices(p)
 
     def evaluate_minus_twice_log_likelihood(entries):
+        """Return -2 log restricted likelihood, up to a constant, and its gradient with respect to the entries of L."""
         root = np.zeros((p, p))
         root[lower] = entries
         total = np.linalg.inv(root @ root.T + V)
@@ -176,7 +177,7 @@ def _estimate_between_covariance(x: np.ndarray, V: np.ndarray) -> np.ndarray:
 
 
 def _compute_intervals(x: np.ndarray, v: np.ndarray, together: float):
-    """Return the 95 % intervals of mean, spread and a further specimen for one parameter.
+    """Return three 95 % intervals for one parameter: of the mean, of the spread, and of a further specimen.
 
     For the true spread s the statistic Q(s) = sum w_i (x_i - m)^2 with w_i = 1 / (v_i + s^2) is chi-square distributed
     with n - 1 degrees of freedom. Its inversion gives a generalised fiducial distribution of s; given s, the mean and a
@@ -222,6 +223,7 @@ def _solve_spread_for_q_statistic(x: np.ndarray, v: np.ndarray, statistic: float
         statistic: value of Q.
     """
     def evaluate_q_statistic(variance: float) -> float:
+        """Return Q for a between-specimen variance s^2."""
         weight = 1.0 / (v + variance)
         return float(np.sum(weight * (x - np.sum(weight * x) / np.sum(weight))**2))
 

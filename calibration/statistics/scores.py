@@ -48,12 +48,12 @@ class EffectDirection:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Number q of degrees of freedom of the score test: the rank of the change of the residuals."""
+        """Number q of degrees of freedom of the score test: the number of columns of `basis`."""
         return int(self.basis.shape[1])
 
     @classmethod
     def from_whitened_change(cls, columns: np.ndarray, fitted: np.ndarray, *, positive: bool) -> EffectDirection:
-        """Return the direction of whitened changes of the model.
+        """Return the direction of whitened changes of the model, projected onto the complement of the fitted space.
 
         Args:
             columns: changes, zero in the rows of priors, shape (N, q).

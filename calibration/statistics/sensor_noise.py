@@ -72,7 +72,7 @@ class SensorNoise:
 
 
 def whiten_columns(columns: np.ndarray, time: np.ndarray | None, noise: SensorNoise) -> np.ndarray:
-    """Multiply columns by L^-1, where L L' is the covariance of the noise (Cholesky factor), in O(n) operations.
+    """Return columns multiplied by L^-1, where L L' is the covariance of the noise (Cholesky factor).
 
     The noise is an Ornstein-Uhlenbeck process. With rho_i = exp(-(t_i - t_{i-1}) / tau), row i of the result is
     (y_i - rho_i y_{i-1}) / (sigma sqrt(1 - rho_i^2)). Equal time stamps, from a clock coarser than the sampling, are
@@ -156,7 +156,7 @@ class _RecordingSegment:
     time: np.ndarray
 
     def factorise_whitened_columns(self, tau: float) -> tuple[np.ndarray, float]:
-        """Return R of the QR decomposition of the whitened columns, and log det of the correlation matrix.
+        """Return (R of the QR decomposition of the whitened columns, log determinant of the correlation matrix).
 
         Leading blocks of R are those of trends of lower degree.
 
@@ -172,7 +172,10 @@ class _RecordingSegment:
 
 def _split_segments(force: np.ndarray, time: np.ndarray | None,
                     segment: Sequence | np.ndarray | None) -> list[_RecordingSegment]:
-    """Split a recording into its segments with at least `SensorNoiseSettings.min_samples` samples."""
+    """Return the segments of a recording, split where the label changes.
+
+    Segments with fewer than `SensorNoiseSettings.min_samples` samples are omitted.
+    """
     force = np.asarray(force, dtype=float)
     time = spread_time_stamps(time, force.size)
     starts = [0] if segment is None else [0, *(np.flatnonzero(np.asarray(segment)[1:] != np.asarray(segment)[:-1]) + 1)]
@@ -188,7 +191,7 @@ def _split_segments(force: np.ndarray, time: np.ndarray | None,
 
 
 def _select_correlation_time(pieces: list[_RecordingSegment], stated: float | None) -> tuple[float, list[int]]:
-    """Return the correlation time and the degree of each segment's trend with the smallest BIC.
+    """Return (correlation time in s, list of the degrees of the segments' trends) with the smallest BIC.
 
     Args:
         pieces: segments of all recordings.
@@ -260,6 +263,7 @@ def _refine_correlation_time(pieces: list[_RecordingSegment], degrees: list[int]
     from scipy.optimize import minimize_scalar
 
     def evaluate_likelihood_criterion(logarithm: float) -> float:
+        """Return -2 log restricted likelihood, up to a constant, for the logarithm of a correlation time in s."""
         squares, freedom, determinants = _compute_restricted_likelihood_terms(pieces, degrees, float(np.exp(logarithm)))
         return freedom * np.log(max(squares / freedom, _SETTINGS.floor**2)) + determinants
 
@@ -270,7 +274,7 @@ def _refine_correlation_time(pieces: list[_RecordingSegment], degrees: list[int]
 
 
 def spread_time_stamps(time: np.ndarray | None, samples: int) -> np.ndarray:
-    """Spread equal time stamps evenly up to the next stamp.
+    """Return times in which equal stamps are spread evenly up to the next stamp.
 
     Args:
         time: time of the samples, s, shape (n,); None: no time.

@@ -87,7 +87,7 @@ def find_quantisation_step(samples: np.ndarray) -> float:
 
 
 def compute_pooled_noise(noise: np.ndarray, replicate: np.ndarray) -> float:
-    """Return the root mean square of the samples' standard deviations.
+    """Return the root mean square of the noise over all samples; a replicate counts by its number of samples.
 
     Args:
         noise: standard deviation of each replicate, shape (R,).
@@ -117,7 +117,7 @@ def compute_effective_samples(interpolation: csr_array | None, points: int) -> t
 
 def compute_chi_square(residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray,
                        interpolations: Interpolations | None = None) -> tuple[float, float]:
-    """Return chi-square of the residuals and the effective number of independent samples.
+    """Return (chi-square of the residuals, effective number of independent samples).
 
     Args:
         residual: model minus data, Pa, shape (n,).
@@ -135,7 +135,7 @@ def compute_chi_square(residual: np.ndarray, replicate: np.ndarray, noise: np.nd
 
 
 def compute_information_criteria(squares: float, samples: float, unknowns: int) -> tuple[float, float]:
-    """Return AIC = chi-square + 2 k and BIC = chi-square + k ln n for known noise.
+    """Return (AIC, BIC) for known noise: AIC = chi-square + 2 k and BIC = chi-square + k ln n.
 
     Args:
         squares: chi-square of the residuals plus that of priors (penalised likelihood).

@@ -67,7 +67,7 @@ def compute_sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, repl
                                 prior_precision: np.ndarray, jitter: np.ndarray | None = None,
                                 interpolations: Interpolations | None = None, on_bound: np.ndarray | None = None,
                                 repeats: float = 1.0) -> ParameterUncertainty:
-    """Compute the cluster-robust sandwich covariance of an unweighted least-squares estimate with priors.
+    """Return the uncertainty of a least-squares estimate with priors, by the cluster-robust sandwich covariance.
 
     At the minimum, cov = A^-1 M A^-1 with A = J'J + s^2 P, where J is the Jacobian, P the diagonal prior precision, s
     the pooled noise and M the variance of the gradient. Samples contribute to M with the noise of their replicate, or
@@ -76,7 +76,7 @@ def compute_sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, repl
     scatter of the replicates' gradients, with the factor R / (R - 1) for few clusters.
 
     Args:
-        jacobian: derivatives of the stress with the unknowns, shape (n, k).
+        jacobian: derivatives of the stress with respect to the unknowns, shape (n, k).
         residual: model minus data, Pa, shape (n,).
         replicate: index of the replicate of each sample, shape (n,).
         noise: standard deviation of the samples of each replicate, Pa, shape (R,), or one value.
@@ -142,7 +142,7 @@ def compute_sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, repl
 
 
 def compute_pseudo_inverse_root(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a root of the pseudo-inverse of a scaled Hessian, and the unknowns in undetermined directions.
+    """Return a root of the pseudo-inverse of a scaled Hessian, and a mask of the unknowns in undetermined directions.
 
     Args:
         hessian: Hessian with unit diagonal, shape (k, k).

@@ -64,17 +64,24 @@ class DaskCluster:
         return self._executor.submit(run_packed_task, pack_task(function, arguments))
 
     def stop(self) -> None:
-        """Cancel all tasks; running tasks finish on their workers and their results are discarded."""
+        """Cancel all tasks; running tasks finish on their workers, and their results are discarded.
+
+        New tasks can be submitted afterwards.
+        """
         self._executor.shutdown(wait=False)
         self._executor = self._client.get_executor(pure=False)
 
     def close(self) -> None:
-        """Close the connection to the cluster."""
+        """Close the connection to the cluster; the workers of the cluster keep running."""
         self._client.close()
 
 
 def _read_address(file: Path) -> str:
-    """Return the address of the scheduler in its JSON file."""
+    """Return the address of the scheduler that the scheduler file (JSON) contains.
+
+    Raises:
+        InputError: the file has no address.
+    """
     try:
         return str(read_json(file, "a scheduler file")["address"])
     except (ValueError, LookupError, TypeError):

@@ -84,7 +84,7 @@ class TaskExecutor:
 
 @contextmanager
 def open_tasks(workers: Workers) -> Iterator[TaskExecutor]:
-    """Open an executor for tasks; all its processes end with the block or with this process.
+    """Yield an executor for tasks; all its processes end with the ``with`` block or with this process.
 
     Raises:
         InputError: the cluster does not answer, or its package is missing.
@@ -107,12 +107,15 @@ def open_tasks(workers: Workers) -> Iterator[TaskExecutor]:
 
 
 class _ParallelTaskExecutor(TaskExecutor):
+    """Executor that runs tasks in parallel in a process pool or on a dask cluster."""
+
     parallel = True
 
     def __init__(self, executor: ProcessPool | DaskCluster):
         self._executor = executor
 
     def run(self, function: Callable[..., Any], arguments: Sequence[tuple], on_done: OnDone | None = None) -> list[Any]:
+        """Call the function once for each tuple of arguments, in parallel; see `TaskExecutor.run`."""
         results: dict[int, Any] = {}
         failures: dict[int, BaseException] = {}
         try:
@@ -126,7 +129,7 @@ class _ParallelTaskExecutor(TaskExecutor):
         return [results[index] for index in range(len(arguments))]
 
     def _run_until_first_failure(self, function, arguments, on_done, results, failures):
-        """Run the tasks until all are finished or one raises an exception; then start no further ones.
+        """Run the tasks until all are finished or one raises an exception; store the exception and start no more tasks.
 
         Args:
             function: called as ``function(*arguments[i])``.
@@ -148,6 +151,7 @@ class _ParallelTaskExecutor(TaskExecutor):
         running: dict[Future, int] = {}
 
         def start_next_task(index: int) -> None:
+            """Submit the task with this index to the workers."""
             running[executor.submit(function, arguments[index])] = index
 
         while running or ((waiting or suspects) and not failures):

@@ -52,7 +52,11 @@ class ProcessPool:
         return self._start_processes().submit(run_packed_task, task)
 
     def _start_processes(self) -> ProcessPoolExecutor:
-        """Start all processes of the pool, and wait until the first one works."""
+        """Start all processes of the pool, wait until the first one works, and return their executor.
+
+        Raises:
+            WorkerError: the processes end before they accept a task.
+        """
         # Spawned, not forked: Taichi and the threads of this process do not survive a fork.
         self._executor = ProcessPoolExecutor(self.capacity, multiprocessing.get_context("spawn"), exit_when_parent_ends)
         # Start all processes now: the executor would wait forever for a process that starts while another one ends, and
@@ -70,7 +74,7 @@ class ProcessPool:
                 "\"if __name__ == '__main__':\". Otherwise check their printed errors, or use one worker") from death
 
     def stop(self) -> None:
-        """Kill the processes; the next task starts new ones."""
+        """Kill the processes with their running tasks; the next task starts new processes."""
         if self._executor is not None:
             # Before Python 3.14 an executor has no method for it.
             for process in list((self._executor._processes or {}).values()):
@@ -78,7 +82,7 @@ class ProcessPool:
         self.close()
 
     def close(self) -> None:
-        """End the processes after their running tasks."""
+        """End the processes after their running tasks; tasks that have not started are cancelled."""
         executor, self._executor = self._executor, None
         if executor is not None:
             executor.shutdown(wait=True, cancel_futures=True)

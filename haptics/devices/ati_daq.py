@@ -30,7 +30,7 @@ _EXAMPLE = "ati-daq:FT01234.cal,volts=my_board:read_volts"
 
 @dataclass(frozen=True)
 class AtiDaqTiming:
-    """Waiting and averaging times of an `AtiDaqSensor`."""
+    """Waiting time for samples and averaging time of the tare of an `AtiDaqSensor`."""
 
     #: Time without a sample after which the board counts as lost, s; at least `silent_periods` sampling periods.
     silence: float = 1.0
@@ -91,7 +91,13 @@ class AtiDaqSensor(ForceSensor):
         self._last_received = 0.0
 
     def start(self) -> None:
-        """Import the function that reads the voltages if its name was given, and discard old samples."""
+        """Import the function that reads the voltages if its import path was given, and discard old samples.
+
+        No effect on a started sensor.
+
+        Raises:
+            DeviceError: There is no such function, or it cannot be imported.
+        """
         if self._read_volts is not None:
             return
         read_volts = _import_function(self._given) if isinstance(self._given, str) else self._given
@@ -105,7 +111,7 @@ class AtiDaqSensor(ForceSensor):
         self._last_received = time.monotonic()
 
     def read(self) -> tuple[ForceSample, ...]:
-        """Return the samples received since the last call, forces in N and torques in N m."""
+        """Return all samples received since the last call, oldest first, forces in N and torques in N m."""
         self._read_new_voltages()
         found = []
         while self._waiting:
@@ -147,7 +153,7 @@ class AtiDaqSensor(ForceSensor):
                               "board is sampling, and start it again")
 
     def _convert_sample(self, received: _ReceivedSample, gap: bool) -> ForceSample:
-        """Return the sample of six voltages; `gap` marks lost samples before it."""
+        """Return the force sample of six voltages; `gap` tells whether samples before it were lost."""
         steps = np.rint(received.volts * (_CONVERTER_STEPS / (self._highest - self._lowest)))
         least, most = (math.ceil(self._lowest / (self._highest - self._lowest) * _CONVERTER_STEPS),
                        math.floor(self._highest / (self._highest - self._lowest) * _CONVERTER_STEPS) - 1)
@@ -168,11 +174,11 @@ class AtiDaqSensor(ForceSensor):
         self._zero = np.mean([each.volts for each in list(self._recent)[-count:]], axis=0)
 
     def stop(self) -> None:
-        """Stop reading voltages."""
+        """Forget the function that reads the voltages; the board itself is not stopped."""
         self._read_volts = None
 
     def describe(self) -> dict[str, Any]:
-        """Return sensor, calibration, channels, rate, voltage range and force range; keys carry units."""
+        """Return a dictionary: sensor, calibration, channels, rate, voltage and force range; keys carry units."""
         calibration = self.calibration
         return {"sensor": "ATI on a data acquisition board", "serial": calibration.serial, "part": calibration.part,
                 "calibrated": calibration.date, "calibration_rows": calibration.rows, "channels": list(self.channels),
@@ -184,7 +190,7 @@ class AtiDaqSensor(ForceSensor):
 
 
 class _ReceivedSample(NamedTuple):
-    """Six voltages, V, with the sample's number and its time of receipt, s."""
+    """Six voltages, V, with the number of the sample and its time of receipt, s on the clock of `time.monotonic`."""
 
     volts: np.ndarray
     sequence: int
@@ -192,13 +198,17 @@ class _ReceivedSample(NamedTuple):
 
 
 def _describe_type(value: Any) -> str:
-    """Return the shape of an array, or the type of another value, for a message."""
+    """Return text for a message: the shape of an array, or the type of another value."""
     shape = getattr(value, "shape", None)
     return f"shape {shape}" if shape is not None else f"a {type(value).__name__}"
 
 
 def _import_function(path: str) -> Callable[[], Any]:
-    """Return the function at the import path ``package.module:function``."""
+    """Return the function at the import path ``package.module:function``.
+
+    Raises:
+        DeviceError: The module cannot be imported, or the object is not a function.
+    """
     module, _, attribute = path.partition(":")
     try:
         function = getattr(import_module(module), attribute)
@@ -212,7 +222,7 @@ def _import_function(path: str) -> Callable[[], Any]:
 
 
 def open_ati_daq(text: str) -> AtiDaqSensor:
-    """Make a sensor from ``ati-daq:FT01234.cal,volts=package.module:function,rate_hz=1000,range_V=0``.
+    """Return a sensor that is not started, from ``FT01234.cal,volts=package.module:function,rate_hz=1000,range_V=0``.
 
     ``range_V`` is the largest voltage of the board, in both directions; 0: from the calibration file.
     """

@@ -136,11 +136,11 @@ class AtiSerialSensor(ForceSensor):
         self._receiver = _RecordReceiverThread(line, source, self._port, silence)
 
     def read(self) -> tuple[ForceSample, ...]:
-        """Return the samples received since the last call, forces in N and torques in N m."""
+        """Return all samples received since the last call, oldest first, forces in N and torques in N m."""
         return tuple(self._convert_record(*each) for each in self._require_started().take_new_records())
 
     def _convert_record(self, received: _ReceivedRecord, gap: bool) -> ForceSample:
-        """Return the sample of a record; `gap` marks lost records before it."""
+        """Return the force sample of a record; `gap` tells whether records before it were lost."""
         status = SampleStatus.GAP if gap else SampleStatus.GOOD
         if received.record.flag:
             # The controller has one flag for a saturated and for a disconnected sensor.
@@ -164,7 +164,7 @@ class AtiSerialSensor(ForceSensor):
             receiver.stop_and_close()
 
     def describe(self) -> dict[str, Any]:
-        """Return port, mode, rate, resolution, range and number of garbled records; keys carry units."""
+        """Return a dictionary: port, mode, rate, resolution, range, number of garbled records; keys carry units."""
         force, torque = self._scale[0], self._scale[-1]
         return {"sensor": "ATI stand-alone controller", "port": self._port, "baud": self._baud, "mode": self._mode,
                 "channels": list(self.channels), "rate_Hz": self.rate, "averaged_samples": self._average,
@@ -174,12 +174,17 @@ class AtiSerialSensor(ForceSensor):
                 "verified": "against an emulator only"}
 
     def _require_started(self) -> _RecordReceiverThread:
+        """Return the thread that receives the records; raise a `DeviceError` if the sensor is not started."""
         if self._receiver is None:
             raise DeviceError(f"the ATI controller at {self._port} is not started; start it first")
         return self._receiver
 
     def _configure_controller(self, line: SerialLine) -> None:
-        """Stop a stream, and set the mode: forces and torques, no checksum, no biases."""
+        """Stop the stream of the controller, and set the mode: forces and torques, no checksum, no biases.
+
+        Raises:
+            DeviceError: The controller does not answer.
+        """
         quiet = 0.05 + compute_transmission_time(FORMAT.padded_length + 8, self._baud)
         answer = b""
         for _ in range(3):
@@ -200,7 +205,7 @@ class AtiSerialSensor(ForceSensor):
                 answer += line.read_within(0.1)
 
     def _observe_records(self, source: AsciiRecordStream | BinaryRecordRequester) -> None:
-        """Read records for `AtiSerialTiming.observation` to find their form and rate; discards the records."""
+        """Read records for `AtiSerialTiming.observation` to fix their form and to set `rate`; discards the records."""
         times: list[float] = []
         end = time.monotonic() + TIMING.patience
         while not times or time.monotonic() < times[0] + TIMING.observation or len(times) < 3:
@@ -217,7 +222,7 @@ class AtiSerialSensor(ForceSensor):
 
 
 class _ReceivedRecord(NamedTuple):
-    """A record with its number and its time of receipt, s."""
+    """A record with its number and its time of receipt, s on the clock of `time.monotonic`."""
 
     record: AtiSerialRecord
     sequence: int
@@ -275,7 +280,11 @@ class _RecordReceiverThread:
             self._trouble = error
 
     def take_new_records(self) -> list[tuple[_ReceivedRecord, bool]]:
-        """Return the records since the last call, each with True if records before it are missing."""
+        """Return (record, whether records before it are missing) for each record received since the last call.
+
+        Raises:
+            DeviceError: The thread ended because of an error, and all records have been returned.
+        """
         found = []
         while self._waiting:
             received = self._waiting.popleft()
@@ -286,7 +295,11 @@ class _RecordReceiverThread:
         return found
 
     def wait_for_recent_counts(self, seconds: float) -> list[tuple[int, ...]]:
-        """Return the counts of the records of the last `seconds` s; waits for at least one record."""
+        """Return the counts of the records of the last `seconds` s; wait until at least one record was received.
+
+        Raises:
+            DeviceError: The thread ended because of an error.
+        """
         while not self._recent:
             if self._trouble is not None:
                 raise self._trouble
@@ -298,7 +311,7 @@ class _RecordReceiverThread:
         return [each.record.counts for each in records if each.time >= since]
 
     def stop_and_close(self) -> None:
-        """Stop the stream and close the port."""
+        """Stop the thread and the stream of the controller, and close the port."""
         self._ending.set()
         self._thread.join()
         try:
@@ -322,7 +335,7 @@ def _describe_missing_prompt(port: str, baud: int, answer: bytes) -> str:
 
 
 def open_ati_serial(text: str) -> AtiSerialSensor:
-    """Make a sensor from its port and settings; the counts per unit, from the calibration, are required.
+    """Return a sensor that is not started, from port and settings; the counts per unit are required.
 
     Defaults: ``ati-serial:/dev/ttyUSB0,counts_per_N=...,counts_per_Nm=...,baud=9600,mode=ascii,rate_hz=0,average=0``;
     ``rate_hz=0`` measures the rate.

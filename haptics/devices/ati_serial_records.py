@@ -36,11 +36,11 @@ class AsciiRecordStream:
         self.length, self.wrong = FORMAT.padded_length, b""
 
     def start_stream(self) -> None:
-        """Start the stream."""
+        """Send the command that makes the controller stream records."""
         self._line.write(b"QS" + CARRIAGE_RETURN)
 
     def read_records(self, timeout: float) -> list[AtiSerialRecord | None]:
-        """Return the records that arrive within `timeout` seconds, with None for each garbled one."""
+        """Return the records that arrive within `timeout` seconds, with None in place of each garbled record."""
         *lines, self._rest = (self._rest + self._line.read_within(timeout)).split(CARRIAGE_RETURN)
         if len(self._rest) > 4 * FORMAT.padded_length:
             # Longer than any record: the line ending was lost.
@@ -90,7 +90,10 @@ class BinaryRecordRequester:
         return
 
     def read_records(self, timeout: float) -> list[AtiSerialRecord | None]:
-        """Request a record; return [record], [None] if its length is wrong, or [] if there is no answer."""
+        """Request one record; return [record], [None] for a wrong length, or [] without an answer.
+
+        `timeout` is ignored.
+        """
         self._line.read()  # discards late bytes of an earlier answer
         self._line.write(ONE_RECORD)
         answer = self._line.read_within(self._timeout)
@@ -112,7 +115,7 @@ class BinaryRecordRequester:
 
 
 def read_until_quiet(line: SerialLine, quiet: float, first: float = 0.0, longest: float = 1.5) -> bytes:
-    """Return all bytes received before a pause.
+    """Return all bytes that arrive before a pause of `quiet` s, or within `longest` s.
 
     Args:
         line: Serial port.

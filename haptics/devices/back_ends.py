@@ -48,22 +48,22 @@ HAPTIC_DEVICES: Registry[Callable[[str], HapticDevice]] = Registry("haptic devic
 
 
 def open_motion(name: str) -> Motion:
-    """Make a motion by name; see `open_haptic`."""
+    """Return the motion with a name such as ``sine:frequency_hz=2``, not started; see `open_haptic`."""
     return _make_device_by_name(MOTIONS, name)
 
 
 def open_sensor(name: str) -> ForceSensor:
-    """Make a force sensor by name; see `open_haptic`."""
+    """Return the force sensor with a name such as ``virtual:``, not started; see `open_haptic`."""
     return _make_device_by_name(FORCE_SENSORS, name)
 
 
 def open_stage(name: str) -> Stage:
-    """Make a stage by name; see `open_haptic`."""
+    """Return the stage with a name such as ``virtual:``, not started; see `open_haptic`."""
     return _make_device_by_name(STAGES, name)
 
 
 def open_haptic(name: str) -> HapticDevice:
-    """Make a haptic device by name, without starting it.
+    """Return the haptic device with a name such as ``virtual:``, without starting it.
 
     Args:
         name: Name of the back-end, followed by a colon and its settings if it has any, such as ``virtual:``.
@@ -75,7 +75,11 @@ def open_haptic(name: str) -> HapticDevice:
 
 
 def _make_device_by_name(table: Registry[Callable[[str], Device]], name: str) -> Device:
-    """Make a device from a table of back-ends; errors name the back-end."""
+    """Return the device with a name ``BACK_END:SETTINGS`` from a table of back-ends, not started.
+
+    Raises:
+        InputError: No back-end has this name, or the settings are invalid (the field is the back-end).
+    """
     back_end, _, rest = name.partition(":")
     make = table.find(back_end)
     try:

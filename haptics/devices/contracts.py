@@ -94,7 +94,11 @@ class ForceSensor(ABC):
 
     @abstractmethod
     def tare(self) -> None:
-        """Set the present load as zero for later `ForceSample.values`; counts do not change. Raises as `read`."""
+        """Set the present load as zero for later `ForceSample.values`; counts do not change.
+
+        Raises:
+            DeviceError: The sensor is not started or does not answer.
+        """
 
     @abstractmethod
     def stop(self) -> None:
@@ -110,7 +114,7 @@ class ForceSensor(ABC):
 
 @dataclass(frozen=True, slots=True)
 class StageSample:
-    """Position of a stage at one time.
+    """Sample of a stage: position, state of motion and homing, and time of the reading.
 
     Attributes:
         counts: Counts of the encoder or the motor.
@@ -218,7 +222,7 @@ class Stage(ABC):
 
     @abstractmethod
     def position(self) -> StageSample:
-        """Return the present position.
+        """Return the present position as a sample, with its time and the state of the stage.
 
         Raises:
             DeviceError: The stage is not started or does not answer.
@@ -226,7 +230,7 @@ class Stage(ABC):
 
     @abstractmethod
     def halt(self) -> None:
-        """Stop at once. Callable from any thread at any time, also before `start` and after `stop`."""
+        """Stop the motion at once. May be called from any thread at any time, also before `start` and after `stop`."""
 
     @abstractmethod
     def stop(self) -> None:
@@ -286,13 +290,16 @@ class HapticDevice(ABC):
         return
 
     def continue_from_pose(self, pose: Pose) -> None:
-        """Continue from the pose that the previous device left. Devices without a movable start ignore the call."""
+        """Continue from the last pose of the previous device, without a jump; devices with a fixed start ignore it."""
         return
 
     take_over = OldName("continue_from_pose")
 
     def set_approach(self, approach: Approach | None) -> None:
-        """Use a tool's approach to convert depths to poses. Devices that own an approach ignore the call."""
+        """Set the approach (axis and contact height of a tool) by which depths become poses.
+
+        Devices that have an approach already, and devices without depths, ignore the call.
+        """
         return
 
     def go_along(self, approach: Approach | None) -> None:
@@ -312,7 +319,7 @@ class HapticDevice(ABC):
             cls.go_along = _deprecated_go_along(own["set_approach"])  # type: ignore[method-assign,assignment]
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
-        """Move to a depth, if the device is a steerable motion.
+        """Begin to move the tool to a depth, if the device is a steerable motion such as `HandMotion`.
 
         Args:
             depth: Target along the tool's axis, measured from the height of first contact, m.
@@ -333,6 +340,7 @@ class HapticDevice(ABC):
 def _deprecated_go_along(set_approach: _SetApproach) -> _SetApproach:
     """Return the method ``go_along``, which warns and calls `set_approach` of the same class."""
     def go_along(self: Any, approach: Approach | None) -> None:
+        """Call `set_approach` of the same class, with a deprecation warning."""
         warnings.warn("HapticDevice.go_along is deprecated; use set_approach", DeprecationWarning, stacklevel=2)
         set_approach(self, approach)
 
@@ -353,7 +361,7 @@ class Motion(HapticDevice):
         return
 
     def set_approach(self, approach: Approach | None) -> None:
-        """Use the approach of a tool, unless an approach was set before."""
+        """Set the approach of a tool, unless an approach was set before."""
         if self.approach is None:
             self.approach = approach
 
@@ -363,9 +371,9 @@ class AxialMotion(Motion):
 
     @abstractmethod
     def depth(self, time: float) -> float | None:
-        """Return the depth of the tool at a time since the motion began, s; m, positive into the tissue.
+        """Return the depth of the tool, m, positive into the tissue, at a time in s since the motion began.
 
-        None: the pose is unknown.
+        None if the pose is unknown.
         """
 
 

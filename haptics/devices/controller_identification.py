@@ -13,9 +13,12 @@ _ANSWER_TIMEOUT = 0.3
 
 
 def identify_controller(line: SerialLine) -> str:
-    """Return a hint such as ``"; a Tic answers there: name it tic:PORT"``, or ``""`` if no known controller answers.
+    """Find which controller answers on an open serial line, and return a hint to append to an error message.
 
     Sends an empty line and a status query of a Tic; neither moves a motor.
+
+    Returns:
+        A text such as ``"; a Tic answers there: name it tic:PORT"``; ``""`` if no known controller answers.
     """
     try:
         text = _query_controller(line, b"\r")
@@ -33,7 +36,7 @@ def identify_controller(line: SerialLine) -> str:
 
 
 def _query_controller(line: SerialLine, question: bytes) -> bytes:
-    """Send the bytes `question`, and return all bytes that arrive within `_ANSWER_TIMEOUT` s."""
+    """Discard received bytes, send `question`, and return all bytes (or none) that arrive in `_ANSWER_TIMEOUT` s."""
     line.read()
     line.write(question)
     end, text = time.monotonic() + _ANSWER_TIMEOUT, b""

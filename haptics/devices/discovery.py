@@ -44,11 +44,14 @@ class ProbeResult:
 
 
 def find_devices(names: Sequence[str] = ()) -> list[ProbeResult]:
-    """Probe devices one after another: start each, read its description, stop it.
+    """Start each device, read its description and stop it; return the results, also of devices that fail.
 
     Args:
         names: Names of devices. Empty: the factory addresses of all back-ends, and all serial ports; serial ports are
             opened without sending anything.
+
+    Returns:
+        Results in the order of the names; a name in several tables, such as ``virtual:``, has several results.
 
     Raises:
         InputError: A name is the name of no back-end.
@@ -57,7 +60,7 @@ def find_devices(names: Sequence[str] = ()) -> list[ProbeResult]:
 
 
 def _probe_all_back_ends() -> Iterator[ProbeResult]:
-    """Probe the factory addresses of all back-ends, and all serial ports."""
+    """Yield a result for each back-end, opened only if it has a factory address, and for each serial port."""
     ports = list_serial_ports()
     for kind, table in _TABLES:
         for back_end in table:
@@ -73,7 +76,7 @@ def _probe_all_back_ends() -> Iterator[ProbeResult]:
 
 
 def _probe_serial_port(port: str) -> ProbeResult:
-    """Open a port without sending anything: a query of one device can be a motion command of another."""
+    """Open and close a port without sending anything: a query of one device can be a motion command of another."""
     try:
         SerialLine(port, 9600, "a device").close()
     except DeviceError as error:
@@ -82,7 +85,7 @@ def _probe_serial_port(port: str) -> ProbeResult:
 
 
 def _probe_named_device(name: str) -> Iterator[ProbeResult]:
-    """Probe the device of a name in each table that has its back-end."""
+    """Yield a result for each table (sensors, stages, haptic devices) with the name's back-end; InputError if none."""
     back_end = name.partition(":")[0]
     tables = [(kind, table) for kind, table in _TABLES if back_end in table]
     if not tables:
@@ -93,7 +96,7 @@ def _probe_named_device(name: str) -> Iterator[ProbeResult]:
 
 
 def _probe_back_end(name: str, kind: str, table: Any) -> ProbeResult:
-    """Start a device, read its description and stop it."""
+    """Start a device, read its description and stop it; return a result, which states why the device did not open."""
     back_end, _, rest = name.partition(":")
     if back_end in _REQUIRED_SETTINGS and "=" not in rest:
         rest = f"{rest},{_REQUIRED_SETTINGS[back_end]}"

@@ -128,10 +128,11 @@ class GrblStage(Stage):
         self._connection = connection
 
     def _check_settings(self, settings: dict[int, float]) -> None:
-        """Raise an error if the machine's settings ``$$`` do not permit the limits of this stage."""
+        """Raise an error if ``$$`` does not permit the limits of this stage; store steps, direction and homing time."""
         number = grbl.AXES.index(self._axis)
 
         def read_setting(setting: int) -> float:
+            """Return the value of a setting of this machine; raises a DeviceError if Grbl does not report it."""
             if setting not in settings:
                 raise DeviceError(f"{self._name} does not report its setting ${setting}; install Grbl 1.1")
             return settings[setting]
@@ -163,7 +164,7 @@ class GrblStage(Stage):
         self._longest_homing = 20.0 + 120.0 * (seek_distance / seek + 10.0 * pull_off / feed)
 
     def home(self) -> None:
-        """Request Grbl's homing cycle and return at once."""
+        """Request Grbl's homing cycle and return at once; the thread sends it, and `position` shows its end."""
         connection = self._require_started()
         with connection.lock:
             self._raise_thread_error(connection)
@@ -181,7 +182,7 @@ class GrblStage(Stage):
             connection.wake_thread()
 
     def move(self, position: float, speed: float) -> None:
-        """Set the goal of the jogs, m, and their speed, m/s, and return at once."""
+        """Set the target, m, and the speed, m/s, and return at once; the thread then sends the jogs."""
         halts, connection = self._halts, self._require_started()
         self.limits.require_within_limits(position, speed, slowest=grbl.LEAST_FEED / 60e3)
         with connection.lock:
@@ -197,7 +198,7 @@ class GrblStage(Stage):
                 connection.wake_thread()
 
     def position(self) -> StageSample:
-        """Return the commanded position, m, from a new status report, or from the latest one during homing."""
+        """Return a sample with the commanded position, m, of a new report; during homing, of the latest report."""
         connection = self._require_started()
         with connection.lock:
             self._last_call = time.monotonic()
@@ -243,7 +244,7 @@ class GrblStage(Stage):
                 connection.lock.release()
 
     def stop(self) -> None:
-        """Halt the axis and close the port."""
+        """Halt the axis, end the thread and close the port."""
         connection = self._connection
         if connection is None:
             return
@@ -262,10 +263,7 @@ class GrblStage(Stage):
                 "checked_with": "emulator; unverified on hardware"}
 
     def _send_next_jogs_or_homing(self, connection: GrblConnection) -> bool:
-        """Send the next commands; return True while a motion is in progress.
-
-        The connection's thread calls this method every few milliseconds and holds the lock.
-        """
+        """Send the next commands, in the connection's thread with the lock held; return True during a motion."""
         if connection.lost:
             self._goal = None
         elif self._homing_until is not None:
@@ -320,7 +318,7 @@ class GrblStage(Stage):
 
     @staticmethod
     def _list_jog_targets(position: float, sent: float, goal: float, speed: float) -> Iterator[float]:
-        """Yield the targets of the jogs, mm, that fit into the queue after the last reported position.
+        """Yield the targets, mm, in machine coordinates, of the next jogs that fit into the queue of Grbl.
 
         Args:
             position: Last reported position, mm.
@@ -359,7 +357,7 @@ class GrblStage(Stage):
             self._zero, self._homing_until, connection.was_reset = report.position, None, False
 
     def _wait_for_new_report(self, connection: GrblConnection) -> AxisStatusReport:
-        """Return a report requested after this call. Requires the lock, which is released during the wait."""
+        """Wait for a report requested after this call and return it; DeviceError if none. Requires the lock."""
         report = connection.wait_for_report(JOGS.report)
         if report is None:
             self._raise_thread_error(connection)
@@ -375,7 +373,7 @@ class GrblStage(Stage):
             raise DeviceError(f"{self._name} {_BLOCKED[report.state]}")
 
     def _raise_thread_error(self, connection: GrblConnection) -> None:
-        """Raise the error that the thread has stored, if any, and clear it; a lost connection stays an error."""
+        """Raise a DeviceError with the message that the thread has stored, if any; clear it unless the port is lost."""
         if connection.lost:
             raise DeviceError(connection.lost)
         trouble, self._trouble = self._trouble, ""
@@ -383,6 +381,7 @@ class GrblStage(Stage):
             raise DeviceError(trouble)
 
     def _require_started(self) -> GrblConnection:
+        """Return the connection; raises a DeviceError if the stage is not started."""
         connection = self._connection
         if connection is None:
             raise DeviceError("the Grbl stage is not started; start it first")

@@ -44,7 +44,7 @@ TIMING = GrblTiming()
 
 @dataclass(frozen=True)
 class AxisStatusReport:
-    """A status report about one axis.
+    """A status report of Grbl about one axis; lengths in mm, times in s.
 
     Attributes:
         state: State of Grbl, one of `grbl.STATES`.
@@ -117,7 +117,7 @@ class GrblConnection:
         self.was_reset = False
 
     def read_settings(self) -> dict[int, float]:
-        """Check that an idle Grbl 1.1 answers, and return its settings ``$$`` by number.
+        """Check that a Grbl 1.1 answers and is not in use, and return its settings ``$$``, values by number.
 
         Sends no reset, which would lose the position of a moving axis. Cancels a jog that another program has left.
 
@@ -140,7 +140,7 @@ class GrblConnection:
         return dict(settings)
 
     def _wait_for_first_state(self) -> str:
-        """Request reports until the first one arrives, and return its state."""
+        """Request reports until the first one arrives, return its state, such as ``"Idle"``; DeviceError if none."""
         end, requested, received = time.monotonic() + TIMING.boot, -1.0, b""
         while time.monotonic() < end:
             if time.monotonic() - requested > TIMING.boot_interval:
@@ -160,7 +160,7 @@ class GrblConnection:
                           f"the cable and the baud rate ({self._baud}){identify_controller(self._line)}")
 
     def _query_answer_lines(self, command: bytes) -> list[str]:
-        """Send a command while the thread does not run, and return the lines before its ``ok``."""
+        """Send a command before the thread runs, and return the lines before its ``ok``; DeviceError for an error."""
         self.send_bytes(command)
         lines: list[str] = []
         end = time.monotonic() + TIMING.line
@@ -204,13 +204,13 @@ class GrblConnection:
             self._wakeup.clear()
 
     def _split_lines(self, data: bytes) -> list[str]:
-        """Return the complete lines received so far; keeps at most 1000 bytes of an incomplete one."""
+        """Add bytes to the buffer; remove and return its complete lines. Keeps 1000 bytes of an incomplete one."""
         *lines, self._partial_line = (self._partial_line + data).split(b"\n")
         self._partial_line = self._partial_line[-1000:]
         return [line.decode("latin-1").strip() for line in lines]
 
     def _handle_line(self, line: str) -> None:
-        """Update the attributes from a report, an answer, an alarm or a banner."""
+        """Update the attributes from a received line: report, answer, alarm or banner; ignores other lines."""
         report, answer = grbl.parse_report(line), grbl.parse_answer(line)
         if report is not None:
             self._handle_report(report)
@@ -253,7 +253,7 @@ class GrblConnection:
         self._report_awaited = False
 
     def _request_report(self, interval: float) -> None:
-        """Request a report if the last request is older than `interval`, s, or the pending one was not answered."""
+        """Request a report if the last one was requested `interval` s ago, or a pending request has had no answer."""
         now = time.monotonic()
         if ((now - self.latest.requested >= interval) if self._requested is None else
                 (now - self._requested > TIMING.report_retry)):
@@ -263,11 +263,11 @@ class GrblConnection:
 
     @property
     def has_current_report(self) -> bool:
-        """True if all lines have an answer and the last report was requested after these answers."""
+        """True if all sent lines have an answer and `latest` was requested after the last answer."""
         return self.unanswered == 0 and self.latest.exchange == self._exchanges
 
     def wait_for_report(self, timeout: float) -> AxisStatusReport | None:
-        """Wait up to `timeout` s for a report requested after this call; None: no report. Requires the lock."""
+        """Wait up to `timeout` s for a report requested after this call; return it, or None. Requires the lock."""
         begin = time.monotonic()
         self._wakeup.set()
         while self.latest.requested < begin or not self.latest.number:
@@ -280,7 +280,7 @@ class GrblConnection:
         return self.latest
 
     def send_line(self, line: bytes) -> None:
-        """Send a line that Grbl answers. Requires the lock."""
+        """Send a line that Grbl answers with ``ok`` or an error; does not wait for the answer. Requires the lock."""
         self.unanswered += 1
         self._exchanges += 1
         self.send_bytes(line)
@@ -299,7 +299,7 @@ class GrblConnection:
                 self._writing.release()
 
     def soft_reset(self) -> None:
-        """Send a soft reset and wait for the banner. Requires the lock."""
+        """Reset Grbl and wait for its banner, at most `GrblTiming.line` s; clears `alarm`. Requires the lock."""
         self.alarm, before = None, self._banners
         self.send_bytes(grbl.RESET)
         end = time.monotonic() + TIMING.line

@@ -96,7 +96,7 @@ class HaplyDevice(HapticDevice):
 
     @property
     def exchange_error(self) -> str:
-        """Reason why poses are missing; empty while the exchange works."""
+        """Message with the reason why poses are missing; empty while the exchange works, and before the start."""
         return self._trouble if self._thread is None else self._thread.exchange_error
 
     def start(self) -> None:
@@ -133,7 +133,7 @@ class HaplyDevice(HapticDevice):
                               "haply:ws://HOST:PORT") from None
 
     def _register_program(self, line: WebSocketConnection) -> HaplyDeviceState:
-        """Receive the first state and register this program with zero force; return the state."""
+        """Receive the first state, register this program by a message with zero force, and return the first state."""
         service = f"the Haply Inverse service at {self.address}"
         try:
             messages = line.receive(TIMING.connect)
@@ -159,7 +159,7 @@ class HaplyDevice(HapticDevice):
         return first
 
     def pose(self, time: float) -> Pose | None:
-        """Return the newest pose of the cursor in the scene, scaled, m; None without a recent state."""
+        """Return the newest pose of the tool in the scene, from the scaled cursor position, m; None if too old."""
         thread = self._thread
         state = None if thread is None else thread.get_newest_state()
         if state is None:
@@ -173,7 +173,7 @@ class HaplyDevice(HapticDevice):
         return Pose(position, self._rotation_since_start(state.orientation, self._first_orientation))
 
     def render(self, wrench: Screw) -> None:
-        """Send the force, N, scaled and limited to the largest force of the device; the torque is ignored."""
+        """Store the force, N, scaled and limited, for the thread to send; the torque is ignored. Does not wait."""
         if self._thread is None:
             return
         x, y, z = (self._force_scale * part for part in wrench[:3])
@@ -204,19 +204,19 @@ class HaplyDevice(HapticDevice):
         return described
 
     def _to_scene_axes(self, vector: Vector) -> Vector:
-        """Convert a vector from the device's axes to the scene's."""
+        """Permute a vector from the device's axes to the scene's, with signs; no scaling, no shift of the origin."""
         (i, a), (j, b), (k, c) = self._axis_order
         return a * vector[i], b * vector[j], c * vector[k]
 
     def _to_device_axes(self, vector: Vector) -> Vector:
-        """Convert a vector from the scene's axes to the device's."""
+        """Permute a vector from the scene's axes to the device's, with signs; no scaling, no shift of the origin."""
         turned = [0.0, 0.0, 0.0]
         for (axis, sign), part in zip(self._axis_order, vector, strict=True):
             turned[axis] = sign * part
         return turned[0], turned[1], turned[2]
 
     def _rotation_since_start(self, now: Quaternion, first: Quaternion) -> Quaternion:
-        """Return now * conjugate(first), the rotation of the grip since the start, in the frame of the scene."""
+        """Return the grip's rotation from `first` to `now`, a unit quaternion (w, x, y, z) in the scene's axes."""
         (w, x, y, z), (s, a, b, c) = now, first
         u, v, q = self._to_scene_axes((-w * a + x * s - y * c + z * b, -w * b + x * c + y * s - z * a,
                                        -w * c - x * b + y * a + z * s))
@@ -224,7 +224,7 @@ class HaplyDevice(HapticDevice):
 
 
 class _ExchangeThread:
-    """A thread that sends the newest force and receives states, over and over.
+    """A thread that repeatedly sends the newest force and receives the newest state.
 
     Args:
         line: Open connection; the thread closes it at the end.
@@ -248,6 +248,7 @@ class _ExchangeThread:
         self.exchange_error = ""
 
     def start(self) -> None:
+        """Start the thread."""
         self._thread.start()
 
     def get_newest_state(self) -> HaplyDeviceState | None:
@@ -256,18 +257,18 @@ class _ExchangeThread:
         return None if self.exchange_error or time.monotonic() - received > TIMING.stale else state
 
     def set_force(self, force: Vector) -> None:
-        """Set the force to apply from now on, N, in the frame of the device."""
+        """Store the force to send from now on, N, in the frame of the device; returns without waiting."""
         self._request = (time.monotonic(), force)
         self._has_force.set()
 
     def stop_and_close(self) -> None:
-        """Send zero force and close the connection; returns when the thread has ended."""
+        """Make the thread send zero force and close the connection; return when the thread has ended."""
         self._ending.set()
         self._has_force.set()
         self._thread.join()
 
     def _run_exchange(self) -> None:
-        """Exchange messages until the end or an error, then send zero force; the body of the thread."""
+        """Exchange messages until `stop_and_close` and send zero force, or store an OSError; the body of the thread."""
         try:
             while not self._ending.is_set():
                 # The timeout keeps states fresh while the loop renders nothing.
@@ -303,7 +304,7 @@ class _ExchangeThread:
 
 
 def _parse_axes(axes: str) -> tuple[tuple[int, float], ...]:
-    """Return, for x, y and z of the scene, the index of the device's axis and its sign.
+    """Return three pairs, for x, y and z of the scene: index (0 to 2) and sign (1.0 or -1.0) of the device's axis.
 
     Raises:
         InputError: The axes are not x, y and z in some order, or the frame is left-handed.
@@ -328,7 +329,7 @@ def _parse_axes(axes: str) -> tuple[tuple[int, float], ...]:
 
 
 def open_haply(text: str) -> HaplyDevice:
-    """Make a device from its address and settings.
+    """Make a Haply device, which is not started, from its address and settings.
 
     Defaults: ``haply:ws://127.0.0.1:10001,scale=1,force_scale=1,axes=xyz,above_mm=10,turn=0,largest_force_N=5``. The
     settings ``x_mm=0,y_mm=-150,z_mm=150`` give the centre of the tissue's top in the device's frame; without them the

@@ -64,7 +64,7 @@ class ProtocolMotion(AxialMotion):
         return self._times[-1]
 
     def depth(self, time: float) -> float:
-        """Return the depth at a time, s, by linear interpolation between the samples, m."""
+        """Return the depth, m, at a time since the motion began, s: linear between the samples, constant outside."""
         times, depths = self._times, self._depths
         if self._repeat:
             time %= times[-1]
@@ -97,12 +97,12 @@ class SineMotion(AxialMotion):
         self._rate = 2 * math.pi * frequency
 
     def depth(self, time: float) -> float:
-        """Return the depth at a time, s, m."""
+        """Return the depth, m, at a time since the motion began, s."""
         return self._middle - self._amplitude * math.cos(self._rate * time)
 
 
 class HandMotion(Motion):
-    """Motion toward targets set by `aim`: a critically damped spring, limited to `speed`, with constant orientation.
+    """Motion that follows targets set by `aim`: critically damped spring, limited speed, constant orientation.
 
     Args:
         start: Initial depth along the tool's axis, m; None: the tool's position and orientation when this motion
@@ -126,7 +126,7 @@ class HandMotion(Motion):
         self._set_start_and_target(approach, start or 0.0, start or 0.0)
 
     def _set_start_and_target(self, approach: Approach | None, start: float, target: float) -> None:
-        """Set approach, depth, m, and target depth, m, at the start of the motion."""
+        """Set the approach, and present and target depth on it, m; the tool is placed on the axis of the approach."""
         self.approach = approach
         # A position is x and y, where the tool's axis meets the height of first contact, and the depth along the axis.
         at_contact = Pose.at_depth(0.0) if approach is None else approach.pose(0.0)
@@ -136,12 +136,12 @@ class HandMotion(Motion):
         self.aim(target)
 
     def set_approach(self, approach: Approach | None) -> None:
-        """Begin at the start of an approach, unless the motion has one or begins at the present pose of the tool."""
+        """Set the approach and restart the motion on it, unless it has one or begins at the pose of the tool."""
         if self.approach is None and approach is not None and not self._starts_at_tool:
             self._set_start_and_target(approach, self._position[2], self._target[2])
 
     def _set_orientation(self, pose: Pose) -> None:
-        """Store a pose's orientation and the tool's axis, scaled: x, y and height per unit of depth along the axis."""
+        """Store the orientation of a pose, and its tool axis as change of x, y and height per depth along the axis."""
         self._orientation = pose.orientation
         (_, _, a), (_, _, b), (_, _, c) = pose.rotation
         self._axis = -a, -b, max(c, _DEFAULTS.least_cosine)
@@ -157,7 +157,7 @@ class HandMotion(Motion):
         self._target = list(self._position)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
-        """Set the target; see `HapticDevice.aim`.
+        """Set the target depth, m, and the target position across, x and y, m; see `HapticDevice.aim`.
 
         Raises:
             InputError: A coordinate is not a finite number.
@@ -170,13 +170,13 @@ class HandMotion(Motion):
         self._target = [x, y, depth]
 
     def pose(self, time: float) -> Pose:
-        """Return the pose at the depth of the motion at a time, s, with the constant orientation."""
+        """Advance the motion to a time since it began, s, and return the pose there, with the constant orientation."""
         depth = self.depth(time)
         (x, y, _), (u, v, cosine) = self._position, self._axis
         return Pose((x + u * depth, y + v * depth, -cosine * depth), self._orientation)
 
     def depth(self, time: float) -> float:
-        """Return the depth of the tool along its axis at a time since the motion began, s; m."""
+        """Advance the motion to a time since it began, s, and return the depth along the tool's axis, m."""
         dt, self._time = max(time - self._time, 0.0), time
         if dt == 0.0:
             return self._position[2]
@@ -237,7 +237,7 @@ class RandomWalk(AxialMotion):
         self._points = [start] * 4
 
     def depth(self, time: float) -> float:
-        """Return the depth at a time, s, from a uniform cubic B-spline through random points, m."""
+        """Return the depth, m, at a time since the motion began, s: a cubic B-spline of random control points."""
         knot = max(time, 0.0) / self.SPACING
         first = int(knot)
         points = self._points
@@ -249,7 +249,7 @@ class RandomWalk(AxialMotion):
                 + (3 * v * v * v - 6 * v * v + 4) * points[first + 2] + u * u * u * points[first + 3]) / 6
 
     def _draw_control_point(self) -> float:
-        """Draw the next control point of the spline, m."""
+        """Return the next random control point of the spline, a depth, m, without appending it to the spline."""
         gauss = self._random.gauss
         self._log_amplitude = (self._AMPLITUDE_CORRELATION * self._log_amplitude
                                + math.sqrt(1 - self._AMPLITUDE_CORRELATION**2) * gauss(0.0, 1.0))
@@ -319,16 +319,17 @@ class SpatialWalk(Motion):
 
 
 def _require_depth_range(highest: float, deepest: float) -> None:
-    """Raise an error unless `deepest` is below `highest`, both finite, m."""
+    """Raise an InputError unless both depths, m, are finite and `deepest` is larger than `highest`."""
     if not -math.inf < highest < deepest < math.inf:
         raise InputError(f"the deepest position must be deeper than the upper depth, {highest:g} m; got {deepest:g} m",
                          field="deepest")
 
 
 def open_random(text: str) -> RandomWalk | SpatialWalk:
-    """Make a random motion; `lift` is a fraction of the depth.
+    """Make a random motion from settings: a `SpatialWalk` with a sideways range or a rotation, else a `RandomWalk`.
 
     Defaults: ``random:depth_mm=10,lift=0.2,top_speed_mm_s=200,seed=0,sideways_mm=0,turn_deg=0,turn_deg_s=60``.
+    `lift` is the height of lift-off as a fraction of the depth.
     """
     given = read_settings(text, depth_mm=10.0, lift=_DEFAULTS.lift, top_speed_mm_s=200.0, seed=0, sideways_mm=0.0,
                           turn_deg=0.0, turn_deg_s=60.0)
@@ -340,25 +341,25 @@ def open_random(text: str) -> RandomWalk | SpatialWalk:
 
 
 def open_sine(text: str) -> SineMotion:
-    """Make a sine motion from ``sine:depth_mm=10,lift=0.2,frequency_hz=1``; `lift` is a fraction of the depth."""
+    """Make a sine motion from settings ``depth_mm=10,lift=0.2,frequency_hz=1``; `lift` is a fraction of the depth."""
     given = read_settings(text, depth_mm=10.0, lift=_DEFAULTS.lift, frequency_hz=1.0)
     depth = given["depth_mm"] * 1e-3
     return SineMotion(depth, -given["lift"] * depth, given["frequency_hz"])
 
 
 def open_protocol(text: str) -> ProtocolMotion:
-    """Make a protocol's motion from ``protocol:ramp 4mm @2mm/s; unload``; see `tissue_sim.Protocol.parse`."""
+    """Make a motion from the text of a protocol, ``ramp 4mm @2mm/s; unload``; see `tissue_sim.Protocol.parse`."""
     return make_protocol_motion(Protocol.parse(text))
 
 
 def make_protocol_motion(protocol: Protocol) -> ProtocolMotion:
-    """Return a protocol's motion, repeated if the last displacement equals the first."""
+    """Return a motion along a protocol; it repeats without end if the last displacement equals the first."""
     closes = abs(protocol.displacement[-1] - protocol.displacement[0]) < 1e-9
     return ProtocolMotion(protocol, repeat=bool(closes))
 
 
 def open_hand(text: str) -> HandMotion:
-    """Make a steerable motion from ``hand:depth_mm=0,speed_mm_s=100``; `depth_mm` is its first target."""
+    """Make a `HandMotion`, which is steered by `aim`, from ``depth_mm=0,speed_mm_s=100``; `depth_mm`: first target."""
     given = read_settings(text, depth_mm=0.0, speed_mm_s=100.0)
     hand = HandMotion(speed=given["speed_mm_s"] * 1e-3)
     hand.aim(given["depth_mm"] * 1e-3)

@@ -105,7 +105,7 @@ class PhidgetStage(Stage):
         self._motor, self._homed, self._sequence, self._goal = motor, False, 0, None
 
     def _attach_controller(self) -> Any:
-        """Open the connection to the controller, and return its object of the library after it has answered."""
+        """Connect to the controller, and return its `Stepper` object once it has answered; DeviceError if not."""
         try:
             from Phidget22.Devices.Stepper import Stepper
             from Phidget22.Phidget import Phidget
@@ -138,7 +138,7 @@ class PhidgetStage(Stage):
         return motor
 
     def _configure_motor(self, motor: Any) -> None:
-        """Set units to counts, acceleration, current limit and failsafe; the velocity limit of 0 prevents motion."""
+        """Set counts as unit, acceleration, current limit and failsafe, and the velocity limit to 0: no motion yet."""
         try:
             motor.setRescaleFactor(1.0)
             motor.setVelocityLimit(0.0)
@@ -154,7 +154,7 @@ class PhidgetStage(Stage):
             raise self._convert_to_device_error(error) from None
 
     def _enable_failsafe(self, motor: Any) -> None:
-        """Enable the failsafe and set `runs_on`; without a failsafe it is infinite."""
+        """Enable the failsafe, and set `runs_on` to its time, s; infinite if the controller has no failsafe."""
         try:
             motor.enableFailsafe(_TIMES.failsafe_ms)
         except Exception as error:
@@ -165,18 +165,18 @@ class PhidgetStage(Stage):
             self.runs_on = 1e-3 * _TIMES.failsafe_ms
 
     def _require_reachable_top_speed(self, motor: Any) -> None:
-        """Raise an error if the controller cannot reach the top speed."""
+        """Raise a DeviceError if the top speed in `limits` exceeds the largest speed of the controller."""
         most = motor.getMaxVelocityLimit() * abs(self._length_per_count)
         if self.limits.speed > most:
             raise DeviceError(f"the top speed of the Phidget stepper is {most * 1e3:g} mm/s at {self._steps_per_mm:g} "
                               f"steps per mm; give top_speed_mm_s={most * 1e3:.4g} or less")
 
     def _convert_to_counts(self, length: float) -> float:
-        """Convert a length, m, a speed, m/s, or an acceleration, m/s^2, to counts, without sign."""
+        """Convert a length, m, speed, m/s, or acceleration, m/s^2, to a number of counts, always positive or zero."""
         return abs(length / self._length_per_count)
 
     def home(self) -> None:
-        """Take the present position as zero, without a motion, and switch the current on."""
+        """Set the present position as zero, without a motion, and switch the current of the motor on."""
         motor = self._require_started()
         try:
             motor.setVelocityLimit(0.0)
@@ -212,7 +212,7 @@ class PhidgetStage(Stage):
         self._goal = position
 
     def position(self) -> StageSample:
-        """Return the commanded position, m, and restart the failsafe timer."""
+        """Return a sample with the commanded position, m, and restart the failsafe timer of the controller."""
         motor = self._require_started()
         try:
             if self.runs_on < math.inf:
@@ -229,7 +229,7 @@ class PhidgetStage(Stage):
                            now)
 
     def halt(self) -> None:
-        """Set the velocity limit to zero; if the controller refuses, switch the current off."""
+        """Decelerate the motor to rest; if the controller refuses, switch its current off. Never raises."""
         self._halts += 1
         motor, self._goal = self._motor, None
         if motor is not None:
@@ -262,12 +262,13 @@ class PhidgetStage(Stage):
                 "verified": "against a stand-in for its library only"}
 
     def _require_started(self) -> Any:
+        """Return the `Stepper` object of the library; raises a DeviceError if the stage is not started."""
         if self._motor is None:
             raise DeviceError("the Phidget stepper is not started; start it first")
         return self._motor
 
     def _convert_to_device_error(self, error: Exception) -> DeviceError:
-        """Return cause and remedy for an error of the library."""
+        """Return a DeviceError with the remedy for an error of the library; marks the zero as unknown if it is lost."""
         code = getattr(error, "code", None)
         if code == _PhidgetErrorCode.FAILSAFE:
             self._homed = False

@@ -115,7 +115,7 @@ class RdtSensor(ForceSensor):
 
     @property
     def _url_host(self) -> str:
-        """The host in an address; IPv6 addresses have brackets."""
+        """Name or address of the box as in a URL; IPv6 addresses have brackets."""
         return f"[{self._host}]" if ":" in self._host else self._host
 
     def read(self) -> tuple[ForceSample, ...]:
@@ -127,14 +127,14 @@ class RdtSensor(ForceSensor):
                      for counts, number, status, received in stream.take_new_records())
 
     def tare(self) -> None:
-        """Wait for the next records, for at most 0.1 s of sampling, and take their mean as zero."""
+        """Wait for the records of the next 0.1 s, at most 100, and set the mean of their counts as zero."""
         stream = self._require_started()
         count = max(1, min(STREAM.tare_records, math.ceil(0.1 * self.rate)))
         latest = stream.wait_for_next_counts(count, timeout=STREAM.patience + 2 * count / self.rate)
         self._zero = tuple(sum(axis) / len(latest) for axis in zip(*latest, strict=True))
 
     def stop(self) -> None:
-        """End the stream and its thread."""
+        """End the stream of records and its thread, and close the socket."""
         stream, self._stream = self._stream, None
         if stream is not None:
             stream.stop_and_close()
@@ -153,6 +153,7 @@ class RdtSensor(ForceSensor):
         return about
 
     def _require_started(self) -> _RecordStreamThread:
+        """Return the thread of the stream; raises a DeviceError if the sensor is not started."""
         if self._stream is None:
             raise DeviceError(f"the sensor at {self._host} is not started; start it first")
         return self._stream
@@ -215,7 +216,7 @@ class _RecordStreamThread:
                                      "settings, and let a firewall pass its port 49152"))
 
     def _receive_datagrams(self) -> None:
-        """Receive datagrams until the end; the body of the thread."""
+        """Receive datagrams and keep their new records until `stop_and_close`; the body of the thread."""
         buffer = bytearray(rdt.RECORD_SIZE * rdt.DATAGRAM.max_records + 1)
         view, waiting, counter = memoryview(buffer), self._waiting, self._counter
         while not self._ending.is_set():
@@ -238,7 +239,7 @@ class _RecordStreamThread:
                 self._arrived.notify_all()
 
     def take_new_records(self) -> list[tuple[tuple[int, ...], int, int, float]]:
-        """Return counts, number, status and time of receipt, s, of all records since the last call."""
+        """Remove all records since the last call; return counts, number, status and time of receipt, s, of each."""
         waiting, taken = self._waiting, []
         for _ in range(len(waiting)):
             taken.append(waiting.popleft())
@@ -249,7 +250,7 @@ class _RecordStreamThread:
         return taken
 
     def wait_for_next_counts(self, count: int, timeout: float) -> list[tuple[int, ...]]:
-        """Wait for the next `count` records and return their counts; `take_new_records` still returns them.
+        """Wait for the next `count` records and return the six counts of each, without removing the records.
 
         Raises:
             DeviceError: They do not arrive within `timeout` seconds, or report a saturation or a fault.
@@ -266,7 +267,7 @@ class _RecordStreamThread:
         return [counts for counts, *_ in latest]
 
     def get_statistics(self) -> dict[str, Any]:
-        """Return the numbers of records received, lost and refused, and the last status and error."""
+        """Return the numbers of records received, lost, duplicated, late and garbled, and the last status and error."""
         counter = self._counter
         counts: dict[str, Any] = {
             "records": counter.accepted, "lost": counter.lost, "twice": counter.twice, "late": counter.late,
@@ -288,7 +289,7 @@ class _RecordStreamThread:
 
 
 class RecordCounter:
-    """Number new records, and count lost, duplicated and late ones.
+    """Assign numbers to new records, and count lost, duplicated and late records.
 
     Attributes:
         accepted: Number of new records.
@@ -310,7 +311,7 @@ class RecordCounter:
         self._has_restarted = False
 
     def select_new_records(self, records: list[RdtRecord] | None, now: float) -> list[tuple[RdtRecord, int, int]]:
-        """Return the new records of a datagram, each with its number since the start and its status.
+        """Return the new records of a datagram, each with its number from 0 and its `SampleStatus`; update the counts.
 
         Args:
             records: Records of the datagram; None: the datagram contains no records.
@@ -338,7 +339,7 @@ class RecordCounter:
         return new
 
     def _count_since_start(self, record: RdtRecord, now: float) -> int | None:
-        """Return the number of a record since the start; None: the record is late or a duplicate."""
+        """Return the number of a record, from 0; None: late or duplicate. Counts lost, late and duplicate records."""
         last = self._last
         if last is None:
             return 0
@@ -366,7 +367,7 @@ class RecordCounter:
 
 
 def _describe_connection_error(error: BaseException) -> str:
-    """Return the cause of a connection error in words, for a message."""
+    """Return the cause of a connection error in a few words, as a part of a message."""
     inner = getattr(error, "reason", error)
     return getattr(inner, "strerror", None) or str(inner) or type(inner).__name__
 

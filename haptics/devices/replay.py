@@ -70,7 +70,7 @@ class ReplaySensor(ForceSensor):
             self._began, self._returned = self._clock(), 0
 
     def read(self) -> tuple[ForceSample, ...]:
-        """Return the samples that have become due since the last call."""
+        """Return the recorded samples whose time has come since the last call; DeviceError after the last sample."""
         now, due = self._count_due_samples()
         first, self._returned = self._returned, due
         if first == len(self._times):
@@ -83,7 +83,7 @@ class ReplaySensor(ForceSensor):
                      for number, count, value in numbered)
 
     def tare(self) -> None:
-        """Set the values of the newest due sample as zero of later values."""
+        """Set the values of the newest sample that is due as zero, which is subtracted from later values."""
         _, due = self._count_due_samples()
         self._zero = self._values[due - 1]
 
@@ -98,7 +98,7 @@ class ReplaySensor(ForceSensor):
                 "duration_s": float(self._times[-1])}
 
     def _count_due_samples(self) -> tuple[float, int]:
-        """Return the present time, s on the clock, and the number of samples due until now, at least one."""
+        """Return the present time, s on the clock, and the number of samples due since the start, at least 1."""
         if self._began is None:
             raise DeviceError(f"the replay of {self._name!r} is not started; start it first")
         now = self._clock()

@@ -56,7 +56,7 @@ class SerialLine:
         return data
 
     def read_within(self, timeout: float) -> bytes:
-        """Wait up to `timeout` seconds for data and return the received bytes; empty if none arrive.
+        """Return received bytes as soon as there are any, after at most `timeout` seconds; empty if none arrive.
 
         Raises:
             DeviceError: The port has disappeared.
@@ -88,7 +88,7 @@ class SerialLine:
         return data
 
     def read_line(self, timeout: float, ending: bytes = b"\n") -> bytes:
-        """Return the next line without its ending.
+        """Wait for the next line, and return its bytes without the ending.
 
         Args:
             timeout: Longest wait, s.
@@ -107,7 +107,7 @@ class SerialLine:
         return line
 
     def _fill_buffer(self, wait: bool) -> None:
-        """Move the waiting bytes to the buffer; with `wait`, block up to `_WAIT` for the first byte."""
+        """Move received bytes from the port to the buffer; with `wait`, wait up to `_WAIT` s for the first one."""
         try:
             waiting = self._serial.in_waiting
             if waiting or wait:
@@ -125,7 +125,7 @@ class SerialLine:
 
 
 def _describe_open_failure(port: str, owner: str, error: Exception) -> str:
-    """Return cause and remedy for a port that does not open."""
+    """Return the message, cause and remedy, for a port that does not open."""
     number = getattr(error, "errno", None)
     if number in (errno.EACCES, errno.EPERM):
         group = _find_port_group(port)
@@ -141,7 +141,7 @@ def _describe_open_failure(port: str, owner: str, error: Exception) -> str:
 
 
 def _find_port_group(port: str) -> str:
-    """Return the group that owns a port, or ``dialout`` if it is unknown."""
+    """Return the name of the Unix group that owns the file of a port; ``dialout`` if it cannot be found."""
     try:
         return Path(port).group()
     # The group only completes the advice of a message: the port may be gone (OSError) or owned by a number without a
@@ -151,7 +151,7 @@ def _find_port_group(port: str) -> str:
 
 
 def list_serial_ports() -> list[str]:
-    """Return the names of this computer's serial ports, sorted."""
+    """Return the names of this computer's serial ports, such as ``/dev/ttyUSB0``, sorted."""
     from serial.tools.list_ports import comports
 
     return sorted(port.device for port in comports())

@@ -8,7 +8,7 @@ from tissue_sim.errors import InputError, suggest_known_word
 
 
 def read_settings(text: str, **defaults: float) -> dict[str, float]:
-    """Return the numbers of a list of settings by name.
+    """Parse ``name=number`` settings, and return the number of every permitted name, given or default.
 
     Args:
         text: Settings ``name=number``, separated by commas; may be empty.
@@ -44,6 +44,9 @@ def split_address_and_settings(text: str, quantity: str, example: str) -> tuple[
         quantity: Description of the first part for messages, such as ``"the port of the controller"``.
         example: A complete name for messages.
 
+    Returns:
+        The first part, and the unparsed text of the settings, which may be empty.
+
     Raises:
         InputError: The first part is missing.
     """
@@ -54,7 +57,7 @@ def split_address_and_settings(text: str, quantity: str, example: str) -> tuple[
 
 
 def read_word_settings(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], str]:
-    """Return the settings whose values are words, and the remaining text for `read_settings`.
+    """Return the settings whose values are words, by name with defaults, and the other settings as text.
 
     Args:
         text: Settings ``name=value``, separated by commas.

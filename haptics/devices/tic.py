@@ -143,7 +143,7 @@ class TicStage(Stage):
             raise
 
     def _check_settings(self, line: SerialLine) -> None:
-        """Check that a Tic answers and stops its motor after a silence, and set its ramps."""
+        """Check that a Tic answers and stops after a silence; stop its motion, set its ramps and `runs_on`."""
         try:
             self._read_status()
             answers = self._read_setting(SettingOffset.CRC, 1)
@@ -179,7 +179,7 @@ class TicStage(Stage):
             self._send_and_verify(command, acceleration, variable)
 
     def home(self) -> None:
-        """Send the command to home, and return when the Tic has begun to home."""
+        """Send the command to home, and return when homing has begun; `position` shows its end."""
         halts = self._halts
         self._enter_normal_operation()
         steps = (self.limits.highest - self.limits.lowest) * self._steps
@@ -197,7 +197,7 @@ class TicStage(Stage):
             status = self._read_status()
 
     def move(self, position: float, speed: float) -> None:
-        """Set maximum speed, m/s, and target, m, and return when the Tic has accepted them."""
+        """Set maximum speed, m/s, and target, m; return when the Tic has accepted both, before the motion ends."""
         halts = self._halts
         self._require_started()
         self.limits.require_within_limits(position, speed)
@@ -216,7 +216,7 @@ class TicStage(Stage):
             raise DeviceError(f"the Tic at {self._port} did not accept its target; check the cable, and crc")
 
     def position(self) -> StageSample:
-        """Return the commanded position, m, and restart the command timeout."""
+        """Return a sample with the commanded position, m, and restart the command timeout of the Tic."""
         self._require_started()
         status = self._read_status()
         requested = time.monotonic()
@@ -257,7 +257,7 @@ class TicStage(Stage):
                            int(bits), now, requested)
 
     def halt(self) -> None:
-        """Set the target velocity to zero, so that the motor decelerates to rest."""
+        """Set the target velocity to zero, so that the motor decelerates to rest. Never raises."""
         self._halts += 1
         self._goal, self._is_homing = None, False
         line, writing = self._line, self._writing
@@ -291,7 +291,7 @@ class TicStage(Stage):
                 "ramp_ms": self._ramp * 1e3, "checked_with": "emulator and ticlib; unverified on hardware"}
 
     def _enter_normal_operation(self) -> None:
-        """Bring the Tic to normal operation without a target; raises the error that prevents it."""
+        """Bring the Tic to normal operation with the motor at rest; DeviceError if an error prevents this."""
         self._require_started()
         status = self._read_status()
         self._require_motion_allowed(status.errors)
@@ -310,13 +310,13 @@ class TicStage(Stage):
             status = self._read_status()
 
     def _require_motion_allowed(self, errors: ErrorFlags) -> None:
-        """Raise a DeviceError with the remedy for the most serious of the errors that keep the motor from moving."""
+        """Raise a DeviceError with the remedy for the most serious of the `errors` that prevents motion, if any."""
         for error, remedy in _REMEDIES.items():
             if errors & error:
                 raise DeviceError(f"the Tic at {self._port} {remedy}")
 
     def _read_status(self) -> tic.TicStatus:
-        """Read the status of the Tic."""
+        """Read the status variables of the Tic and return them; raises a DeviceError for an invalid answer."""
         block = self._read_block(TicCommand.GET_VARIABLE, VariableOffset.STATUS, tic.BlockLength.STATUS)
         status = tic.parse_status(block)
         if status is None:
@@ -324,21 +324,22 @@ class TicStage(Stage):
         return status
 
     def _make_invalid_answer_error(self) -> DeviceError:
+        """Return the DeviceError for an answer that no Tic can give."""
         return DeviceError(f"the device at {self._port} is no Tic, or its baud rate is not {self._baud}; check the "
                            "baud rate and the device")
 
     def _read_setting(self, setting: SettingOffset, size: int) -> int:
-        """Read a setting of the Tic, an unsigned number of `size` bytes."""
+        """Read a setting of the Tic and return it, an unsigned number of `size` bytes."""
         return int.from_bytes(self._read_block(TicCommand.GET_SETTING, setting, size), "little")
 
     def _send_and_verify(self, command: TicCommand, value: int, variable: VariableOffset) -> None:
-        """Send a number and check by reading that the Tic has accepted it."""
+        """Send a command with a number, read the variable that it sets, and raise a DeviceError if it differs."""
         self._send_command(command, value)
         if int.from_bytes(self._read_block(TicCommand.GET_VARIABLE, variable, 4), "little") != value:
             raise DeviceError(f"the Tic at {self._port} answers but does not accept commands; check crc")
 
     def _read_block(self, command: TicCommand, offset: int, size: int) -> bytes:
-        """Read a block of variables or settings, and verify its checksum."""
+        """Request and return `size` bytes of variables or settings; DeviceError for a wrong checksum or no answer."""
         line = self._require_started()
         line.read()  # discards an answer that arrived after its timeout
         self._send_command(command, offset, size)
@@ -349,16 +350,18 @@ class TicStage(Stage):
         return message[:size]
 
     def _encode_command(self, command: TicCommand, value: int = 0, length: int = 0) -> bytes:
+        """Return the bytes of a command, with device number and checksum as this Tic is set."""
         return tic.encode_command(command, value, length, self._device, self._crc)
 
     def _send_command(self, command: TicCommand, value: int = 0, length: int = 0) -> None:
+        """Send a command, under the lock for writing, without waiting for an answer."""
         line, writing = self._require_started(), self._writing
         assert writing is not None
         with writing:
             line.write(self._encode_command(command, value, length))
 
     def _send_unless_halted(self, command: TicCommand, value: int, halts: int) -> None:
-        """Send a motion command, unless `halt` was called after its count was `halts`."""
+        """Send a motion command and store its target, unless `halt` was called since `_halts` was `halts`."""
         line, writing = self._require_started(), self._writing
         assert writing is not None
         with writing:
@@ -367,6 +370,7 @@ class TicStage(Stage):
                 line.write(self._encode_command(command, value))
 
     def _require_started(self) -> SerialLine:
+        """Return the serial line; raises a DeviceError if the stage is not started."""
         line = self._line
         if line is None:
             raise DeviceError("the Tic is not started; start it first")

@@ -54,7 +54,7 @@ class WebSocketConnection:
             raise
 
     def send(self, message: str, timeout: float) -> None:
-        """Send a text message.
+        """Send one text message, and wait until the system has accepted its bytes.
 
         Raises:
             OSError: The connection is closed, or accepts no data within `timeout` seconds.
@@ -91,11 +91,12 @@ class WebSocketConnection:
         self._socket.close()
 
     def _require_open(self) -> None:
+        """Raise a WebSocketClosedError if the connection is not open."""
         if self._protocol.state is not self._open:
             raise WebSocketClosedError("the server has closed the connection")
 
     def _receive_once(self, timeout: float) -> None:
-        """Receive data once, waiting up to `timeout` seconds, and send the protocol's replies."""
+        """Read the socket once, waiting up to `timeout` s (TimeoutError), and send the protocol's replies."""
         self._socket.settimeout(timeout)
         data = self._socket.recv(65536)
         if data:
@@ -111,14 +112,14 @@ class WebSocketConnection:
                 raise WebSocketClosedError("the server has closed the connection")
 
     def _send_queued_data(self, timeout: float) -> None:
-        """Send all queued data."""
+        """Send all data that the protocol has queued, such as messages and replies to pings."""
         for data in self._protocol.data_to_send():
             if data:
                 self._socket.settimeout(timeout)
                 self._socket.sendall(data)
 
     def _extract_messages(self) -> list[bytes]:
-        """Return the complete messages received so far; fragments wait for their end."""
+        """Remove and return the complete messages received so far; a fragment stays until its message is complete."""
         from websockets.frames import Frame, Opcode
 
         messages = []

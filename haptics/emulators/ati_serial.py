@@ -73,7 +73,7 @@ class AtiSerialEmulator(TerminalEmulator):
 
     @property
     def address(self) -> str:
-        """Name of the sensor with terminal, counts per unit, baud rate and mode."""
+        """Name for `open_sensor` that connects to this emulator: terminal, counts per unit, baud rate and mode."""
         return (f"ati-serial:{self.path},counts_per_N={self._scale[0]:g},counts_per_Nm={self._scale[-1]:g},"
                 f"baud={self._baud},mode={self._mode_at_start}")
 
@@ -84,12 +84,12 @@ class AtiSerialEmulator(TerminalEmulator):
                 "records": self.records}
 
     def start_backing_device(self) -> None:
-        """Start the sensor and set the state of the controller after power-on."""
+        """Start the sensor that supplies the samples, and set the state of the emulated controller after power-on."""
         self._sensor.start()
         self._set_power_on_state()
 
     def stop_backing_device(self) -> None:
-        """Stop the sensor."""
+        """Stop the sensor that supplies the samples."""
         self._sensor.stop()
 
     def _set_power_on_state(self) -> None:
@@ -105,7 +105,7 @@ class AtiSerialEmulator(TerminalEmulator):
         self._free_at = 0.0
 
     def answer_bytes(self, data: bytes) -> list[bytes]:
-        """Execute the received commands; `take_due_messages` returns the answers at the speed of the line."""
+        """Execute the received commands and return no answers: `take_due_messages` returns them at the line's speed."""
         if not self._has_matching_baud():
             self._queue_message(PROMPT + _END)
             return []
@@ -125,7 +125,7 @@ class AtiSerialEmulator(TerminalEmulator):
         return []
 
     def take_due_messages(self) -> list[bytes]:
-        """Queue the streamed records that are due, and return the bytes whose transmission is complete."""
+        """Queue the streamed records that are due, and return the messages whose last byte has been transmitted."""
         now = time.monotonic()
         while self._streams and self._free_at <= now:
             # The next record follows the last one without a pause, unless the thread is 0.1 s behind.
@@ -139,20 +139,20 @@ class AtiSerialEmulator(TerminalEmulator):
         return [bytes(byte ^ 0xA5 for byte in message) for message in ready]
 
     def _has_matching_baud(self) -> bool:
-        """Return True if the client has set the terminal to the baud rate of the controller."""
+        """Return True if the terminal has the controller's baud rate, or if the platform does not know this rate."""
         import termios
 
         speed = getattr(termios, f"B{self._baud}", None)
         return speed is None or termios.tcgetattr(self._slave)[5] == speed
 
     def _queue_message(self, message: bytes, begins: float | None = None) -> None:
-        """Queue a message that begins at a time, s; None: as soon as the line is free."""
+        """Queue a message for the line, beginning at a time on the clock, s; None: as soon as the line is free."""
         begins = max(self._free_at, time.monotonic()) if begins is None else begins
         self._free_at = begins + compute_transmission_time(len(message), self._baud)
         self._leaving.append((self._free_at, message))
 
     def _execute_command(self, command: bytes) -> None:
-        """Execute a command and send the answer."""
+        """Execute a command line without its ending, and queue the answer; ends the stream of records."""
         self._streams = False
         words = command.decode("ascii", "replace").upper().split()
         match words:
@@ -184,7 +184,7 @@ class AtiSerialEmulator(TerminalEmulator):
         self._queue_message(command + _END + _END + PROMPT)
 
     def _encode_next_record(self) -> bytes:
-        """Measure, and return the bytes of the next record in the selected mode."""
+        """Measure, subtract the bias, and return the bytes of the record in the selected mode, ASCII or binary."""
         counts = self._measure_counts()
         bias = self._biases[-1] if self._biases else (0,) * 6
         biased = [count - zero for count, zero in zip(counts, bias, strict=True)]
@@ -195,7 +195,7 @@ class AtiSerialEmulator(TerminalEmulator):
         return encode_ascii_record(record, self._padded) + _END
 
     def _measure_counts(self) -> tuple[int, ...]:
-        """Return the averaged counts without bias, and update the error flag."""
+        """Read the sensor, update the error flag, and return six mean counts; the bias is not yet subtracted."""
         try:
             samples = self._sensor.read()
         except DeviceError:
@@ -210,7 +210,7 @@ class AtiSerialEmulator(TerminalEmulator):
 
 
 def emulate_ati_serial(bench: Bench, text: str, faults: Faults) -> AtiSerialEmulator:
-    """Make an emulator from ``ati-serial:counts_per_N=100,counts_per_Nm=4000,baud=9600,mode=ascii,padded=1``."""
+    """Make an emulator from settings ``counts_per_N=100,counts_per_Nm=4000,baud=9600,mode=ascii,padded=1``."""
     words, rest = read_word_settings(text, mode=MODES)
     given = read_settings(rest, counts_per_N=100.0, counts_per_Nm=4000.0, baud=9600, padded=1)
     return AtiSerialEmulator(bench.sensor, given["counts_per_N"], given["counts_per_Nm"], int(given["baud"]),

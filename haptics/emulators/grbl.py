@@ -78,23 +78,23 @@ class GrblEmulator(TerminalEmulator):
 
     @property
     def address(self) -> str:
-        """Name of the stage with terminal, axis, travel and top speed."""
+        """Name for `open_stage` that connects to this emulator: terminal, axis, travel and top speed."""
         limits = self._stage.limits
         return (f"grbl:{self.path},axis={self._axis},highest_mm={limits.highest * 1e3:g},"
                 f"top_speed_mm_s={limits.speed * 1e3:g}")
 
     def cause_alarm(self, number: int) -> None:
-        """Cause an alarm, such as 1 for a limit switch; callable from any thread."""
+        """Request an alarm, such as 1 for a limit switch, which the thread then raises; callable from any thread."""
         self._pending_alarm = number
 
     def start_backing_device(self) -> None:
-        """Set the state after power-on, start the stage and home it."""
+        """Set the state of the emulated controller after power-on, start the stage, and begin to home it."""
         self._set_power_on_state()
         self._stage.start()
         self._stage.home()
 
     def stop_backing_device(self) -> None:
-        """Stop the stage."""
+        """Stop the stage that serves as the axis."""
         self._stage.stop()
 
     def describe(self) -> dict[str, Any]:
@@ -104,7 +104,7 @@ class GrblEmulator(TerminalEmulator):
 
     @property
     def queued_duration(self) -> float:
-        """Duration of the queued motions, including the remainder of the present one, s."""
+        """Duration of all queued jogs, including the remaining part of the present one, s."""
         position, seconds = self._stage.position().position, 0.0
         for target, speed in list(self._motions):
             seconds += abs(target - position) / speed
@@ -112,7 +112,7 @@ class GrblEmulator(TerminalEmulator):
         return seconds
 
     def answer_bytes(self, data: bytes) -> list[bytes]:
-        """Execute real-time characters at once and lines in their order, and return the answers."""
+        """Execute received bytes, real-time characters at once and lines in order; return the lines to answer."""
         lines: list[str] = []
         for byte in data:
             character = bytes([byte])
@@ -127,7 +127,7 @@ class GrblEmulator(TerminalEmulator):
         return self._encode_lines(lines)
 
     def take_due_messages(self) -> list[bytes]:
-        """Advance the axis, and return alarms and the answer to a homing cycle that has ended."""
+        """Update the motion, and return the lines of a requested alarm and the answer to a homing that has ended."""
         lines: list[str] = []
         number, self._pending_alarm = self._pending_alarm, None
         if number is not None:
@@ -141,6 +141,7 @@ class GrblEmulator(TerminalEmulator):
         return self._encode_lines(lines)
 
     def _encode_lines(self, lines: list[str]) -> list[bytes]:
+        """Return the bytes of each line with its ending, and add their number to `answered`."""
         self.answered += len(lines)
         return [line.encode() + b"\r\n" for line in lines]
 
@@ -150,7 +151,7 @@ class GrblEmulator(TerminalEmulator):
         self._motions, self._begun, self._homing = [], False, False
 
     def _start_due_motion(self) -> None:
-        """Start the first queued motion, or the next one when the first has ended."""
+        """Start the first queued jog, or remove it and start the next one if it has ended."""
         sample = self._stage.position()
         if self._begun and self._motions and not sample.moving:
             self._motions, self._begun = self._motions[1:], False
@@ -179,14 +180,14 @@ class GrblEmulator(TerminalEmulator):
         return []
 
     def _execute_waiting_lines(self) -> list[str]:
-        """Execute the waiting lines and return the answers; homing and critical alarms defer them."""
+        """Execute the waiting lines and return the answers; none during homing and after a critical alarm."""
         answers: list[str] = []
         while self._waiting and not self._homing and not self._critical:
             answers += self._execute_line(self._waiting.pop(0))
         return answers
 
     def _execute_line(self, line: str) -> list[str]:
-        """Execute a line and return the answer."""
+        """Execute one line, in capitals and without spaces, and return its answer lines; none yet for homing."""
         if line.startswith("$J="):
             return [self._queue_jog(line)]
         if line == "$H":
@@ -221,7 +222,7 @@ class GrblEmulator(TerminalEmulator):
         return ["error:9" if self._alarm or self._motions else "error:20"]
 
     def _queue_jog(self, line: str) -> str:
-        """Queue a jog and return the answer."""
+        """Queue the jog of a line, join it to the previous one if possible, and return ``ok`` or ``error:NUMBER``."""
         if self._alarm or self._held:
             return "error:8"
         jog = grbl.parse_jog(line)
@@ -276,7 +277,7 @@ class GrblEmulator(TerminalEmulator):
         return sign * (coordinate - zero) * 1e-3
 
     def _make_status_report(self) -> str:
-        """Return the next status report."""
+        """Return the text of a status report of the present state; every tenth report includes the offset."""
         sample = self._stage.position()
         number = grbl.AXES.index(self._axis)
         machine = [0.0, 0.0, 0.0]
@@ -295,7 +296,7 @@ class GrblEmulator(TerminalEmulator):
 
 
 def emulate_grbl(bench: Bench, text: str, faults: Faults) -> GrblEmulator:
-    """Make an emulator from ``grbl:work_offset_mm=0`` and values of ``$$`` by number: ``grbl:110=300,23=4``."""
+    """Make an emulator from settings: ``work_offset_mm=0`` and values of ``$$`` by number, as ``110=300,23=4``."""
     own, numbers = [], {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, _, value = part.partition("=")

@@ -26,7 +26,7 @@ START: Vector = (0.0, -0.15, 0.15)
 
 @dataclass(frozen=True)
 class HandSimulationSettings:
-    """Times of the simulated hand and of its connection.
+    """Time step of the simulated hand, and times of its connection, s.
 
     Attributes:
         release_time: Time without a message after which the emulator removes the force, s; the real service's time is
@@ -82,7 +82,7 @@ class HaplyEmulator(Emulator):
 
     @property
     def address(self) -> str:
-        """Name of the device with the address of the emulator; known after `start`."""
+        """Name for `open_haptic` that connects to this emulator; known after `start`."""
         return f"haply:ws://127.0.0.1:{self._port}"
 
     def start(self) -> None:
@@ -126,11 +126,11 @@ class HaplyEmulator(Emulator):
                 **self._hand.describe()}
 
     def cursor_position(self) -> Vector:
-        """Return the present position of the cursor in the frame of the device, m."""
+        """Simulate the hand until now, and return the position of the cursor in the frame of the device, m."""
         return self._simulate_hand().position
 
     def _serve_client(self, connection: ServerConnection) -> None:
-        """Serve one client until it disconnects."""
+        """Restart the hand and serve one client until it disconnects or the emulator stops; then remove the force."""
         from websockets.exceptions import ConnectionClosed
 
         with self._lock:
@@ -159,7 +159,7 @@ class HaplyEmulator(Emulator):
             self._apply_force_to_hand((0.0, 0.0, 0.0))
 
     def _answer_message(self, message: str | bytes) -> str:
-        """Apply the force of a message and return the answer."""
+        """Simulate the hand until now, then apply the force of a message; return the text of the state message."""
         self.messages += 1
         state = self._simulate_hand()
         with self._lock:
@@ -174,7 +174,7 @@ class HaplyEmulator(Emulator):
         return encode_state_message(state, self.force)
 
     def _simulate_hand(self, config: dict[str, Any] | None = None) -> HaplyDeviceState:
-        """Simulate the hand until now and return its state."""
+        """Simulate the hand until now, remove an expired force, and return the state; `config` is included in it."""
         with self._lock:
             now = time.monotonic()
             goal, release = now - self._began, self._last_message + TIMES.release_time - self._began
@@ -190,7 +190,7 @@ class HaplyEmulator(Emulator):
             return HaplyDeviceState("049D", (x, y, z), self._hand.velocity, (1.0, 0.0, 0.0, 0.0), config or {}, _STATUS)
 
     def _apply_force_to_hand(self, force: Vector) -> None:
-        """Apply a force in the frame of the device to the simulated hand, N."""
+        """Apply a force, N, in the frame of the device, to the simulated hand; update the largest force."""
         self.force = force
         self.largest_force = max(self.largest_force, sum(part * part for part in force) ** 0.5)
         self._hand.render((*force, 0.0, 0.0, 0.0))

@@ -21,7 +21,7 @@ from haptics.protocols.rdt import BoxSettings, RdtRecord
 
 
 class AxiaStatusWord(IntEnum):
-    """Status words of an Axia with an error."""
+    """Complete status words of an Axia: bit 31 (error) with one further bit."""
 
     #: A gage is out of range.
     SATURATED = 0x88000000
@@ -64,7 +64,7 @@ class RdtEmulator(Emulator):
 
     @property
     def address(self) -> str:
-        """Name of the sensor with host and ports of the emulator."""
+        """Name for `open_sensor` that connects to this emulator: host, UDP port and HTTP port."""
         return f"rdt://{self._host}:{self._ports[0]},http_port={self._ports[1]}"
 
     def start(self) -> None:
@@ -97,7 +97,7 @@ class RdtEmulator(Emulator):
             thread.start()
 
     def _run_stream(self) -> None:
-        """Answer requests and send records until the end; the body of the thread."""
+        """Execute requests, and send records while a client requests them, until `stop`; the body of the thread."""
         began = time.monotonic()
         line = FaultyMessageQueue(self._faults, began)
         client, size, remaining, number = None, 1, 0, 0
@@ -135,7 +135,7 @@ class RdtEmulator(Emulator):
                     self.sent += 1
 
     def _receive_requests(self, line: FaultyMessageQueue) -> list[tuple[rdt.RdtRequest, Any]]:
-        """Return the waiting requests, each with the address of its sender."""
+        """Return the requests received so far without waiting, each with its sender's address; ignores other data."""
         requests: list[tuple[rdt.RdtRequest, Any]] = []
         while True:
             try:
@@ -148,7 +148,7 @@ class RdtEmulator(Emulator):
                 requests.append((request, sender))
 
     def _convert_sample_to_counts(self, values: Sequence[float]) -> list[int]:
-        """Return the six counts of a sample."""
+        """Return the six counts of a sample whose values are in N and N m; channels that the sensor lacks are 0."""
         by_name = dict(zip(self._sensor.channels, values, strict=True))
         return [round(by_name.get(name, 0.0) / (self._force if name[0] == "F" else self._torque))
                 for name in rdt.CHANNELS]
@@ -173,12 +173,14 @@ class RdtEmulator(Emulator):
 
 
 def _make_page_handler(page: bytes) -> type[BaseHTTPRequestHandler]:
-    """Return the HTTP handler that serves the settings page only."""
+    """Return the class of HTTP handlers that serve `page` at the path of the settings page, and nothing else."""
 
     class SettingsPageHandler(BaseHTTPRequestHandler):
+        """Handler of one HTTP request for the settings page."""
         timeout = 5.0
 
         def do_GET(self) -> None:
+            """Send the settings page, or the status 404 for another path."""
             exists = self.path.partition("?")[0] == rdt.SETTINGS_PATH
             self.send_response(200 if exists else 404)
             self.send_header("Content-Type", "application/xml")
@@ -188,25 +190,26 @@ def _make_page_handler(page: bytes) -> type[BaseHTTPRequestHandler]:
                 self.wfile.write(page)
 
         def log_message(self, format: str, *args: Any) -> None:
+            """Print nothing."""
             return
 
     return SettingsPageHandler
 
 
 def _clip_counts(counts: Iterable[int]) -> rdt.Wrench:
-    """Return six counts, clipped to 32 bits."""
+    """Return six counts, clipped to the range of signed 32-bit numbers."""
     x, y, z, u, v, w = (min(max(count, -_LARGEST_COUNT), _LARGEST_COUNT) for count in counts)
     return x, y, z, u, v, w
 
 
 def _encode_status(status: int) -> int:
-    """Return the status word of an Axia for bits of `SampleStatus`."""
+    """Return the status word of an Axia for the bits of a `SampleStatus`; 0 without saturation and fault."""
     return ((AxiaStatusWord.SATURATED if status & SampleStatus.SATURATED else 0)
             | (AxiaStatusWord.FAULTY if status & SampleStatus.FAULT else 0))
 
 
 def _describe_listen_failure(host: str, ports: tuple[int, int], error: OSError) -> str:
-    """Return cause and remedy for ports that cannot be opened."""
+    """Return the message, cause and remedy, for ports on which the emulator cannot listen."""
     if error.errno == errno.EADDRINUSE:
         return f"port {ports[0]} or {ports[1]} of {host} is in use; stop the other program, or give port=0,http_port=0"
     if error.errno in (errno.EACCES, errno.EPERM):
@@ -215,6 +218,6 @@ def _describe_listen_failure(host: str, ports: tuple[int, int], error: OSError) 
 
 
 def emulate_rdt(bench: Bench, text: str, faults: Faults) -> RdtEmulator:
-    """Make an emulator from ``rdt:port=49152,http_port=8080``; 0, the default, selects any free port."""
+    """Make an emulator from settings ``port=49152,http_port=8080``; 0, the default, selects any free port."""
     given = read_settings(text, port=0, http_port=0)
     return RdtEmulator(bench.sensor, port=int(given["port"]), http_port=int(given["http_port"]), faults=faults)

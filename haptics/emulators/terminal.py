@@ -37,18 +37,18 @@ class TerminalEmulator(Emulator):
 
     @abstractmethod
     def start_backing_device(self) -> None:
-        """Start the device that backs the emulator; called before the terminal opens."""
+        """Set the state after power-on and start the device behind the emulator; called before the terminal opens."""
 
     @abstractmethod
     def stop_backing_device(self) -> None:
-        """Stop the device that backs the emulator."""
+        """Stop the device behind the emulator; called after the terminal has closed."""
 
     @abstractmethod
     def answer_bytes(self, data: bytes) -> list[bytes]:
-        """Return the answers to received bytes, one message each; the bytes may hold part of a command, or several."""
+        """Execute received bytes, which may hold part of a command or several commands; return the answers."""
 
     def take_due_messages(self) -> list[bytes]:
-        """Return the messages to send without a request, one message each; called about every 0.5 ms."""
+        """Advance the state to now, and return the messages to send now; called about every 0.5 ms. Here none."""
         return []
 
     def start(self) -> None:
@@ -74,7 +74,7 @@ class TerminalEmulator(Emulator):
         self._thread.start()
 
     def _run_terminal(self) -> None:
-        """Answer received bytes and send due messages until the end; the body of the thread."""
+        """Answer received bytes and send due messages until `stop`; the body of the thread."""
         line = FaultyMessageQueue(self._faults, time.monotonic())
         while not self._ending.is_set():
             readable, _, _ = select.select([self._master], [], [], _POLL)

@@ -103,7 +103,7 @@ class TicEmulator(TerminalEmulator):
         self.answered = 0
     @property
     def address(self) -> str:
-        """Name of the stage with terminal, steps, travel, top speed and use of checksums."""
+        """Name for `open_stage` that connects to this emulator: terminal, steps, travel, top speed and checksums."""
         limits, extra = self._stage.limits, ""
         if self._crc or self._response_crc:
             extra = f",crc={self._crc:d},response_crc={self._response_crc:d}"
@@ -111,13 +111,13 @@ class TicEmulator(TerminalEmulator):
                 f"highest_mm={limits.highest * 1e3:g},top_speed_mm_s={limits.speed * 1e3:g}{extra}")
 
     def start_backing_device(self) -> None:
-        """Set the state after power-on, start the stage and home it."""
+        """Set the state of the emulated controller after power-on, start the stage, and begin to home it."""
         self._set_power_on_state()
         self._stage.start()
         self._stage.home()
 
     def stop_backing_device(self) -> None:
-        """Stop the stage."""
+        """Stop the stage that serves as the motor."""
         self._stage.stop()
 
     def describe(self) -> dict[str, Any]:
@@ -126,7 +126,7 @@ class TicEmulator(TerminalEmulator):
                 "command_timeout_s": self._timeout, "answered": self.answered, "bad_bytes": self._commands.bad_bytes}
 
     def answer_bytes(self, data: bytes) -> list[bytes]:
-        """Execute the received commands and return the answers."""
+        """Execute the received commands, and return the answers of those that read variables or settings."""
         answers = []
         self._update_state()
         for received in self._commands.extract_commands(data):
@@ -138,12 +138,12 @@ class TicEmulator(TerminalEmulator):
         return answers
 
     def take_due_messages(self) -> list[bytes]:
-        """Update the state, such as the command timeout; a Tic sends nothing without a request."""
+        """Update the state to now, such as the command timeout; return no messages: a Tic only answers."""
         self._update_state()
         return []
 
     def _execute_command(self, received: ReceivedCommand) -> bytes | None:
-        """Execute a command; return the answer of a command that reads."""
+        """Execute a command; return the bytes of a command that reads variables or settings, otherwise None."""
         command, now = received.command, time.monotonic()
         if command in _KEEP_ALIVE:
             self._alive = now
@@ -174,7 +174,7 @@ class TicEmulator(TerminalEmulator):
         return None
 
     def _execute_motion_command(self, received: ReceivedCommand) -> None:
-        """Execute a command that moves the motor or stops it."""
+        """Execute a command that sets the target, halts, resets or homes; ignores other commands."""
         command = received.command
         if self._homing and command in _KEEP_ALIVE and command != TicCommand.RESET_COMMAND_TIMEOUT:
             self._halt_stage()
@@ -196,12 +196,12 @@ class TicEmulator(TerminalEmulator):
             self._stage.home()
 
     def _halt_stage(self) -> None:
-        """Halt the stage and end homing."""
+        """Halt the stage, and end homing and the motion in progress; the requested target stays."""
         self._stage.halt()
         self._homing, self._motion = False, None
 
     def _leave_normal_operation(self, state: OperationState) -> None:
-        """Halt and enter an error state. Without power on the motor (`RESET`, `DEENERGIZED`) the position is lost."""
+        """Halt if in normal operation, and enter an error state; `RESET` and `DEENERGIZED` lose the position."""
         if self._state == OperationState.NORMAL:
             self._halt_stage()
         if state in (OperationState.RESET, OperationState.DEENERGIZED):
@@ -209,7 +209,7 @@ class TicEmulator(TerminalEmulator):
         self._state = state
 
     def _update_state(self) -> None:
-        """Update errors, state and motion."""
+        """Update errors, operation state and homing to now, and start the requested motion if it has changed."""
         now = time.monotonic()
         errors = self.imposed | (ErrorFlags.DEENERGIZED if self._deenergized else ErrorFlags(0))
         accepts_serial = self._settings[SettingOffset.CONTROL_MODE] == tic.ControlMode.SERIAL
@@ -233,7 +233,7 @@ class TicEmulator(TerminalEmulator):
         self._start_motion()
 
     def _start_motion(self) -> None:
-        """Start the requested motion, if it differs from the present one."""
+        """Start the requested motion if it differs from the present one and the state permits a motion."""
         request = self._input, self._target, self._max_speed
         if (self._state != OperationState.NORMAL or self._homing or request == self._motion
                 or self._input == PlanningMode.OFF):
@@ -254,12 +254,12 @@ class TicEmulator(TerminalEmulator):
         self._motion = request
 
     def _get_motor_steps_and_motion(self) -> tuple[int, bool]:
-        """Return the current position, microsteps, and True if the motor moves."""
+        """Return the position of the motor, microsteps, and whether the motor moves."""
         sample = self._stage.position()
         return round(sample.position * self._steps) + self._offset, sample.moving
 
     def _pack_variables(self) -> bytes:
-        """Return the block of all variables (section 7)."""
+        """Return the memory of all variables, 256 bytes at their offsets, for the present time (section 7)."""
         count, moving = self._get_motor_steps_and_motion()
         position = (count - self._offset) / self._steps
         limits, velocity = self._stage.limits, 0

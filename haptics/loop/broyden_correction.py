@@ -50,11 +50,11 @@ class BroydenCorrection:
         self.rates = np.zeros((6, 6))
 
     def reset(self) -> None:
-        """Set all rates of the correction to zero, so that it no longer changes wrench and stiffness."""
+        """Set all rates to zero, so that the correction no longer changes wrench and stiffness."""
         self.rates[:] = 0.0
 
     def apply_secant_update(self, missed: Screw, last: Pose, pose: Pose) -> None:
-        """Update the correction with the difference of two models.
+        """Update the rates with the difference of two models, unless the motion between them is too short.
 
         Args:
             missed: wrench of the new model minus that of the last model, N and N m.
@@ -69,7 +69,7 @@ class BroydenCorrection:
             self.rates += BROYDEN.relaxation / square * np.outer(residual, self._scale * scaled)
 
     def compute_omitted_wrench(self, model: Pose, pose: Pose) -> Screw:
-        """Return the wrench that a model omits at another pose, N and N m.
+        """Return the wrench to add to that of a model at another pose, N and N m: the rates times the motion.
 
         Args:
             model: pose of the model.
@@ -78,5 +78,5 @@ class BroydenCorrection:
         return cast("Screw", tuple((self.rates @ np.array(motion(model, pose))).tolist()))
 
     def corrected_stiffness(self, of_model: Matrix) -> Matrix:
-        """Return the stiffness of a model, `of_model`, minus the learned rates: N/m, N, N m, shape (6, 6)."""
+        """Return the stiffness `of_model` of a model minus the learned rates: N/m, N, N m, shape (6, 6)."""
         return cast("Matrix", tuple(map(tuple, (np.array(of_model) - self.rates).tolist())))

@@ -54,7 +54,7 @@ class BulkLink(Protocol):
         """Whether the bulk, or its process, still runs and can send models."""
 
     def start(self) -> CondensedBulk:
-        """Create the bulk and return its model of the undeformed tissue.
+        """Start the bulk, wait until it is ready, and return its model of the undeformed tissue.
 
         Raises:
             InputError: the solver does not support the model.
@@ -65,7 +65,7 @@ class BulkLink(Protocol):
         """Send the state of the contact, at which the bulk is linearised next, without waiting for the model."""
 
     def receive_model(self, now: float) -> CondensedBulk | None:
-        """Return a model received since the last call, or None, without waiting; `now` is the time, s."""
+        """Return a model that has arrived since the last call, or None; does not wait. `now` is the loop's time, s."""
 
     def exchange_state_for_model(self, state: ContactState) -> CondensedBulk | None:
         """Send a state and block until the next model arrives, which may belong to an earlier state.
@@ -78,7 +78,7 @@ class BulkLink(Protocol):
         """Change the material of the bulk; models of the new material have this `number` in their field `material`."""
 
     def snapshot(self) -> Snapshot | None:
-        """Return the deformed tissue, for a viewer, at the last model; None for a link without snapshots."""
+        """Return a snapshot of the deformed tissue at a recent model; None for a link without snapshots."""
 
     def close(self) -> None:
         """End the bulk and free its resources."""
@@ -109,7 +109,7 @@ class DelayedBulk:
         self._coming: tuple[float, CondensedBulk | None] | None = None
 
     def _compute_and_delay_finish(self, compute: Callable[[], None]) -> Callable[[], bool]:
-        """Compute a tangent now and return a function that reports it as finished after the tangent's delay.
+        """Compute a tangent now, and return a function that returns True once the tangent's delay is over.
 
         After a reset the tangent belongs to a discarded specimen and is reported as finished at once.
         """
@@ -119,7 +119,7 @@ class DelayedBulk:
         return lambda: self._epoch != epoch or self._now >= due - 1e-9
 
     def start(self) -> CondensedBulk:
-        """Return the model of the undeformed tissue.
+        """Compute and return the model of the undeformed tissue.
 
         Raises:
             RuntimeError: the undeformed tissue has no linearisation.
@@ -228,14 +228,14 @@ class BulkProcess:
         self._states.write(state.pack_to_array().tobytes())
 
     def receive_model(self, now: float) -> CondensedBulk | None:
-        """Read the next piece of a model; return the model when it is complete, a newer correction, or None."""
+        """Read one piece of a model; return the model if it is complete, otherwise a new correction or None."""
         found = self._receive_model_piece() or self._receive_correction()
         if found is not None:
             self._model = found
         return found
 
     def exchange_state_for_model(self, state: ContactState) -> CondensedBulk | None:
-        """Send a state, and poll for the next model for at most `BulkProcessSettings.longest_exchange`."""
+        """Send a state and wait for the next model, at most `BulkProcessSettings.longest_exchange`; None if none."""
         now = time.monotonic()
         deadline, sends = now + BULK_PROCESS.longest_exchange, now
         while now < deadline and self.is_alive:
@@ -249,7 +249,7 @@ class BulkProcess:
         return None
 
     def _receive_model_piece(self) -> CondensedBulk | None:
-        """Read the next piece of a model with tangent; return the model when it is complete.
+        """Read the next piece of a model with tangent; return the model when it is complete, otherwise None.
 
         The arrays of the model are valid until the next complete model.
         """
@@ -273,7 +273,7 @@ class BulkProcess:
         return CondensedBulk.unpack_from_array(np.frombuffer(self._buffers[1], count=length // 8))
 
     def _receive_correction(self) -> CondensedBulk | None:
-        """Return a new correction, a model with a later state and the last complete tangent, or None."""
+        """Return a new model without own tangent (a correction), which reuses the last complete tangent, or None."""
         corrections = self._corrections
         if corrections.written == self._corrected:
             return None
@@ -320,6 +320,7 @@ class BulkProcess:
         self._process = None
 
     def _write_to_process(self, content: bytes) -> None:
+        """Write bytes to the standard input of the process at once; raises an OSError if the process has ended."""
         assert self._process is not None and self._process.stdin is not None
         self._process.stdin.write(content)
         self._process.stdin.flush()

@@ -90,6 +90,7 @@ def run_loop_child_process(connection: Connection, parts: LoopComponents, files:
         things: plug-ins registered in the parent, to be registered here too.
     """
     def remove_shared_files() -> None:
+        """Remove both shared files, if they exist."""
         for path in files:
             remove_file(path)
 
@@ -110,6 +111,7 @@ def run_loop_child_process(connection: Connection, parts: LoopComponents, files:
 
 
 def _create_and_run_loop(connection: Connection, parts: LoopComponents, files: SharedLoopFiles) -> LoopReport:
+    """Create the tissue, start the device, and run the loop; notify the parent, and return the report."""
     settings = parts.settings
     with ExitStack() as stack:
         ring = stack.enter_context(RingWriter(files.ring, settings.capacity))
@@ -134,7 +136,7 @@ def _create_and_run_loop(connection: Connection, parts: LoopComponents, files: S
 
 
 def _execute_received_commands(loop: Loop, connection: Connection, shown: DisplayableTissue | None) -> None:
-    """Execute the commands that the parent has sent.
+    """Execute and answer the commands that the parent has sent so far; stop the loop if the parent has ended.
 
     Args:
         loop: the loop.
@@ -157,5 +159,6 @@ def _execute_received_commands(loop: Loop, connection: Connection, shown: Displa
 
 
 def _send_message(connection: Connection, kind: str, content: Any = None) -> None:
+    """Send a pair (kind, content) to the parent; has no effect if the parent has ended."""
     with suppress(OSError):  # the parent has ended
         connection.send((kind, content))

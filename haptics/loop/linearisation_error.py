@@ -31,7 +31,7 @@ ERROR_ESTIMATE = LinearisationErrorSettings()
 
 
 class LinearisationError:
-    """Estimated error of the force on a linearised bulk: ``base * max(1, age / (2 interval)) + growth * distance**2``.
+    """Estimator of the force error on a linearised bulk: ``base * max(1, age / (2 interval)) + growth * distance**2``.
 
     The first term is the error of the newest model at its own pose. Models follow each other by single Newton steps, so
     that the newest one is not yet in equilibrium. If each step reduces the error at least by half, the error that is
@@ -84,7 +84,7 @@ class LinearisationError:
         self.base, self.interval = 0.0, 0.0
 
     def rescale_for_shear_modulus(self, shear_modulus: float) -> None:
-        """Multiply the estimate by the ratio of the new shear modulus, Pa, to the old one, if the ratio is above 1."""
+        """Set the shear modulus, Pa; multiply the estimate by new / old modulus if the tissue becomes stiffer."""
         factor = max(1.0, shear_modulus / self.shear_modulus) if self.shear_modulus > 0.0 else 1.0
         self.base, self.growth, self.shear_modulus = factor * self.base, factor * self.growth, shear_modulus
 
@@ -108,7 +108,7 @@ class LinearisationError:
         self.base, self.interval = missed, interval
 
     def _compute_growth_coefficient(self, distance: float, depth: float | None) -> float:
-        """Return `growth`, at least the curvature of a contact, N/m2; for the arguments see `estimate_force_error`."""
+        """Return `growth`, N/m2, raised at least to a contact's curvature; arguments as `estimate_force_error`."""
         if depth is None:
             return max(self.growth, self.shear_modulus)
         reached = min(max(depth, distance), self.radius)
@@ -117,7 +117,7 @@ class LinearisationError:
         return max(self.growth, 2.0 * self.shear_modulus * math.sqrt(self.tip_radius / reached))
 
     def is_error_known(self, distance: float) -> bool:
-        """Return whether the error at this distance, m, from the pose of a model is known."""
+        """Return whether an estimate exists and is valid at this distance, m, from the pose of a model."""
         return math.isfinite(self.time) and distance <= max(self.short, ERROR_ESTIMATE.validity * self.reach)
 
     def estimate_force_error(self, distance: float, age: float = 0.0, depth: float | None = None,
@@ -137,7 +137,7 @@ class LinearisationError:
         return self.base * age_factor + growth * distance * (distance + 2.0 * tangent)
 
     def estimate_error_without_contact(self, distance: float, age: float, depth: float, tangent: float) -> float:
-        """Return the estimated error of a zero force, N; infinite if it is unknown.
+        """Return the estimated force error, N, where the model gives zero force; infinite if it is unknown.
 
         The error by linearisation is at most the force of a flat punch on undeformed tissue, and zero above the
         undeformed surface. Arguments as in `estimate_force_error`.

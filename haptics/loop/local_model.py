@@ -38,7 +38,7 @@ class LocalModel:
     @classmethod
     def from_axial_force(cls, force: float, stiffness: float, depth: float, time: float,
                          error: float | None = 0.0) -> LocalModel:
-        """Create a model for motion along z only.
+        """Return a model for motion along z only, from a scalar force and stiffness.
 
         Args:
             force: force along z, N.
@@ -110,7 +110,7 @@ class SlowSolver:
         return self._last
 
     def _estimate_force_error(self, pose: Pose, answer: ToolForce, last: LocalModel, memory: float) -> float | None:
-        """Return the estimated error of the force of a new model, N; None while it is unknown."""
+        """Return the error of a new model's force, N, from the last two models; None while it is unknown."""
         known = last.error
         if any(answer.wrench) or any(last.wrench):
             models = (last, self._before or last)
@@ -173,7 +173,7 @@ class LocalModelBlend:
         return math.inf if error is None else error + _compute_norm(self.offset[:3])
 
     def publish(self, model: LocalModel) -> bool:
-        """Replace the model by a new one.
+        """Replace the model by a newer one, if it is valid; the wrench stays continuous.
 
         Returns:
             Whether the new model is used. A model is refused, and the old one kept, if it contains a number that is not
@@ -189,7 +189,7 @@ class LocalModelBlend:
         return True
 
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
-        """Return the wrench at a pose.
+        """Advance the clock by one tick, and return the wrench at a pose.
 
         Args:
             pose: pose of the tool, or its depth, m.
@@ -217,11 +217,13 @@ class LocalModelBlend:
         return self._make_tool_force(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
 
     def _switch_to_model(self, model: LocalModel):
+        """Use this model, and store the jump of the wrench at the last pose as the offset."""
         self._model = model
         if self._pose is not None:
             self.offset = add_screws(self._wrench, scale_screw(-1.0, model.evaluate_wrench(self._pose)))
 
     def _make_tool_force(self, status: ForceStatus) -> ToolForce:
+        """Return the present wrench with this status, the stiffness of the model, and age and error."""
         model, age, error = self._model, self.age, self.error
         is_known = math.isfinite(error)
         stiffness_age = age if model.stiffness_time is None else self.time - model.stiffness_time
@@ -231,11 +233,12 @@ class LocalModelBlend:
 
 
 def _compute_norm(vector: Vector) -> float:
+    """Return the Euclidean norm of a vector."""
     return math.hypot(*vector)
 
 
 def _shorten_vector(vector: Vector, step: float) -> Vector:
-    """Return the vector with its length reduced by `step`, in the same direction; zero if the vector is shorter."""
+    """Return a vector of the same direction whose length is smaller by `step`; zero if it is not longer."""
     size = _compute_norm(vector)
     if size <= step:
         return (0.0, 0.0, 0.0)

@@ -112,7 +112,7 @@ class LoopReport:
     force_error: float | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the report for `json.dumps`; the keys contain the units."""
+        """Return the report as an object for `json.dumps`; keys contain the units, such as ``period_us``."""
         return {
             "ended_by": self.ended_by, "seconds": self.seconds, "period_us": self.period * 1e6, "ticks": self.ticks,
             "late": self.late, "missed": self.missed,
@@ -127,11 +127,12 @@ class LoopReport:
 
 
 def get_resolution_and_force_error(tissue: Tissue) -> tuple[str, float | None]:
-    """Return the resolution of a tissue and the largest known relative error of its force, if it states them."""
+    """Return a tissue's mesh resolution, by name, and relative force error; ``""`` and None if it has none."""
     return getattr(tissue, "resolution", ""), getattr(tissue, "force_error", None)
 
 
 def _to_microseconds(times: TimeQuantiles) -> dict[str, float]:
+    """Return quantiles as an object with the keys p50, p99, p99.9 and max, in microseconds."""
     return {"p50": times.p50 * 1e6, "p99": times.p99 * 1e6, "p99.9": times.p999 * 1e6, "max": times.maximum * 1e6}
 
 
@@ -208,7 +209,7 @@ class Loop:
             *get_resolution_and_force_error(self._tissue))
 
     def _run_ticks(self) -> tuple[RealTimeFeature, ...]:
-        """Run all ticks, and return the real-time features that were requested, obtained or refused."""
+        """Run all ticks until the end; return the real-time features that were requested for this time."""
         settings, ticker, ring = self._settings, self._ticker, self._ring
         last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
         listen_every = max(round(LISTEN_EVERY / settings.period), 1)
@@ -231,6 +232,7 @@ class Loop:
         return features
 
     def _execute_tick(self, lateness: float, ring: RingWriter) -> None:
+        """Execute one tick: read the pose, step the tissue, render the force, and append the tick to the ring."""
         ticker = self._ticker
         now = ticker.elapsed_time
         passed, self._now = now - self._now, now
@@ -261,7 +263,7 @@ class Loop:
                          ticker.missed, flags)
 
     def pause(self) -> None:
-        """Stop the clock of the motion; the loop continues without a pose, so that the force fades to zero."""
+        """Stop the clock of the motion; ticks and tissue continue without a device pose, so the force fades to zero."""
         self._paused = True
 
     def resume(self) -> None:
@@ -269,7 +271,7 @@ class Loop:
         self._paused = False
 
     def reset(self) -> None:
-        """Restart the motion with undeformed tissue and zero force.
+        """Reset the tissue to undeformed and the force to zero, and restart the motion at time 0.
 
         Raises:
             InputError: the tissue cannot be reset.
@@ -280,7 +282,7 @@ class Loop:
         self._motion = 0
 
     def advance_paused_motion(self, seconds: float) -> None:
-        """Let the motion of a paused loop continue for this time, s; the loop then stays paused."""
+        """Let the motion of a paused loop continue for this time, s, in real time; it then pauses again."""
         self._advance += round(seconds * 1e9)
 
     def switch_device(self, device: HapticDevice, restart: bool = False) -> None:
@@ -308,11 +310,11 @@ class Loop:
             self._release.reset()
 
     def _apply_device_force_limit(self, device: HapticDevice) -> None:
-        """Set the force limit to the smaller of the requested limit and the limit of the device."""
+        """Set the force limit of the rendering to the smaller of the requested limit and this device's limit."""
         self._rendering.limits.force = min(self._force_limit, device.largest_force)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
-        """Set the target position of the device, m; see `HapticDevice.aim`.
+        """Set the position to which a steerable motion moves, m; see `HapticDevice.aim`.
 
         Args:
             depth: target depth, m.
@@ -333,10 +335,11 @@ class Loop:
         self._get_tissue_method("set_parameters")(**values)
 
     def stop(self, ended_by: str = "stop") -> None:
-        """End the loop after this tick; `ended_by` is the reason in the report."""
+        """Let `run` end after this tick; `ended_by` is the reason in the report. Does not wait."""
         self._ended_by = ended_by
 
     def _get_tissue_method(self, name: str) -> Callable[..., None]:
+        """Return an optional method of the tissue by name; raises an InputError if the tissue lacks it."""
         method = getattr(self._tissue, name, None)
         if method is None:
             raise InputError(f"this tissue ({type(self._tissue).__name__}) has no method {name}; use a tissue with "
@@ -345,7 +348,7 @@ class Loop:
 
 
 def read_peak_memory() -> int | None:
-    """Return the peak memory of this process, bytes; None if the platform does not report it."""
+    """Return the largest resident memory of this process so far, bytes; None if it is not reported."""
     # On Linux `resource` also counts the memory of the parent process at the start.
     with suppress(OSError):
         for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():

@@ -18,7 +18,7 @@ from tissue_sim.tool_force import Matrix
 
 @dataclass(frozen=True)
 class TransitionSettings:
-    """Largest changes of the wrench in a tick that a change of model may cause; smaller values take more ticks.
+    """Largest reduction of the offset per tick after a change of the model; smaller values take more ticks.
 
     Attributes:
         force_step: largest change of the force, N.
@@ -57,14 +57,14 @@ class ModelTransition:
         self.reset(stepper.surface.start)
 
     def reset(self, pose: Pose) -> None:
-        """Restart with undeformed tissue and zero offset; `pose` is the pose of the next touch."""
+        """Set offset and correction to zero and discard the error estimate; `pose` is the last pose without contact."""
         self.offset: Screw = _NO_WRENCH
         self.free = pose
         self._correction.reset()
         self.estimate.discard_estimate()
 
     def compute_distance_from_model(self, model: CondensedBulk, pose: Pose) -> float:
-        """Return the distance of a pose from the pose of a model, m.
+        """Return the distance, m, that the tool's surface moves at most from the pose of a model to a pose.
 
         A model without contact describes the undeformed tissue and is valid at each pose in the air. Its distance is
         measured from the last pose in the air, or from its own pose if this is in the air and nearer.
@@ -76,7 +76,7 @@ class ModelTransition:
         return min(distance, from_air) if self.is_near_surface(model.pose) else from_air
 
     def is_near_surface(self, pose: Pose) -> bool:
-        """Return whether a pose is above the undeformed surface, or at most `LinearisationError.short` below.
+        """Return whether a pose is at any height above the undeformed surface, or at most `short` below.
 
         The tolerance is necessary because a round tool between surface nodes touches them slightly below the surface.
         """
@@ -84,7 +84,7 @@ class ModelTransition:
 
     def switch_to_new_model(self, before: ContactStepResult, old: CondensedBulk, last: Pose, pose: Pose,
                             after: ContactStepResult) -> None:
-        """Continue the wrench of the old model; the difference to the new model becomes an offset.
+        """Add the jump of the wrench at the change of the model to the offset; update correction and error estimate.
 
         Args:
             before: last step on the old model.
@@ -128,7 +128,7 @@ class ModelTransition:
                 self.compute_distance_from_model(new, pose))
 
     def _convert_to_equivalent_force(self, wrench: Screw) -> float:
-        """Return the larger of two magnitudes, N: force of a wrench, and its torque divided by the contact radius."""
+        """Return the larger of two magnitudes of a wrench, N: its force, and its torque / contact radius."""
         return max(math.hypot(*wrench[:3]), math.hypot(*wrench[3:]) / self._stepper.surface.radius)
 
     def clear_offset_and_correction(self) -> None:
@@ -137,14 +137,14 @@ class ModelTransition:
         self._correction.reset()
 
     def reduce_offset(self) -> None:
-        """Move the offset toward zero, by at most the force and torque steps of `TransitionSettings`."""
+        """Reduce the offset by one tick: its force and its torque by at most the steps of `TransitionSettings`."""
         if any(self.offset):
             force, torque = self.offset[:3], self.offset[3:]
             self.offset = (_shorten_vector(force, TRANSITION.force_step)
                            + _shorten_vector(torque, TRANSITION.torque_step))
 
     def compute_wrench_and_stiffness(self, step: ContactStepResult, pose: Pose) -> tuple[Screw, Matrix]:
-        """Return wrench, N and N m, and stiffness, shape (6, 6), of a step with Broyden correction and offset."""
+        """Return wrench, N and N m, plus correction and offset, and corrected stiffness, shape (6, 6), of a step."""
         wrench, stiffness = step.wrench, step.stiffness_matrix
         if any(wrench):
             wrench = add_screws(wrench, self._correction.compute_omitted_wrench(self._newest_model.pose, pose))
@@ -152,7 +152,7 @@ class ModelTransition:
         return add_screws(wrench, self.offset), stiffness
 
     def estimate_wrench_error(self, step: ContactStepResult, pose: Pose, age: float) -> tuple[float, float]:
-        """Return the estimated error of the wrench of a step, and the error that decides its status, N.
+        """Return two errors, N: the estimated error of a step's wrench, and the error that decides its status.
 
         Both are errors of the force, or of the torque divided by the contact radius if larger. The first is infinite
         while the error is unknown. The second then consists of the offset only, if the tool is within the short
@@ -178,7 +178,7 @@ class ModelTransition:
 
     @property
     def _tangent_distance(self) -> float:
-        """Distance of the newest model from the pose at which its tangent was assembled, m; 0 without contact.
+        """Distance, m, of the newest model's pose from the pose at which its tangent was assembled; 0 without contact.
 
         A tangent that was assembled in the air is that of the pose of the touch.
         """
@@ -192,12 +192,13 @@ class ModelTransition:
 
     @property
     def _newest_model(self) -> CondensedBulk:
+        """Model that the contact solver uses now."""
         assert self._stepper.model is not None
         return self._stepper.model
 
 
 def _shorten_vector(vector: tuple[float, float, float], step: float) -> tuple[float, float, float]:
-    """Return the vector with its length reduced by `step`, in the same direction; zero if the vector is shorter."""
+    """Return a vector of the same direction whose length is smaller by `step`; zero if it is not longer."""
     size = math.hypot(*vector)
     factor = max(0.0, 1.0 - step / size) if size else 0.0
     x, y, z = vector

@@ -109,6 +109,7 @@ class MultiRateTissue(KernelOwner):
         self._reset_state()
 
     def _reset_state(self) -> None:
+        """Set time, error, contact and model times to their values before the first step."""
         self._time, self._ticks, self.error, self._left = 0.0, 0, math.inf, 1.0
         self._answer = _AT_REST
         self._step: ContactStepResult | None = None
@@ -146,7 +147,7 @@ class MultiRateTissue(KernelOwner):
         self._place_tool_above_tissue()
 
     def _place_tool_above_tissue(self) -> None:
-        """Place the tool without contact at its start pose, and reset frame and model transition."""
+        """Place the tool at its start pose without contact; reset the touch frame and the transition."""
         assert self._stepper is not None
         self._stepper.place_in_air()
         start = self._link.contact_surface.start
@@ -154,7 +155,7 @@ class MultiRateTissue(KernelOwner):
         self._transition.reset(start)
 
     def close(self) -> None:
-        """End the process of the bulk."""
+        """End the process of the bulk; the tissue cannot be stepped afterwards."""
         self._link.close()
 
     def __del__(self) -> None:
@@ -195,7 +196,7 @@ class MultiRateTissue(KernelOwner):
         return self._answer
 
     def _register_pose(self, pose: Pose, dt: float) -> float | None:
-        """Register the pose of a step, and begin the contact if it is the first touch; see `TouchState.advance`."""
+        """Store the pose, begin contact at the first touch, and return the step's time in contact, s; None before."""
         assert self._stepper is not None
         start, touched = self._link.contact_surface.start, self._touch.has_touched
         height = start.position[2]
@@ -212,7 +213,7 @@ class MultiRateTissue(KernelOwner):
         return inside
 
     def _step_in_air(self, pose: Pose, began: float) -> ToolForce:
-        """Return the zero force of a bonded tool before its first touch; the bulk stays at rest."""
+        """Send the undeformed state regularly; return the zero force of a bonded tool before its first touch."""
         assert self._stepper is not None
         self._known, start = None, self._link.contact_surface.start
         if self._ticks % MULTIRATE.ticks_between_states == 0:
@@ -223,7 +224,7 @@ class MultiRateTissue(KernelOwner):
                          compute_time=clock.perf_counter() - began)
 
     def _step_in_contact(self, pose: Pose, dt: float, began: float) -> ToolForce:
-        """Solve the contact on the newest model and return the force."""
+        """Solve the contact at a pose, in contact or not, on the newest model; send the state, and return the force."""
         stepper, here = self._stepper, self._frame.pose_in_bulk(pose)
         assert stepper is not None
         before, step = self._step, stepper.step(here)
@@ -248,7 +249,7 @@ class MultiRateTissue(KernelOwner):
 
     @allow_one_thread
     def prepare(self) -> None:
-        """Use the newest model if one has arrived; called between two ticks, otherwise by `step`."""
+        """Use the newest model from the bulk if one has arrived; called between two ticks, otherwise by `step`."""
         self._prepared, stepper = True, self._stepper
         if stepper is None or stepper.model is None:
             return
@@ -258,13 +259,14 @@ class MultiRateTissue(KernelOwner):
             self._set_model_and_times(model)
 
     def _set_model_and_times(self, model: CondensedBulk) -> None:
+        """Use this model for the contact; store the times of its state and tangent, and count it."""
         assert self._stepper is not None
         self.models, self._made = self.models + 1, model.time
         self._tangent_made = model.tangent_time
         self._stepper.set_linearisation(model)
 
     def _needs_exchange(self, step: ContactStepResult, pose: Pose) -> bool:
-        """Return whether the model is too old or too far from a pose for a step that waits."""
+        """Return whether a step that waits needs another model: too old, too far from a pose, or not converged."""
         assert self._stepper is not None and self._stepper.model is not None
         model, transition = self._stepper.model, self._transition
         return (not (step.converged and self._settled) or model.material != self._material
@@ -272,7 +274,7 @@ class MultiRateTissue(KernelOwner):
                 or transition.compute_distance_from_model(model, pose) > MULTIRATE.near * transition.estimate.short)
 
     def _exchange_models(self, step: ContactStepResult, pose: Pose) -> ContactStepResult:
-        """Exchange states and models with the bulk until the force at a pose converges; return the last step."""
+        """Wait for new models until the force at a pose converges, and return the step on the last model."""
         stepper = self._stepper
         assert stepper is not None and stepper.model is not None
         self._settled = False
@@ -297,7 +299,7 @@ class MultiRateTissue(KernelOwner):
         return step
 
     def _make_tool_force(self, step: ContactStepResult, here: Pose, pose: Pose, dt: float, began: float) -> ToolForce:
-        """Return the force of a step with its status and estimated error.
+        """Return the force of a step with its status and estimated error; store the error in `error`.
 
         Args:
             step: solved step of the contact.
@@ -371,7 +373,7 @@ class MultiRateTissue(KernelOwner):
         self._reduced.history = history
 
     def snapshot(self) -> Snapshot:
-        """Return the deformed tissue, for a viewer, at one of the last models, in the frame of the bulk."""
+        """Return a snapshot of the deformed tissue at one of the last models, in the frame of the bulk."""
         self.warm_up()
         surface = self._link.contact_surface
         return self._link.snapshot() or Snapshot(surface.start, surface.datum, None)

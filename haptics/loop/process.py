@@ -83,7 +83,7 @@ class LoopProcess:
         self.resolution, self.force_error = "", None
 
     def start(self) -> None:
-        """Start the process without waiting for its first tick.
+        """Start the process, and return before its first tick.
 
         Raises:
             InputError: the process was started before, or a component cannot be sent to another process.
@@ -106,7 +106,7 @@ class LoopProcess:
         self._process, self.message = process, "starting"
 
     def wait_until_ready(self, timeout: float | None = None, progress: Callable[[str], None] | None = None) -> None:
-        """Wait for the first tick. The first run on a computer compiles the solver, which takes several seconds.
+        """Wait until the loop runs. The first run on a computer compiles the solver, which takes several seconds.
 
         Args:
             timeout: longest waiting time, s; None: no limit while the process runs.
@@ -128,7 +128,7 @@ class LoopProcess:
                 raise LoopError(f"the loop is not ready after {timeout:g} s: {self.message}")
 
     def poll(self, timeout: float = 0.0) -> bool:
-        """Wait up to `timeout`, s, for one message, handle it, and return whether the loop has reached its first tick.
+        """Wait up to `timeout`, s, for one message, handle it, and return whether the loop has reached a tick.
 
         Raises:
             InputError: the process ended because of invalid input.
@@ -139,7 +139,7 @@ class LoopProcess:
 
     @property
     def ready(self) -> bool:
-        """Whether the loop has reached its first tick, as known from the last `poll`."""
+        """Whether the loop has reached its first tick, as known from the last message that was read."""
         return self._ready
 
     @property
@@ -162,11 +162,11 @@ class LoopProcess:
         return RingReader(self.ring_path)
 
     def snapshots(self) -> SnapshotReader | None:
-        """Open and return a reader of the snapshots of a ready loop, or None; the caller closes the reader."""
+        """Open and return a reader of the snapshots, None if none are published; the caller closes the reader."""
         return None if self.pattern is None else SnapshotReader(self.snapshot_path, self.pattern)
 
     def pause(self) -> None:
-        """Stop the motion and let the force fade to zero; raises the errors of `execute_command`."""
+        """Pause the motion; ticks continue and the force fades to zero. Raises the errors of `execute_command`."""
         self.execute_command("pause")
 
     def resume(self) -> None:
@@ -202,7 +202,7 @@ class LoopProcess:
         self.switch_device(device, restart=anew)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
-        """Set the target of a `HandMotion` or of an actuated device, m; raises the errors of `execute_command`.
+        """Set the position, m, to which a steerable motion moves; raises the errors of `execute_command`.
 
         Args:
             depth: target depth, m.
@@ -287,7 +287,7 @@ class LoopProcess:
         self.stop()
 
     def _read_messages(self, timeout: float) -> None:
-        """Read messages of the process for `timeout`, s.
+        """Wait up to `timeout`, s, for one message of the process, and handle it; none after the report.
 
         Raises:
             InputError: the process ended because of invalid input.
@@ -311,6 +311,7 @@ class LoopProcess:
                 raise self._failure
 
     def _handle_message(self, kind: str, content: Any) -> None:
+        """Store the content of a message of one kind: status, ready, pattern, material, answer, report or error."""
         if kind == "doing":
             self.message = content
         elif kind == "ready":
@@ -329,7 +330,7 @@ class LoopProcess:
             self.message, self._failure = problem, InputError(problem) if of_input else LoopError(problem)
 
     def _describe_unexpected_end(self) -> str:
-        """Return a sentence about the unexpected end of the process, and store it as the message."""
+        """Return a sentence about the unexpected end of the process; store it as `message` unless at the start."""
         code = self.exit_code
         how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
         if self.message == "starting":
@@ -339,7 +340,7 @@ class LoopProcess:
         return self.message
 
     def _join_or_kill_process(self, patience: float) -> None:
-        """Wait `patience` s for the end of the process, terminate or kill it if necessary, and remove its files."""
+        """Wait `patience` s for the process, then terminate or kill it; close the connection, remove its files."""
         process, connection = self._process, self._connection
         if process is None or connection is None:
             return
@@ -352,5 +353,6 @@ class LoopProcess:
         self._remove_shared_files()
 
     def _remove_shared_files(self) -> None:
+        """Remove the files of the ring and of the snapshots, if they exist."""
         for path in self._files:
             remove_file(path)

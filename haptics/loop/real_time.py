@@ -45,7 +45,7 @@ class RealTimeFeature:
 
 @contextmanager
 def request_real_time_features(wanted: bool = True, priority: int = PRIORITY) -> Iterator[tuple[RealTimeFeature, ...]]:
-    """Request real-time features for this thread and process; all are released at the end of the block.
+    """Request real-time features for this thread and process inside a ``with`` block; release them at its end.
 
     Call it after memory is allocated and kernels are compiled. A refused feature raises no exception; the yielded
     features state it.
@@ -83,7 +83,7 @@ def request_fifo_scheduling(undo: ExitStack, priority: int) -> str:
 
 
 def _lock_memory(undo: ExitStack, _: int) -> str:
-    """Lock used pages in memory; return the reason of a refusal, or an empty string."""
+    """Lock used pages in memory until `undo` is closed; return the reason of a refusal, or an empty string."""
     if not sys.platform.startswith("linux"):
         return f"not available on {sys.platform}; swapping of memory may delay the loop"
     libc = ctypes.CDLL(None, use_errno=True)
@@ -96,7 +96,7 @@ def _lock_memory(undo: ExitStack, _: int) -> str:
 
 
 def _reduce_timer_slack(undo: ExitStack, _: int) -> str:
-    """Reduce the timer slack of this thread from 50 us to 1 ns, as SCHED_FIFO does; return the reason of a refusal."""
+    """Reduce this thread's timer slack to 1 ns until `undo` is closed; return the reason of a refusal, or ``""``."""
     if not sys.platform.startswith("linux"):
         return f"not available on {sys.platform}; sleeps may end late"
     libc = ctypes.CDLL(None, use_errno=True)
@@ -107,7 +107,7 @@ def _reduce_timer_slack(undo: ExitStack, _: int) -> str:
 
 
 def _disable_garbage_collection(undo: ExitStack, _: int) -> str:
-    """Collect garbage once, then disable the collection of reference cycles; never refused."""
+    """Collect garbage, then disable the collector until `undo` is closed; return ``""``: never refused."""
     gc.collect()
     gc.freeze()
     undo.callback(gc.unfreeze)

@@ -98,7 +98,7 @@ class RingWriter(SlotWriter):
 
     def append_tick(self, tick: int, time: float, device: Pose | None, tool: Pose, wrench: Screw, answer: ToolForce,
                     compute_time: float, lateness: float, late: int, missed: int, flags: int) -> int:
-        """Add a tick and return the number of ticks added so far.
+        """Write a tick to the next slot, over the oldest one, and return the number of ticks written so far.
 
         Args:
             tick: number of the deadline, from 1.
@@ -156,7 +156,7 @@ class RingReader(SlotReader):
 
 
 def _read_tick_records(*contents: bytes) -> np.ndarray:
-    """Convert the contents of slots to records of dtype `TICK`, also from older versions with fewer fields.
+    """Convert contents of slots, one tick each, to an array of dtype `TICK`, also from versions with fewer fields.
 
     Raises:
         InputError: the slots have another size.

@@ -53,7 +53,7 @@ _SLOT = struct.Struct("<QII")
 
 
 def get_runtime_folder() -> Path:
-    """Return this user's folder for temporary shared files, in memory if the platform supports it.
+    """Create, if necessary, and return this user's folder for temporary shared files, in memory if possible.
 
     Raises:
         InputError: the folder cannot be created or belongs to another user.
@@ -198,13 +198,13 @@ class SlotReader:
         return self._stride - _SLOT.size
 
     def read_slot_header(self, number: int) -> tuple[int, int]:
-        """Return length, bytes, and checksum of the content with this number; (0, -1) if it is overwritten."""
+        """Return (length in bytes, CRC-32) of the content with this number; (0, -1) if it is overwritten."""
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride
         found, length, checksum = _SLOT.unpack_from(self._map, offset)
         return (length, checksum) if found == number and length <= self.max_content_size else (0, -1)
 
     def read_content_range(self, number: int, start: int, end: int) -> bytes:
-        """Return the bytes from `start` to `end` of the content of a number, without a check.
+        """Return the bytes from `start` to `end` (exclusive) of the content with a number, without a check.
 
         The caller checks all parts together with the CRC-32 from `read_slot_header`, whose start value is the number.
         """
@@ -212,7 +212,7 @@ class SlotReader:
         return self._map[offset + start:offset + end]
 
     def read_newest_content(self) -> tuple[int, bytes] | None:
-        """Return number and content of the newest slot; None before the first.
+        """Return (number, content) of the newest complete slot; None before the first.
 
         Raises:
             InputError: no complete slot was found.
@@ -228,7 +228,7 @@ class SlotReader:
                          "file again", file=self.path)
 
     def read_contents_after(self, number: int) -> tuple[list[bytes], int, int]:
-        """Read all slots after a number.
+        """Read the contents with a larger number than this one, oldest first.
 
         Args:
             number: number of the slot that was read last; 0: begin with the oldest slot in the file.
@@ -273,6 +273,7 @@ def remove_file(path: Path) -> None:
 
 
 def _compute_checksum(content, number: int) -> int:
+    """Return the CRC-32 of the content, with the number of the slot as start value."""
     return zlib.crc32(content, number & 0xFFFFFFFF)
 
 
@@ -298,4 +299,5 @@ def _create_file_atomically(path: Path, content: bytes) -> None:
 
 
 def _open_private_file(path: str, flags: int) -> int:
+    """Open a file, for `open(opener=...)`; a file that is created is accessible by its owner only."""
     return os.open(path, flags, 0o600)

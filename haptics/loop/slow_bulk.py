@@ -60,7 +60,7 @@ class BulkReadyMessage(NamedTuple):
 
 
 def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) -> BulkLinearisation:
-    """Create the linearisation of the bulk of a model.
+    """Create the object that linearises the bulk of a model with a solver; does not linearise yet.
 
     Raises:
         InputError: the solver has no linearisation, or it does not support the model.
@@ -72,14 +72,14 @@ def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) ->
 
 
 def start_computation_in_thread(compute: Callable[[], None]) -> Callable[[], bool]:
-    """Start a computation in a thread, and return a function that returns True once the computation has finished."""
+    """Run `compute` in a new thread; return a function that returns True once the computation has finished."""
     thread = threading.Thread(target=compute, daemon=True)
     thread.start()
     return lambda: not thread.is_alive()
 
 
 def make_untouched_state(surface: ContactSurface) -> ContactState:
-    """Return the contact state of undeformed tissue whose tool is at its start pose without contact."""
+    """Return the contact state of undeformed tissue with the tool at its start pose, without contact forces."""
     zeros, count = np.zeros((len(surface.places), 3)), len(surface.places)
     return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, zeros, zeros, np.zeros((3, count)), False)
 
@@ -123,7 +123,7 @@ def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
 def _run_linearisation_loop(bulk: BulkLinearisation, predictive: PredictiveLinearisation, states: SlotReader,
                             writers: tuple[SlotWriter, SlotWriter], board: SnapshotBoard,
                             materials: deque[tuple[int, Material]]) -> None:
-    """Linearise the bulk at each new state and publish the models; never returns."""
+    """Linearise the bulk at each new state; publish models and snapshots, apply new materials; never returns."""
     models, corrections = writers
     seen, lead, shown, changed, serves = 0, 0.0, 0.0, time.monotonic(), 0.0
     while True:
@@ -156,11 +156,12 @@ def _run_linearisation_loop(bulk: BulkLinearisation, predictive: PredictiveLinea
 
 
 def _take_snapshot(bulk: BulkLinearisation, model: CondensedBulk) -> Snapshot:
+    """Return a snapshot of the solver's deformed tissue with the pose of the model; does not publish it."""
     return replace(snapshot(bulk.solver), pose=model.pose, datum=bulk.surface.datum)
 
 
 def _receive_materials(orders: BinaryIO, materials: deque[tuple[int, Material]], files: tuple[Path, ...]) -> None:
-    """Receive materials until the parent ends, then end this process."""
+    """Queue received materials until the input ends, then remove `files` and end this process; a thread's body."""
     try:
         while True:
             materials.append(pickle.load(orders))

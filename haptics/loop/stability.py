@@ -66,7 +66,7 @@ def simulate_device_depths(tissue: Tissue, device: HapticDevice, rendering: Forc
 
 
 def measure_oscillation_amplitude(depths: np.ndarray, tick: float = 1e-3) -> float:
-    """Return the peak-to-peak amplitude of a sustained oscillation in the last half second, m.
+    """Return the peak-to-peak amplitude, m, of the last half second if it is a sustained oscillation, otherwise 0.
 
     An oscillation is sustained (growing, or a limit cycle) if its amplitude exceeds 0.05 mm and has not decreased by a
     tenth from the half second before. The hand must hold still, because its own motion counts as oscillation.

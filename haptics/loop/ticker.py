@@ -54,7 +54,7 @@ _LINEAR = 1 << BINS.fineness
 
 @dataclass(frozen=True)
 class TimeQuantiles:
-    """TimeQuantiles of a time, s. The maximum is exact, the others have an error of at most 2 %.
+    """Quantiles of a time, s. The maximum is exact, the others have an error of at most 2 %.
 
     Attributes:
         p50: median.
@@ -77,7 +77,7 @@ class TimeHistogram:
         self._bins = array("Q", bytes(8 * (_find_bin_index(1 << BINS.largest) + 1)))
 
     def add_time(self, nanoseconds: int) -> None:
-        """Add a time, ns; a negative time counts as zero."""
+        """Add one time, ns, to its bin; a negative time counts as zero."""
         nanoseconds = max(nanoseconds, 0)
         self.count += 1
         if nanoseconds > self._maximum:
@@ -104,13 +104,13 @@ class TimeHistogram:
 
 
 def _find_bin_index(nanoseconds: int) -> int:
-    """Return the index of the bin of a time, ns: bins of 1 ns up to `_LINEAR` ns, then `_LINEAR` bins per doubling."""
+    """Return the index of the bin of a time, ns: bins of 1 ns up to `_LINEAR` ns, then `_LINEAR` per doubling."""
     doublings = max(nanoseconds.bit_length() - BINS.fineness - 1, 0)
     return doublings * _LINEAR + (nanoseconds >> doublings)
 
 
 def _compute_bin_midpoint(index: int) -> float:
-    """Return the time at the middle of a bin with this index, ns."""
+    """Return the time, ns, in the middle of the bin with this index."""
     doublings = max(index // _LINEAR - 1, 0)
     return (index - doublings * _LINEAR + 0.5 * (doublings > 0)) * (1 << doublings)
 
@@ -160,12 +160,12 @@ class Ticker:
         self.lateness = TimeHistogram()
 
     def start(self) -> None:
-        """Set the first deadline to one period from now."""
+        """Start the periods now: the first deadline is one period later. Does not reset the statistics."""
         self._start = self._counted = self._clock()
         self._owed = 0
 
     def wait_for_deadline(self) -> int:
-        """Wait for the next deadline, and return the time by which this call ends after the deadline, ns."""
+        """Wait for the next deadline, count missed ones, and return the lateness of this tick, ns, 0 or more."""
         clock = self._clock
         deadline = self._start + (self.number + 1) * self._period
         now = clock()
@@ -190,5 +190,5 @@ class Ticker:
 
     @property
     def elapsed_time(self) -> int:
-        """Time since the start, ns."""
+        """Time from `start` to now, ns."""
         return self._clock() - self._start

@@ -18,7 +18,7 @@ STEP_BUDGET = 0.8e-3
 def make_real_time_tissue_factory(model: Model, *, solver: str, resolution: str, budget: float | None,
                                   inertia: str = "auto", looks_ahead: bool = False,
                                   simulator: type[Simulator] = Simulator, mesh: Any = None) -> partial[Any]:
-    """Return a factory of a tissue for steps at 1 kHz; the factory can be sent to another process.
+    """Return a function without arguments that makes a tissue for steps at 1 kHz; it can be sent to another process.
 
     The tissue is a `MultiRateTissue` if the bulk of the solver can be linearised, otherwise a `Simulator`.
 

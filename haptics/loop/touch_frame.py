@@ -24,16 +24,16 @@ class TouchFrame:
         self._is_identity = start == touch
 
     def pose_in_bulk(self, pose: Pose) -> Pose:
-        """Return the pose in the frame of the bulk for a pose in the scene."""
+        """Convert a pose in the scene to the frame of the bulk."""
         return pose if self._is_identity else _apply_motion(self._touch, pose, self._start)
 
     def pose_in_scene(self, pose: Pose) -> Pose:
-        """Return the pose in the scene for a pose in the frame of the bulk."""
+        """Convert a pose in the frame of the bulk to the scene."""
         return pose if self._is_identity else _apply_motion(self._start, pose, self._touch)
 
 
 def interpolate_touch_pose(before: Pose | None, pose: Pose, height: float) -> Pose:
-    """Return the pose at which a tool touches the surface of a tissue.
+    """Interpolate the pose, between two steps, at which a tool reaches the height of a tissue's surface.
 
     Args:
         before: last pose in the air; None if the first step is in the tissue, which counts as a vertical approach.
@@ -48,7 +48,7 @@ def interpolate_touch_pose(before: Pose | None, pose: Pose, height: float) -> Po
 
 
 def _apply_motion(start: Pose, end: Pose, other: Pose) -> Pose:
-    """Return the pose `other` moved by the translation and rotation from `start` to `end`."""
+    """Return the pose `other`, moved by the translation and rotated by the rotation from `start` to `end`."""
     x, y, z, *rotation = motion(start, end)
     a, b, c = other.position
     moved = Pose((a + x, b + y, c + z), other.orientation)

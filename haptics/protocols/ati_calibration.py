@@ -26,7 +26,7 @@ Row = tuple[float, ...]
 
 @dataclass(frozen=True)
 class AtiCalibration:
-    """Calibration of a sensor: wrench = matrix (volts - volts without load).
+    """Calibration of a sensor with voltage outputs: wrench = matrix (volts - volts without load).
 
     Attributes:
         serial: Serial number of the sensor, such as ``FT7927``.
@@ -47,12 +47,12 @@ class AtiCalibration:
     rows: str
 
     def compute_wrench(self, volts: Row) -> Row:
-        """Return forces, N, and torques, N m, for six differences of voltage, V."""
+        """Return Fx Fy Fz, N, and Tx Ty Tz, N m, for six voltages minus those without load, V."""
         return tuple(sum(factor * volt for factor, volt in zip(row, volts, strict=True)) for row in self.matrix)
 
 
 def read_calibration(text: str | bytes, name: str = "the calibration file") -> AtiCalibration:
-    """Return the calibration in the text of a ``.cal`` file.
+    """Parse the text of a ``.cal`` file, and return its calibration in SI units.
 
     Args:
         text: XML.
@@ -97,7 +97,7 @@ def read_calibration(text: str | bytes, name: str = "the calibration file") -> A
 
 
 def _read_unit(calibration: ElementTree.Element, field: str, units: dict[str, float], name: str) -> float:
-    """Return the SI value of the unit in an attribute of ``Calibration``."""
+    """Return the value in SI units of the unit named by the attribute `field`; InputError if it is unknown."""
     text = calibration.get(field)
     if text is None:
         raise InputError(f"Calibration has no {field}; copy the .cal file from the sensor's disc again", file=name)
@@ -108,7 +108,7 @@ def _read_unit(calibration: ElementTree.Element, field: str, units: dict[str, fl
 
 
 def _parse_numbers(text: str | None, count: int, quantity: str, name: str) -> Row:
-    """Return the finite numbers in an attribute, which must be `count`."""
+    """Return the numbers in the text of an attribute; InputError unless they are `count` finite numbers."""
     words = (text or "").split()
     try:
         numbers = tuple(float(word) for word in words)
@@ -122,7 +122,7 @@ def _parse_numbers(text: str | None, count: int, quantity: str, name: str) -> Ro
 
 
 def _read_matrix_rows(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[Row, ...], Row]:
-    """Return the six rows and the largest value of each component, in the units of the file."""
+    """Return the matrix, six rows Fx to Tz, and the largest value of each component, in the file's units."""
     elements: dict[str, ElementTree.Element] = {}
     for element in calibration.findall(tag):
         axis = element.get("Name", "")
@@ -154,7 +154,7 @@ def _read_matrix_rows(calibration: ElementTree.Element, tag: str, name: str) -> 
 
 
 def _move_torques(calibration: ElementTree.Element, matrix: tuple[Row, ...], name: str) -> tuple[Row, ...]:
-    """Move the torques to the origin of the BasicTransform: torque - offset x force."""
+    """Return the matrix with its torque rows moved to the origin of the BasicTransform: torque - offset x force."""
     transform = calibration.find("BasicTransform")
     if transform is None:
         raise InputError("has no UserAxis and no BasicTransform; copy the .cal file from the sensor's disc again",
@@ -183,7 +183,7 @@ def _move_torques(calibration: ElementTree.Element, matrix: tuple[Row, ...], nam
 
 
 def _read_output_span(calibration: ElementTree.Element, name: str) -> tuple[float, float]:
-    """Return the lowest and the highest output, V."""
+    """Return the lowest and the highest output voltage of the sensor, V, from the span and the polarity."""
     text = calibration.get("OutputRange")
     span = _DEFAULT_SPAN if text is None else _parse_numbers(text, 1, "OutputRange of the Calibration", name)[0]
     if not 0 < span <= 100.0:

@@ -72,13 +72,13 @@ class AtiSerialRecord:
 
 
 def encode_ascii_record(record: AtiSerialRecord, padded: bool = True) -> bytes:
-    """Return a record as a line without its ending."""
+    """Return the ASCII line of a record, flag and six counts separated by commas, without the line ending."""
     width = FORMAT.padded_width if padded else 0
     return ",".join([str(record.flag), *(f"{count:{width}d}" for count in record.counts)]).encode("ascii")
 
 
 def decode_ascii_record(line: bytes, padded: bool | None = None) -> AtiSerialRecord | None:
-    """Return the record in a line without its ending; None: the line is no record.
+    """Return the record in an ASCII line without its ending; None: the line is no record.
 
     Accepts exactly the lines that `encode_ascii_record` writes, so most transmission errors are detected. Without a
     checksum these errors are undetectable: a digit, sign or blank replaced by another one that leaves a valid number;
@@ -107,7 +107,7 @@ def has_padded_fields(line: bytes) -> bool:
 
 
 def encode_binary_record(record: AtiSerialRecord) -> bytes:
-    """Return the 13 bytes of a record."""
+    """Return the 13 bytes of a record in binary mode: flag and six 16-bit counts, the high byte first."""
     return _BINARY.pack(record.flag, *record.counts)
 
 
@@ -125,5 +125,5 @@ def has_count_at_end_of_range(record: AtiSerialRecord) -> bool:
 
 
 def compute_transmission_time(bytes_sent: int, baud: float) -> float:
-    """Return the time that bytes need on the line, s."""
+    """Return the time, s, that a number of bytes needs on a line at a baud rate, bits/s."""
     return FORMAT.bits_per_byte * bytes_sent / baud

@@ -140,12 +140,12 @@ class JogCommand:
 
 
 def encode_jog(axis: str, target: float, feed: float) -> bytes:
-    """Return the line of a jog in machine coordinates, to a target, mm, at a feed rate, mm/min."""
+    """Return the bytes of a jog line with its ending: one axis, target in machine coordinates, mm, feed in mm/min."""
     return f"$J=G53G21G90{axis}{target:.4f}F{feed:.3f}\n".encode()
 
 
 def parse_jog(line: str) -> JogCommand | None:
-    """Return the jog of a line without its ending; None: Grbl would refuse the line with an error."""
+    """Return the jog command in a line ``$J=...`` without its ending; None: Grbl would refuse the line."""
     found = _JOG.fullmatch(line.replace(" ", "").upper())
     if not found:
         return None
@@ -171,11 +171,12 @@ def parse_jog(line: str) -> JogCommand | None:
 
 
 def _parse_numbers(text: str) -> tuple[float, ...]:
+    """Return the numbers of a text such as ``0.000,1.500,0.000``."""
     return tuple(float(number) for number in text.split(","))
 
 
 def parse_report(line: str) -> StatusReport | None:
-    """Return the status report of a line; None: the line is no complete report."""
+    """Return the status report in a line ``<...>``; None: the line is no complete and valid report."""
     found = _REPORT.fullmatch(line)
     if not found:
         return None
@@ -203,8 +204,9 @@ def parse_report(line: str) -> StatusReport | None:
 
 
 def format_report(report: StatusReport) -> str:
-    """Return the line of a report; a feed rate is followed by a spindle speed of 0."""
+    """Return the line ``<...>`` of a report; a feed rate is followed by a spindle speed of 0."""
     def join_numbers(numbers: tuple[float, ...]) -> str:
+        """Return the numbers with three decimals, separated by commas."""
         return ",".join(f"{number:.3f}" for number in numbers)
 
     parts = [report.state if report.substate is None else f"{report.state}:{report.substate}"]
@@ -222,7 +224,7 @@ def format_report(report: StatusReport) -> str:
 
 
 def parse_setting(line: str) -> tuple[int, float] | None:
-    """Return number and value of a line of ``$$``; None: the line is no setting."""
+    """Return (number, value) of a line ``$NUMBER=VALUE``; None: the line is no setting."""
     found = _SETTING.fullmatch(line)
     return (int(found[1]), float(found[2])) if found else None
 
@@ -236,7 +238,7 @@ def parse_answer(line: str) -> tuple[str, int] | None:
 
 
 def parse_version(line: str) -> tuple[str, str] | None:
-    """Return version, such as ``"1.1"``, and date of a line of the answer to ``$I``; None: the line is no version."""
+    """Return (version, date), such as ``("1.1", "20190825")``, of a line ``[VER:...]``; None: no such line."""
     found = _VERSION.fullmatch(line)
     return (found[1], found[2]) if found else None
 
@@ -248,12 +250,12 @@ def parse_banner(line: str) -> str | None:
 
 
 def describe_error(number: int) -> str:
-    """Return cause and remedy of an error of Grbl by its number."""
+    """Return cause and remedy of an error of Grbl by its number; a general text for an unknown number."""
     return ERRORS.get(number, "the line of G-code cannot be executed")
 
 
 def describe_alarm(number: int | None) -> str:
-    """Return cause and remedy of an alarm; None: the alarm is older than the connection."""
+    """Return cause and remedy of an alarm by its number; None: the alarm occurred before the connection."""
     if number is None:
         return "its cause was reported before this program connected; home it"
     return ALARMS.get(number, "its cause is not in the tables of Grbl 1.1; reset it and home it")

@@ -70,7 +70,7 @@ class HaplyDeviceState:
 
 
 def decode_device_state(message: str | bytes, device_id: str | None = None) -> HaplyDeviceState | None:
-    """Return the state of a device in a message of the service.
+    """Find a device in a message of the service, and return its state.
 
     Args:
         message: Message of the service.
@@ -113,7 +113,7 @@ def _parse_json_object(message: str | bytes) -> dict[str, Any]:
 
 
 def _get_object_list(content: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
-    """Return the list of JSON objects at a key; empty if the key is absent."""
+    """Return the list of JSON objects at a key; empty if the key is missing; ValueError for another value."""
     listed = content.get(key)
     if listed is None:
         return []
@@ -123,7 +123,7 @@ def _get_object_list(content: Mapping[str, Any], key: str) -> list[dict[str, Any
 
 
 def _get_nested_object(content: Mapping[str, Any], key: str, default: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the JSON object at a key, or the default if the key is absent."""
+    """Return the JSON object at a key, or the default if the key is missing; ValueError if it is no object."""
     part = content.get(key, default)
     if not isinstance(part, dict):
         raise ValueError(f"{key} must be an object")
@@ -154,7 +154,7 @@ def _read_vector(value: Any, name: str, largest: float) -> Vector:
 
 
 def _read_orientation(content: Mapping[str, Any]) -> Quaternion | None:
-    """Return the orientation of the first active grip, normalised; None: no grip is active."""
+    """Return the first active grip's orientation, a unit quaternion (w, x, y, z); None: no grip is active."""
     for kind in GRIPS:
         for grip in _get_object_list(content, kind):
             quaternion = _get_nested_object(grip, "state", {}).get("orientation")
@@ -182,7 +182,7 @@ def encode_force_message(device_id: str, force: Vector, profile: str | None = No
 
 
 def decode_force_message(message: str | bytes, device_id: str) -> Vector | None:
-    """Return the force that a client's message sets for a device, N; None: the message sets none.
+    """Return the force, N, that a client's message sets for a device; None: the message sets no force for it.
 
     Raises:
         ValueError: The message is not a message of a client.
@@ -207,6 +207,7 @@ def encode_state_message(state: HaplyDeviceState, force: Vector, session: int | 
         session: Number of the session; in the first message only.
     """
     def to_json_object(values: tuple[float, ...], axes: tuple[str, ...] = _AXES) -> dict[str, float]:
+        """Return the values by axis."""
         return dict(zip(axes, values, strict=True))
 
     device: dict[str, Any] = {"device_id": state.device_id}

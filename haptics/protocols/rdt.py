@@ -134,7 +134,7 @@ class RdtRecord:
 
 
 def pack_request(request: RdtRequest) -> bytes:
-    """Return the 8 bytes of a request."""
+    """Return the 8 bytes of a request datagram."""
     return _REQUEST.pack(DATAGRAM.magic, request.command, request.count)
 
 
@@ -147,7 +147,7 @@ def unpack_request(data: bytes) -> RdtRequest | None:
 
 
 def pack_records(records: Iterable[RdtRecord]) -> bytes:
-    """Return the bytes of records, 36 each."""
+    """Return the bytes of one datagram with these records, 36 bytes each."""
     return b"".join(_RECORD.pack(record.sequence, record.sample, record.status, *record.counts) for record in records)
 
 
@@ -166,7 +166,7 @@ def has_exceeded_range(status: int) -> bool:
 
 
 def has_fault(status: int) -> bool:
-    """Return True if the status word reports anything except a passed threshold: the sample is unreliable."""
+    """Return True if the status word reports a saturation or any other error: the sample is unreliable."""
     return bool(status & _FAULTS)
 
 
@@ -225,7 +225,7 @@ def _find_unit_value(name: str, quantity: str) -> float:
 
 
 def read_settings_page(page: bytes) -> BoxSettings:
-    """Return the settings in the page ``netftapi2.xml`` of a box.
+    """Parse the bytes of the page ``netftapi2.xml`` of a box, and return its settings.
 
     Raises:
         InputError: The page is no XML, or a field is missing or no positive number.
@@ -257,7 +257,7 @@ def read_settings_page(page: bytes) -> BoxSettings:
 
 
 def write_settings_page(settings: BoxSettings) -> bytes:
-    """Return a settings page with the fields that `read_settings_page` reads."""
+    """Return the bytes of a settings page (XML) with the fields that `read_settings_page` reads."""
     entries = {"prodname": settings.product or "RDT", "runstat": "0x00000000", "cfgcalsn": settings.calibration,
                "scfgfu": settings.force_unit, "scfgtu": settings.torque_unit,
                "cfgcpf": f"{settings.counts_per_force:.10g}", "cfgcpt": f"{settings.counts_per_torque:.10g}",

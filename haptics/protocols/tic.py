@@ -14,7 +14,7 @@ POLOLU_PREFIX = 0xAA
 
 
 class BlockLength(IntEnum):
-    """Lengths of blocks of variables or settings, bytes."""
+    """Lengths, bytes, of the blocks of variables that this program reads, and the largest length of a block."""
 
     STATUS = 14        #: read by `parse_status`
     MOTION_STATE = 8   #: read by `parse_motion_state`
@@ -23,7 +23,7 @@ class BlockLength(IntEnum):
 
 @dataclass(frozen=True)
 class MotionUnitsAndLimits:
-    """Units and limits of speeds and accelerations in commands, variables and settings.
+    """Units and limits of speeds and accelerations in commands, variables and settings of a Tic.
 
     Attributes:
         speed_unit: Unit of speeds, microsteps/s.
@@ -169,19 +169,19 @@ class SettingOffset(IntEnum):
 
 
 class ControlMode(IntEnum):
-    """Values of `SettingOffset.CONTROL_MODE`."""
+    """Values of the setting at `SettingOffset.CONTROL_MODE`; only the one that the stage requires."""
 
     SERIAL = 0  #: "Serial / I2C / USB": the motor follows commands
 
 
 class SoftErrorResponse(IntEnum):
-    """Values of `SettingOffset.SOFT_ERROR_RESPONSE`."""
+    """Values of the setting at `SettingOffset.SOFT_ERROR_RESPONSE`; only the one that the stage refuses."""
 
     GO_TO_POSITION = 3  #: "Go to position": the motor moves after an error
 
 
 class AnswerFormat(IntFlag):
-    """Bits of `SettingOffset.CRC` about the answers of the Tic."""
+    """Bits of the setting at `SettingOffset.CRC` that determine the format of the answers."""
 
     CHECKED = 2    #: answers carry a checksum
     SEVEN_BIT = 4  #: answers consist of 7-bit bytes
@@ -189,7 +189,7 @@ class AnswerFormat(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class TicStatus:
-    """The variables from `VariableOffset.STATUS` on.
+    """The variables of a Tic from `VariableOffset.STATUS` on: state, errors and target.
 
     Attributes:
         state: Operation state.
@@ -210,7 +210,7 @@ class TicStatus:
 
 @dataclass(frozen=True, slots=True)
 class MotionState:
-    """The variables from `VariableOffset.CURRENT_POSITION` on.
+    """The variables of a Tic from `VariableOffset.CURRENT_POSITION` on: position and velocity.
 
     Attributes:
         position: Commanded position, microsteps.
@@ -233,7 +233,7 @@ def compute_crc7(message: bytes) -> int:
 
 def encode_command(command: TicCommand, value: int = 0, length: int = 0, device: int | None = None,
                    crc: bool = False) -> bytes:
-    """Return the bytes of a command.
+    """Return the bytes of a command as sent on the serial line.
 
     Args:
         command: Command.
@@ -303,7 +303,7 @@ class CommandParser:
         self.bad_bytes = 0
 
     def extract_commands(self, data: bytes) -> list[ReceivedCommand]:
-        """Return the commands for this device that `data` completes, in order; keeps an incomplete command."""
+        """Add received bytes, and return the commands for this device that they complete; keeps an incomplete one."""
         commands = []
         for byte in data:
             if byte & 0x80:
@@ -322,7 +322,7 @@ class CommandParser:
         return commands
 
     def _parse_command_head(self) -> tuple[TicCommand | None, int]:
-        """Return (command, length of the head); the command is None if it is unknown or not yet complete."""
+        """Return (command, bytes before its arguments) of the buffer; None: the command is unknown or incomplete."""
         if self._partial[0] != POLOLU_PREFIX:
             code, head = self._partial[0], 1
         elif len(self._partial) < 3:
@@ -335,14 +335,14 @@ class CommandParser:
             return None, head
 
     def _is_message_complete(self) -> bool:
-        """Return True if the message has all bytes of its command, or is no known command."""
+        """Return True if the buffer has all bytes of its command, or begins with an unknown command."""
         command, head = self._parse_command_head()
         if command is None:
             return len(self._partial) >= head
         return len(self._partial) == head + _count_argument_bytes(command) + self._crc
 
     def _decode_command(self, message: bytes) -> ReceivedCommand | None:
-        """Return the command of a complete message; None: invalid, or for another device."""
+        """Return the command of a complete message; None: invalid, counted in `bad_bytes`, or for another device."""
         self._partial = bytearray(message)
         command, head = self._parse_command_head()
         self._partial = bytearray()
@@ -370,7 +370,7 @@ def to_signed_32_bit(value: int) -> int:
 
 
 def parse_status(block: bytes) -> TicStatus | None:
-    """Return the status in a block of `BlockLength.STATUS` bytes; None: the block is impossible for a Tic.
+    """Return the status in a block of `BlockLength.STATUS` bytes; None: no Tic can have sent the block.
 
     Impossible blocks have another length, an unknown state or planning mode, or reserved bits set.
     """

@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SampleClockSettings:
-    """Settings of the fit of a `SampleClock`.
+    """Tolerances of the fit of a `SampleClock`, and number of intervals of a long run.
 
     Attributes:
         rate_tolerance: largest relative error that is assumed for the clock of a device, 1. A larger value lets late
@@ -89,7 +89,7 @@ class SampleClock:
         return cls(first, period, float(np.median(arrival - first - period * number)), fits)
 
     def compute_times(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Return the sampling times of samples, s, shape (n,).
+        """Return the sampling times, s, shape (n,), of samples by their sequence numbers.
 
         Args:
             numbers: sequence numbers, shape (n,).
@@ -98,7 +98,7 @@ class SampleClock:
 
 
 def _find_hull_candidates(delay: np.ndarray) -> list[int]:
-    """Return the indices of samples that can lie on the lower convex hull.
+    """Return increasing indices of the samples from which the lower convex hull is made; thins out a long run.
 
     Args:
         delay: arrival time less period * number, s, shape (n,).

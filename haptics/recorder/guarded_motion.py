@@ -76,7 +76,7 @@ class GuardedMotion:
 
     @contextmanager
     def run_devices(self, retraction: Callable[[], tuple[float, float]]) -> Iterator[None]:
-        """Start both devices for a ``with`` block, and stop them at its end.
+        """Start both devices for a ``with`` block, watch the polls inside it, and stop the devices at its end.
 
         After an error in the block the stage is halted first. Each device is stopped even if the other one fails.
 
@@ -109,10 +109,11 @@ class GuardedMotion:
 
     @contextmanager
     def _watch_polls(self) -> Iterator[None]:
-        """Halt the stage from a second thread if the polls of this thread are late (dead-man's switch)."""
+        """Run a thread inside a ``with`` block that halts a moving stage if the polls are late (dead-man's switch)."""
         ending = threading.Event()
 
         def halt_when_polls_are_late() -> None:
+            """Halt the moving stage whenever a poll is late, until `ending` is set; the body of the thread."""
             while not ending.wait(0.2 * POLLING.timeout):
                 delay = self.now() - self._polled
                 if self._is_moving and delay > max(POLLING.timeout, self.limits.sensor_silence):
@@ -129,7 +130,7 @@ class GuardedMotion:
             thread.join()
 
     def _handle_stop(self, reason: StopReason, retraction: Callable[[], tuple[float, float]]) -> StopReason:
-        """Halt the stage, and retract the tool if the limits ask for it and the stage still works.
+        """After a stop, halt the stage; retract the tool if the limits ask for it and the stage still works.
 
         Args:
             reason: reason of the stop.
@@ -153,7 +154,7 @@ class GuardedMotion:
         return reason
 
     def _halt_and_wait(self) -> str | None:
-        """Halt the stage and wait until it reports that it is at rest.
+        """Halt the stage and wait until it reports that it is at rest; raises no error.
 
         Returns:
             None, or a description of the problem if the stage fails or keeps moving.
@@ -202,7 +203,7 @@ class GuardedMotion:
         return f"it is at {self.stage_sample.position * 1e3:.4g} mm"
 
     def poll(self) -> None:
-        """Wait for the next poll, read both devices, and let the guard check the samples.
+        """Wait until the next poll is due, read both devices once, pass the samples to `on_poll`, and check them.
 
         Raises:
             StoppedError: the guard or the user ended the motion; the stage was halted.
@@ -237,7 +238,7 @@ class GuardedMotion:
                                 "move, and the stage was halted; close other programs on this computer"))
 
     def compute_mean_force(self, seconds: float = _SETTINGS.force_window) -> float:
-        """Return the mean force along the tool in the last time window, N; NaN without a sample.
+        """Return the mean of the forces stored by past polls in the last time window, N; NaN without a sample.
 
         Args:
             seconds: length of the window, s, at most `GuardedMotionSettings.force_window`.
@@ -253,7 +254,7 @@ class GuardedMotion:
         return self._recent[-1][1] if self._recent else np.nan
 
     def move_to(self, position: float, speed: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Move the tool to a position, and poll the devices until the tool arrives or a condition is met.
+        """Move to a position, and poll until the stage arrives or a condition is met, which halts the stage.
 
         Args:
             position: goal, m.
@@ -301,7 +302,7 @@ class GuardedMotion:
         return ended
 
     def run_while_polling(self, task: Callable[[], T]) -> T:
-        """Execute a slow function in another thread, poll the devices until it ends, and return its result."""
+        """Run a slow function in another thread, poll until it ends, and return its result or raise its error."""
         with ThreadPoolExecutor(1) as pool:
             future = pool.submit(task)
             # The real wait gives the processor to the task, also if the clock of the polls is simulated.
@@ -339,7 +340,7 @@ class GuardedMotion:
         self._guard.is_stage_homed = True
 
     def tare(self, first: float, change: float) -> None:
-        """Set the zero of the unloaded sensor; the reading that remains after the tare of the sensor becomes `zero`.
+        """Check that the sensor is unloaded, tare it, and store the mean reading after the tare as `zero`.
 
         Args:
             first: largest magnitude of the force before the first tare of a run, N.
@@ -369,7 +370,7 @@ class GuardedMotion:
                 "zero", f"the sensor reads {self.zero:.3g} N after its tare; let the sensor warm up"))
 
     def check_zero(self, allowed: float) -> None:
-        """Check that the sensor still reads zero at the position at which it was zeroed.
+        """Poll for a window, and raise an error if the mean force differs from zero where the sensor was zeroed.
 
         The check detects a drift of the sensor, lost steps of the motor, and material that sticks to the tool.
 
@@ -388,5 +389,5 @@ class GuardedMotion:
                         "material sticks to the tool, or the stage has lost steps"))
 
     def clear_forces(self) -> None:
-        """Discard the stored forces, because the next mean belongs to another position."""
+        """Discard the forces stored by past polls, because the next mean belongs to another position."""
         self._recent.clear()

@@ -49,7 +49,7 @@ class ForceLag:
 
 
 def measure_lag(recording: Recording) -> ForceLag:
-    """Find the lag for which loading and unloading give the same force at the same depth.
+    """Find the lag of the force for which loading and unloading give the same force at the same depth.
 
     Profile likelihood of the lag: for each trial lag the force is fitted by a polynomial of the shifted depth; the lag
     with the smallest sum of squared residuals is the estimate, and the curvature there gives the interval.

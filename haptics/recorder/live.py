@@ -37,7 +37,7 @@ class LiveProgressFile:
     _progress: RunProgress | None
 
     def set_progress(self, progress: RunProgress) -> None:
-        """Replace the progress that the thread writes next; return without waiting for the disk."""
+        """Store the progress that the thread writes next, and return without waiting for the disk."""
         self._progress = progress
 
     @contextmanager
@@ -53,6 +53,7 @@ class LiveProgressFile:
             self._path.unlink(missing_ok=True)
 
     def _write_newest_progress(self) -> None:
+        """Write changed progress every `UPDATE_INTERVAL` s until the end of the block; the body of the thread."""
         written = None
         while not self._ending.wait(UPDATE_INTERVAL):
             progress = self._progress
@@ -64,7 +65,7 @@ class LiveProgressFile:
 
 
 def convert_progress_to_json(progress: RunProgress) -> dict[str, Any]:
-    """Return the JSON object of a progress: keys carry units, and unknown (NaN) numbers are omitted."""
+    """Return a progress as a JSON object (dict): keys carry units, and unknown (NaN) numbers are omitted."""
     numbers = {"position_mm": 1e3 * progress.position, "depth_mm": 1e3 * progress.depth, "force_N": progress.force,
                "share": progress.fraction}
     return {"test": progress.test, "phase": progress.phase, "replicate": progress.replicate,

@@ -61,7 +61,7 @@ class MotionRecord:
     legs: list[tuple[float, str, int]] = field(default_factory=list)
 
     def append_poll(self, samples: Sequence[ForceSample], stage: StageSample) -> list[float]:
-        """Append the force samples and the stage sample of one poll.
+        """Append the force samples and the stage sample of one poll; interpolate the stage position.
 
         Args:
             samples: new force samples.
@@ -87,7 +87,7 @@ class MotionRecord:
         return sum(bool(status & SampleStatus.GAP) for status in self.statuses)
 
     def fit_sample_clock(self, period: float) -> SampleClock:
-        """Return the clock of the force samples.
+        """Fit and return the clock that gives the sampling times of the force samples.
 
         Args:
             period: sampling period that the sensor states, s.
@@ -139,7 +139,7 @@ def build_recording(record: MotionRecord, plan: IndentationPlan, contact_point: 
 
 
 def _describe_left_out(recorded: int, kept: int, depth: float) -> dict[str, Any]:
-    """Return the metadata on samples that are left out because the stage position is uncertain; empty without them.
+    """Return metadata with number and reason of samples left out for an uncertain stage position; empty if none.
 
     Args:
         recorded: number of samples of the motion.

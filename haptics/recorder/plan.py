@@ -98,7 +98,7 @@ class IndentationPlan:
 
     @property
     def largest_height(self) -> float:
-        """Largest height of the tool above the contact point during the test, m."""
+        """Largest height of the tool above the contact point during the test, with the search for contact, m."""
         above = -min(min(leg.start, leg.end) for leg in self.legs)
         return max(above, 2 * self.retract if self.contact == "force" else 0.0)
 
@@ -109,7 +109,7 @@ class IndentationPlan:
 
     @property
     def duration(self) -> float:
-        """Duration of the recorded motion, s."""
+        """Duration of one recorded motion, one replicate without the search for contact, s."""
         return sum(leg.duration for leg in self.legs)
 
     @property
@@ -121,7 +121,7 @@ class IndentationPlan:
 
 def check_plans_against_limits(plans: Sequence[IndentationPlan], limits: MotionLimits, stage: Stage,
                                period: float) -> float:
-    """Check the plans of a run against its limits before anything moves.
+    """Check the plans of a run against limits and stage before anything moves, and return their duration.
 
     Args:
         plans: plans of the run.

@@ -22,7 +22,7 @@ from tissue_sim.errors import InputError
 
 @dataclass(frozen=True)
 class ContactSearchSettings:
-    """Averaging and speed of the search for contact.
+    """Averaging time of the force, and relative speed of the second approach, in the search for contact.
 
     Attributes:
         window: time over which the force is averaged, s. A longer window averages more noise and detects contact later.
@@ -101,7 +101,7 @@ class Recorder:
         self._contact_metadata: dict[str, Any] = {}
 
     def run(self) -> None:
-        """Record all replicates that the folder does not contain yet.
+        """Execute the whole run: record and save all replicates that the folder does not contain yet.
 
         Raises:
             StoppedError: the run was stopped. The stage is at rest or retracted, and the recorded samples are kept.
@@ -140,7 +140,7 @@ class Recorder:
         return position, plan.approach_speed
 
     def _store_samples(self, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample) -> None:
-        """Store the samples of a poll in memory and in the partial file, and report the progress.
+        """Store the samples of a poll in memory and in the partial file, and call `on_progress`.
 
         Args:
             samples: new force samples.
@@ -168,7 +168,7 @@ class Recorder:
                                       motion.last_force, fraction))
 
     def _execute_plan(self, missing: Sequence[int]) -> None:
-        """Find contact, precondition, and record the missing replicates."""
+        """Tare, find contact, precondition, and record and save the replicates with these numbers."""
         plan, motion = self._plan, self._motion
         if not missing:
             return
@@ -196,17 +196,18 @@ class Recorder:
         return self._motion.stage_sample.position
 
     def _tare_sensor(self) -> None:
+        """Check that the sensor is unloaded at the present position, and tare it."""
         self._phase = "tare"
         self._motion.tare(self._limits.tare, self._plan.contact_force)
 
     def _find_contact(self) -> None:
-        """Approach until contact, withdraw, and tare the sensor again in the withdrawn position."""
+        """Approach until contact and store the contact point; withdraw, and tare the sensor in this position."""
         self._contact_point = self._lower_until_contact(self._plan.approach_speed)
         self._move_above_contact(2.0)
         self._tare_sensor()
 
     def _refine_contact_point(self) -> None:
-        """Approach slowly, and estimate the contact point from the samples of the approach.
+        """Approach slowly, estimate the contact point from the samples, store it, and withdraw.
 
         Raises:
             StoppedError: the contact point moved by more than half of the retraction height.
@@ -232,7 +233,7 @@ class Recorder:
         self._move_above_contact()
 
     def _lower_until_contact(self, speed: float) -> float:
-        """Move down at a speed, m/s, until the contact force is reached; return the position of the halt, m."""
+        """Move down at a speed, m/s, until the contact force is reached; return the position, m, after the halt."""
         plan, motion = self._plan, self._motion
         self._phase = "approach"
         if not motion.move_to(self._limits.highest, speed,
@@ -244,7 +245,7 @@ class Recorder:
         return self._last_position
 
     def _move_above_contact(self, factor: float = 1.0) -> None:
-        """Move to the waiting position: above the contact point, or at it for contact ``"here"``.
+        """Move the tool to its waiting position above the contact point; at it for contact ``"here"``.
 
         Args:
             factor: height above the contact point divided by the retraction height of the plan, 1.
@@ -255,7 +256,7 @@ class Recorder:
         self._motion.move_to(self._contact_point - above, self._plan.approach_speed)
 
     def _execute_recorded_motion(self, description: str) -> None:
-        """Execute the motion of the plan once, and write the loading and its largest depth into the run file.
+        """Execute the motion of the plan once, recorded or not, and write loading and largest depth into the run file.
 
         Args:
             description: text of the entry, such as ``"recording 1 of 3"``.
@@ -280,7 +281,7 @@ class Recorder:
                 self._folder.record_loading(plan.name, description, self._deepest, entry)
 
     def _record_replicate(self, number: int) -> None:
-        """Record one replicate, check the zero of the sensor, and save the recording.
+        """Record one replicate with the rest before it, check the zero of the sensor, and save the recording.
 
         Args:
             number: number of the replicate, from 1.
@@ -309,6 +310,7 @@ class Recorder:
         contact_point, zero, contact_metadata = self._contact_point or 0.0, motion.zero, self._contact_metadata
 
         def save_recording() -> None:
+            """Build the recording, check that the contact force was reached, and save it; closes the partial file."""
             recording = build_recording(record, plan, contact_point, zero, motion.sensor.channels,
                                         1.0 / motion.sensor.rate)
             if not recording.force.max() >= plan.contact_force:
@@ -330,6 +332,7 @@ class Recorder:
         self._partial = None
 
     def _check_zero(self) -> None:
+        """Check the force above the contact point against the contact force; no check for contact ``"here"``."""
         if self._plan.contact == "force":
             self._motion.check_zero(self._plan.contact_force)
 
@@ -344,5 +347,5 @@ def _convert_limits_to_json(limits: MotionLimits) -> dict[str, Any]:
 
 
 def _format_local_time() -> str:
-    """Return the local date and time with time zone (ISO 8601)."""
+    """Return the present local date and time with the offset of the time zone (ISO 8601)."""
     return time.strftime("%Y-%m-%dT%H:%M:%S%z")

@@ -55,7 +55,7 @@ class RunFolder:
         self._load_state()
 
     def _load_state(self) -> None:
-        """Read ``run.json`` if the folder has files; add a stop to the state if a previous program died."""
+        """Set `state` from ``run.json`` if the folder has files; add the stop "died" if a previous program crashed."""
         if self.folder.exists() and any(each.name != LOCK_FILE for each in self.folder.iterdir()):
             self.state = self._read_state()
             if self.state["state"] == "running" and self._lock is not None:
@@ -86,7 +86,7 @@ class RunFolder:
 
     @property
     def has_started_run(self) -> bool:
-        """Whether a run was started in this folder."""
+        """Whether a run was started in this folder: its state is not "new"."""
         return self.state["state"] != "new"
 
     def __enter__(self) -> RunFolder:
@@ -125,7 +125,7 @@ class RunFolder:
             "at": _format_local_time()}])
 
     def record_loading(self, test: str, description: str, depth: float, entry: int | None = None) -> int:
-        """Write a loading of the specimen into the history.
+        """Append a loading of the specimen to the history, or replace an entry, and write ``run.json``.
 
         Args:
             test: name of the test.
@@ -146,15 +146,15 @@ class RunFolder:
         return len(history) - 1 if entry is None else entry
 
     def count_loadings(self, test: str) -> int:
-        """Return the number of recorded loadings of the specimen in a test."""
+        """Return the number of entries of a test in the history of loadings, planned entries included."""
         return sum(entry["test"] == test for entry in self.state["history"])
 
     def list_stops(self, test: str) -> list[dict[str, Any]]:
-        """Return the entries of `record_stop` for a test, and those that belong to no test."""
+        """Return the recorded stops of a test, and the stops that belong to no test, oldest first."""
         return [stop for stop in self.state["stops"] if stop["test"] in (test, "")]
 
     def list_missing_replicates(self, name: str, replicates: int) -> list[int]:
-        """Return the numbers of the replicates of a test that have no recording yet.
+        """Return the numbers, from 1, of the replicates of a test that have no recording yet.
 
         Args:
             name: name of the test.
@@ -243,7 +243,7 @@ class PartialRecording:
         self._thread.start()
 
     def queue_rows(self, rows: Sequence[Sequence[Any]]) -> None:
-        """Queue rows for writing.
+        """Queue rows for the writer thread, without waiting for the disk.
 
         Args:
             rows: one sequence of cells per row, texts or numbers, in the order of the header.
@@ -253,6 +253,7 @@ class PartialRecording:
                                       for row in rows))
 
     def _write_queued_rows(self) -> None:
+        """Write queued rows until `close`; runs in the writer thread, and stores a failed write in `failure`."""
         ending = False
         try:
             while not ending:
@@ -273,7 +274,7 @@ class PartialRecording:
             self.failure = f"{self.path} cannot be written ({error.strerror or error}); free space on the disk"
 
     def close(self) -> None:
-        """Write all queued rows to the disk, and close the file."""
+        """Write all queued rows to the disk, and close the file; a failed write raises no error, see `failure`."""
         self._waiting.put(None)
         self._thread.join()
         os.close(self._file)
@@ -285,7 +286,7 @@ def _format_local_time() -> str:
 
 
 def _try_lock(descriptor: int) -> bool:
-    """Lock a file without waiting; return whether the lock was free.
+    """Lock a file without waiting; return False if another program holds the lock, and always True on Windows.
 
     The operating system releases the lock when the program ends, also after a crash.
     """

@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class StagePathSettings:
-    """Largest error of a stage position with which a force sample is recorded.
+    """Tolerances of the stage position: a force sample is recorded only if the error bound of its position is smaller.
 
     Attributes:
         tolerance: largest bound on the position error, as a fraction of the largest depth of the motion, 1. A larger
@@ -29,7 +29,7 @@ SETTINGS = StagePathSettings()
 
 @dataclass(frozen=True)
 class StagePoll:
-    """Answer of the stage to one poll.
+    """Position of the stage from one poll, and the time interval in which the position was read.
 
     Attributes:
         earliest: earliest time at which the position can have been read, s.
@@ -82,7 +82,7 @@ class StagePath:
         self._lower_after = np.maximum.accumulate(np.concatenate([-none, (position - ended)[::-1]]))[::-1]
 
     def _compute_largest_travel(self, times: np.ndarray) -> np.ndarray:
-        """Return the largest possible travel since the first change, m, negative before it; shape of `times`."""
+        """Return the integral of the commanded speed from its first change to each time, m; negative before it."""
         if self._changes.size == 0:
             return self._speeds[0] * times
         knots = np.concatenate([[0.0], np.cumsum(self._speeds[1:-1] * np.diff(self._changes))])
@@ -113,7 +113,7 @@ class StagePath:
         return np.where(outside, np.inf, np.maximum(np.abs(upper - position), np.abs(position - lower)))
 
     def is_position_known(self, times: np.ndarray, depth: float) -> np.ndarray:
-        """Return whether the position is known well enough to record a force, shape (n,).
+        """Return for each time whether the error bound of the position is within the tolerance, bool, shape (n,).
 
         Args:
             times: s, shape (n,).

@@ -8,7 +8,7 @@ from tissue_sim.errors import InputError
 
 
 class StoppedError(RuntimeError):
-    """A motion was stopped before its end.
+    """Error: a motion was stopped before its end.
 
     Attributes:
         reason: cause and message of the stop.
@@ -20,7 +20,7 @@ class StoppedError(RuntimeError):
 
 
 def get_stop_reason(error: BaseException) -> StopReason:
-    """Return the reason to stop a motion for an exception that was raised during the motion."""
+    """Convert an exception that was raised during a motion into the reason of the stop."""
     match error:
         case StoppedError():
             return error.reason

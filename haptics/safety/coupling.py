@@ -16,7 +16,7 @@ _NO_VECTOR: Vector = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class CouplingSettings:
-    """Limits of the stiffness that a virtual coupling uses.
+    """Conditions under which a virtual coupling uses a stiffness of the tissue.
 
     Attributes:
         longest_stiffness_age: largest age of a stiffness that the coupling uses, s. The tangents of a multirate bulk
@@ -175,7 +175,7 @@ class VirtualCoupling:
         return self.pose
 
     def _solve_proxy_motion(self, offset: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
-        """Solve the implicit step for the motion of the proxy.
+        """Solve the implicit step for the displacement of the proxy in one tick, and update the stored stiffnesses.
 
         Args:
             offset: position of the device less position of the proxy, m.

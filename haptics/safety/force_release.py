@@ -67,7 +67,7 @@ class ForceRelease:
         return self._watchdog.gain
 
     def reset(self) -> None:
-        """Restore full force, and treat the next answer as the first one."""
+        """Set the gain to 1, and treat the next force as the first one."""
         self._watchdog.reset()
         self._last_step: float | None = None
 

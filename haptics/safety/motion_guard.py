@@ -176,7 +176,7 @@ class MotionGuard:
                 or self._check_motion(now, stage, command))
 
     def _check_sensor(self, now: float, samples: Sequence[ForceSample]) -> StopReason | None:
-        """Check the status of the sensor, and the time since its last sample."""
+        """Check the status of the sensor, and the time since its last sample; return the reason to stop, or None."""
         for sample in samples:
             if sample.status & SampleStatus.SATURATED:
                 return StopReason("sensor saturated",
@@ -194,7 +194,7 @@ class MotionGuard:
         return None
 
     def _check_force(self, samples: Sequence[ForceSample], forces: Sequence[float]) -> StopReason | None:
-        """Check the force along the tool and the resultant force."""
+        """Check the force along the tool and the resultant force; return the reason to stop, or None."""
         if not self.is_sensor_zeroed:
             return None
         for sample, force in zip(samples, forces, strict=True):
@@ -207,16 +207,16 @@ class MotionGuard:
         return None
 
     def _check_stage(self, stage: StageSample) -> StopReason | None:
-        """Check the status of the stage."""
+        """Check the status flags of the stage; return the reason to stop, or None."""
         if stage.status & SampleStatus.FAULT:
             return StopReason("stage fault", "the stage reports a fault; check its status display, and home it again")
         if stage.status & SampleStatus.LIMIT and self.is_stage_homed and not stage.moving:
-            return StopReason("limit switch", "the stage stands at a limit switch within the limits of the motion; "
+            return StopReason("limit switch", "the stage is at a limit switch within the limits of the motion; "
                                               "home it again")
         return None
 
     def _check_motion(self, now: float, stage: StageSample, command: CommandedMotion | None) -> StopReason | None:
-        """Check the duration of the run, and the position and speed of the homed stage."""
+        """Check duration of the run, position and speed of the homed stage; return the reason to stop, or None."""
         limits = self.limits
         if now - self._started > limits.duration:
             return StopReason("duration", f"the run took longer than its limit of {limits.duration:g} s")
@@ -251,7 +251,7 @@ class MotionGuard:
         return None
 
     def _check_command(self, stage: StageSample, command: CommandedMotion) -> StopReason | None:
-        """Check that the tool stays on the commanded path and follows the commanded motion."""
+        """Check that the tool is on the commanded path and does not stall; return the reason to stop, or None."""
         tolerance = max(_SETTINGS.path_tolerance, _SETTINGS.stall_time * command.speed)
         low, high = sorted((command.start, command.goal))
         if not low - tolerance <= stage.position <= high + tolerance:
@@ -268,14 +268,14 @@ class MotionGuard:
 
 
 def require_stoppable_motion(limits: MotionLimits, speed: float, seconds: float) -> None:
-    """Refuse a motion whose force can increase by more than the margin before the stage stands.
+    """Refuse a motion whose force can increase by more than the margin between a fault and the halt of the stage.
 
     The force increase is speed * seconds * stiffness of the specimen.
 
     Args:
         limits: limits of the run.
         speed: speed of the motion, m/s.
-        seconds: longest time from a fault until the stage stands, s.
+        seconds: longest time from a fault until the stage has stopped, s.
 
     Raises:
         InputError: the force increase exceeds `MotionLimits.force_margin`.
@@ -285,7 +285,7 @@ def require_stoppable_motion(limits: MotionLimits, speed: float, seconds: float)
         allowed = limits.force_margin / (seconds * limits.stiffness) if seconds else math.inf
         raise InputError(
             f"the force increase before a halt must be at most {limits.force_margin:.3g} N; got {increase:.3g} N: at "
-            f"{speed * 1e3:.3g} mm/s the tool stands {seconds:.3g} s after a fault, on a specimen of "
+            f"{speed * 1e3:.3g} mm/s the tool stops {seconds:.3g} s after a fault, on a specimen of "
             f"{limits.stiffness * 1e-3:.3g} N/mm. "
             + (f"Use a speed of at most {allowed * 1e3:.2g} mm/s" if allowed > 0 else
                "Use a stage that stops when the program ends"), field="limits.force_margin")

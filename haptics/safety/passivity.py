@@ -71,7 +71,7 @@ class PassivityObserver:
     way = OldName("displacement_to")
 
     def compute_work(self, wrench: Screw, displacement: Screw) -> float:
-        """Return the energy that the hand puts in between the last sample and a new one, J.
+        """Return the energy that the hand puts in between the last sample and a new one, J; the sums are unchanged.
 
         Args:
             wrench: wrench of the new sample, N and N m.
@@ -155,7 +155,7 @@ class EnergyLimit:
         self.exceeded, self._reference = False, 0.0
 
     def step(self, energy: float, dt: float) -> bool:
-        """Return whether force is allowed in this tick.
+        """Update the limit by one tick, and return whether force is allowed; after an excess it is not until `reset`.
 
         Args:
             energy: energy put in less energy returned so far, J.

@@ -71,7 +71,7 @@ class RenderedForce(NamedTuple):
 
     @property
     def force(self) -> float:
-        """Force along z, N, positive out of the tissue."""
+        """Component of the force on the hand along z, N, positive out of the tissue."""
         return self.wrench[2]
 
     @property
@@ -96,7 +96,7 @@ class RenderedForce(NamedTuple):
 
     @property
     def lost_pose(self) -> bool:
-        """Whether the watchdog reduces the force, because pose or answer were missing for longer than the timeout."""
+        """Whether the watchdog reduces the force, because poses or valid tissue forces are or were missing."""
         return bool(self.flags & _LOST_POSE)
 
     @property
@@ -159,7 +159,7 @@ class ForceRendering:
         self._wrench = _NO_WRENCH
 
     def pose_for(self, device: Pose | None, dt: float) -> Pose:
-        """Return the pose to which the tissue must be stepped in this tick.
+        """Advance the coupling by one tick, and return the pose to which the tissue must be stepped.
 
         Args:
             device: pose of the device; if it is None or not finite, the last valid pose is used.
@@ -174,7 +174,7 @@ class ForceRendering:
         return self._proxy
 
     def render(self, answer: ToolForce, dt: float) -> RenderedForce:
-        """Return the wrench for the device.
+        """Compute the wrench for the device in this tick, and update observers, limits and watchdog.
 
         Answers with the status LATE or STOPPED are rendered, because they are local models of the tissue. An answer
         with the status REFUSED, or with a number that is not finite, counts as a missing pose: the last valid wrench is

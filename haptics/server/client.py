@@ -113,7 +113,7 @@ class TissueClient:
                 raise TimeoutError(f"no reply within {self._timeout:g} s")
 
     def _receive_datagram(self) -> bytes:
-        """Return the next datagram: poll first, then wait up to the timeout."""
+        """Return the next datagram: poll first, then wait up to the timeout, after which TimeoutError is raised."""
         if self._polls:
             self._socket.setblocking(False)
             try:

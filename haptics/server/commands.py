@@ -123,7 +123,7 @@ class ConfigurationCommands:
         return answer
 
     def _decode_and_execute(self, line: bytes) -> Iterator[bytes] | dict[str, Any]:
-        """Decode a line, and call the function of its command."""
+        """Decode a line, execute its command, and return its JSON object or an iterator of encoded pieces."""
         try:
             request = msgspec.json.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -156,7 +156,7 @@ class ConfigurationCommands:
                 "owner": None if owner is None else "{}:{}".format(*owner[:2])}
 
     def _reset_tissue(self, _: _CommandWithoutArguments) -> dict[str, Any]:
-        """Restore the undeformed state of the tissue."""
+        """Restore the undeformed state of the tissue, and return an empty object."""
         self._service.tissue.reset()
         self._service.discard_last_step()
         return {}
@@ -181,7 +181,7 @@ class ConfigurationCommands:
         return _encode_arrays("surface", arrays)
 
     def _save_state(self, request: _NamedStateCommand) -> dict[str, Any]:
-        """Save state and parameters of the tissue under a name."""
+        """Save state and parameters of the tissue under a name, and return the names of all saved states."""
         if request.name not in self._states and len(self._states) == LIMITS.max_states:
             raise InputError(f"at most {LIMITS.max_states} states can be saved; save under an existing name: "
                              f"{', '.join(self._states)}", field="name")
@@ -189,7 +189,7 @@ class ConfigurationCommands:
         return {"states": list(self._states)}
 
     def _restore_state(self, request: _NamedStateCommand) -> dict[str, Any]:
-        """Restore state and parameters that were saved under a name."""
+        """Restore the state and the parameters that were saved under a name, and return all parameters."""
         if request.name not in self._states:
             hint = suggest_known_word(request.name, self._states) if self._states else "; no state was saved"
             raise InputError(f"unknown state {request.name!r}{hint}", field="name")

@@ -89,7 +89,7 @@ class ConfigurationPort:
 
 
 class _ConfigurationConnection:
-    """One connection to the port. It is read only while it has no pending answer, so that no queue grows.
+    """One TCP connection to the configuration port; it is read only while no answer is pending, so that no queue grows.
 
     Attributes:
         last_traffic: time at which bytes were last received or sent, s.
@@ -138,6 +138,7 @@ class _ConfigurationConnection:
         self._on_close(self)
 
     def _do_next_work_piece(self, now: float) -> None:
+        """Receive bytes, execute one line, or send a part of its answer; OSError: the client has disconnected."""
         if not self._outbox and self._answer is None:
             if b"\n" not in self._inbox:
                 received = self._peer.recv(LIMITS.read_size)

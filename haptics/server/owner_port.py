@@ -73,7 +73,7 @@ class ReplyLimiter:
         self._buckets: dict[Address, tuple[float, float]] = {}
 
     def take_token(self, address: Address, now: float) -> bool:
-        """Return whether a packet from an address is processed, and use a token of this address.
+        """Use one token of an address; return False if it has no token, so that its packet must be dropped.
 
         A new address is refused while `ReplyRateLimit.most_addresses` other addresses are active.
 

@@ -50,7 +50,7 @@ class ServedTissue(Tissue, Protocol):
     """Interface of a tissue that a server can step and reset; `tissue_sim.Simulator` implements it."""
 
     def reset(self) -> None:
-        """Restore the undeformed state."""
+        """Restore the undeformed state of the tissue."""
 
 
 @dataclass(slots=True)
@@ -226,7 +226,7 @@ class StepService:
     take = OldName("receive")
 
     def step(self, now: float) -> tuple[bytes, Address] | None:
-        """Step the tissue to the newest pose that was received.
+        """Step the tissue to the pose of the newest request, and encode the reply.
 
         Args:
             now: time on the clock of the server, s.
@@ -307,7 +307,7 @@ class StepService:
         return answer, dt
 
     def _repeat_last_answer_as_refused(self) -> ToolForce:
-        """Return the last answer with the status REFUSED."""
+        """Return a copy of the last force of the tissue with the status REFUSED."""
         return replace(self._last, status=ForceStatus.REFUSED, iterations=0, compute_time=0.0)
 
     def _rebuild_after_error(self, error: Exception) -> ToolForce:

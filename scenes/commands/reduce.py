@@ -104,6 +104,7 @@ def run(arguments) -> int:
     console = make_progress_console(quiet=arguments.json)
     with display_task(console, "generating the mesh", quiet=arguments.json) as status:
         def show_reduction_progress(stage: str, done: int, of: int, *, note: str = "") -> None:
+            """Show the stage of the reduction, the number of its finished tasks and a note."""
             status.update(f"{stage}: {done} of {of}{f', {note}' if note else ''}")
 
         reduced = ts.reduce_solid(

@@ -156,6 +156,7 @@ def run(arguments) -> int:
                                           solver=arguments.solver, mesh=reduced)
 
     def rebuild_served_tissue() -> ServedTissue:
+        """Build a new simulator of the served tissue, and warm it up."""
         simulator = build()
         simulator.warm_up()
         return simulator

@@ -112,6 +112,7 @@ class TriangleConnectivity:
         under, reach = below[middle], reached[middle]
 
         def find_crossing_on_short_edges(level):
+            """Return point numbers: the crossing of a short edge, or the middle corner if it is on the level."""
             return np.where(level < under, on_low + level, np.where(level >= reach, on_high + level, middle))
 
         bottom, top = band == lowest[of], band == highest[of]

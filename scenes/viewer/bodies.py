@@ -86,7 +86,7 @@ class RevolvedBody:
         return None if contact is None else contact.lines
 
     def make_undeformed_outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
-        """Return the dashed outline of the undeformed body, shape (lines, 2, 3)."""
+        """Return the dashed outline of the undeformed body, m, shape (lines, 2, 3)."""
         return self.cut_away.make_undeformed_outline(wedge.opening, tool=tool)
 
 

@@ -31,7 +31,7 @@ class CalibrationHost(Protocol):
     calibration: CalibrationRun
 
     def replace_material(self, material: ts.Material, source: str) -> None:
-        """Replace the material of the scene."""
+        """Replace the material of the scene; raise InputError if the simulation refuses the material."""
 
 
 def apply_finished_calibration(session: CalibrationHost) -> None:
@@ -78,18 +78,22 @@ def _save_calibrated_material(session: CalibrationHost, folder: Path, name: str)
 
 
 def _add_recordings(session: CalibrationHost, uploads: Sequence[RecordingUpload]) -> None:
+    """Add all uploaded files to the calibration, or none of them if one is refused with an InputError."""
     session.calibration.add_uploads(uploads)
 
 
 def _remove_recordings(session: CalibrationHost) -> None:
+    """Remove all uploaded recordings; keep the last result."""
     session.calibration.remove_all_recordings()
 
 
 def _begin_fit(session: CalibrationHost) -> None:
+    """Start a fit of the material of the displayed scene to the uploaded recordings."""
     session.calibration.start_fit(session.scene)
 
 
 def _cancel_fit(session: CalibrationHost) -> None:
+    """Stop the running fit; raise InputError if no fit runs."""
     session.calibration.cancel_fit()
 
 

@@ -179,6 +179,7 @@ class CalibrationRun:
             raise
 
     def _add_upload(self, upload: RecordingUpload) -> None:
+        """Add one recording, or the sidecar of one; a sidecar is kept until its recording is uploaded."""
         present = self.state.recordings
         if upload.measured is None:
             number = next((i for i, each in enumerate(present) if each.file.file_stem == upload.file_stem), None)
@@ -299,6 +300,7 @@ class CalibrationRun:
         self._store_fit_outcome()
 
     def _refuse_during_fit(self) -> None:
+        """Raise InputError if a fit runs."""
         if self._computed is not None:
             raise InputError("A calibration is running. Wait for its end, or cancel it.")
 
@@ -329,6 +331,7 @@ def group_replicates(recordings: Sequence[UploadedRecording]) -> tuple[tuple[str
 
 
 def _are_replicates_of_one_test(first: UploadedRecording, second: UploadedRecording) -> bool:
+    """Return whether depths and speeds differ by at most the replicate tolerance; an unknown speed agrees."""
     pairs = [(first.max_displacement, second.max_displacement), (first.mean_loading_speed, second.mean_loading_speed)]
     return all(a is None or b is None or max(a, b) <= (1.0 + LIMITS.replicate_tolerance) * min(a, b) for a, b in pairs)
 

@@ -111,14 +111,17 @@ def calibrate_uploaded_files(folder: str, request: CalibrationRequest) -> Calibr
                               "units": units}
 
     def write_progress_file() -> None:
+        """Write the status to `PROGRESS_FILE`."""
         write_text(root / PROGRESS_FILE, json.dumps(status))
 
     def report_task(sentence: str, done: int = 0, of: int = 0) -> None:
+        """Write the current task, without the name of its campaign, to the progress file."""
         sentence = sentence.partition(": ")[2] or sentence
         status["sentence"] = f"{sentence}, {done} of {of}" if of else sentence
         write_progress_file()
 
     def report_iteration(_campaign: str, _law: str, iteration: DescentIteration) -> None:
+        """Count one simulation, and write misfit and parameters of the iteration to the progress file."""
         status.update(solves=status["solves"] + 1, rmse=iteration.RMSE_N, parameters=iteration.parameters)
         write_progress_file()
 
@@ -164,6 +167,7 @@ def build_campaign_text(request: CalibrationRequest, folder: Path) -> str:
     from calibration.importing.campaign_text import format_toml_value
 
     def format_toml_table(heading: str, lines: dict[str, Any]) -> str:
+        """Return a TOML table: its heading, then one line for each key."""
         return "\n".join([heading, *(f"{key} = {format_toml_value(value)}" for key, value in lines.items())])
 
     experiment, material = request.experiment, request.material
@@ -223,10 +227,12 @@ def _list_fitted_values(fit: Fit) -> dict[str, FittedParameter]:
 
 
 def _describe_interval_limits(name: str, on_bound: Sequence[str], not_identifiable: Sequence[str]) -> str:
+    """Return the limitation of the confidence interval of a parameter in words; empty if there is none."""
     return "on its bound" if name in on_bound else "not identifiable" if name in not_identifiable else ""
 
 
 def _collect_fit_warnings(fit: Fit) -> tuple[str, ...]:
+    """Return why the fit is unusable, its warnings and its deviating recordings, one sentence each."""
     outliers = [f"{name} disagrees with the other recordings" for name in fit.odd_recordings]
     warnings = [fit.unusable, *fit.warnings, *outliers]
     return tuple(each for each in warnings if each)

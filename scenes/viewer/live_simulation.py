@@ -206,15 +206,18 @@ class LiveSimulation:
         self._statistics = self._statistics[:0]
 
     def _store_newest_snapshot(self, snapshot: Snapshot) -> None:
+        """Store a snapshot, and the surface of the tissue if the snapshot contains one."""
         skin = snapshot.skin
         if skin is not None:
             self.surface = TriangulatedSurface(skin.vertices.astype(np.float32), skin.triangles.astype(np.uint32))
         self.snapshot = snapshot
 
     def _set_stopped_phase(self, reason: str) -> None:
+        """Set the phase to DIED, and the message to the reason."""
         self.phase, self.message = Phase.DIED, reason
 
     def _update_readouts(self, records: np.ndarray) -> None:
+        """Compute the read-outs from the new ticks, and store them in `readouts`."""
         now, last = time.monotonic(), records[-1]
         self._tick_counts.append((now, self._number))
         while now - self._tick_counts[0][0] > _READOUTS.rate:

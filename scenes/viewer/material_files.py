@@ -117,6 +117,7 @@ def format_exact_parameter_values(material: Material) -> dict[str, str]:
 
 
 def _compute_slider_range(material: Material, parameter: Parameter) -> SliderRange:
+    """Return the slider range of one parameter, as `compute_parameter_slider_ranges` defines it."""
     name, value = parameter.path, parameter.value
     unit, factor = get_display_unit(parameter.declaration.unit)
     scale = material.mu0 if unit == "kPa" else 1.0

@@ -207,6 +207,7 @@ def interpolate_loading_and_unloading(recording: Recording, grid: np.ndarray) ->
 
 def _interpolate_branch_monotone(recording: Recording, branch: np.ndarray, direction: int,
                                  depth: np.ndarray) -> np.ndarray:
+    """Interpolate the force of one branch to depths by a monotone cubic, N; NaN at depths outside of the branch."""
     from scipy.interpolate import PchipInterpolator
 
     branch = branch[::direction]
@@ -281,6 +282,7 @@ def make_motion_protocol(measured: Measurement, *, samples: int = RESAMPLING.mot
 def find_typical_replicate(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
     """Return the replicate whose loading is nearest to the mean in least squares, and its `Measurement.branches`."""
     def compute_squared_deviation(pair) -> float:
+        """Return the sum of the squared differences between the loading of a replicate and the mean loading, N^2."""
         recording, (loading, _) = pair
         force = interpolate_branch_force(recording.displacement[loading], recording.force[loading], 1, measured.depth)
         return float(np.nansum((force - measured.load.mean)**2))

@@ -40,7 +40,7 @@ class ModelCurveWorker:
         return self._computed is not None or self._requested is not None
 
     def request_curve(self, model: ts.Model) -> None:
-        """Request the curve of a model; this replaces an earlier request that has not started."""
+        """Store a request for the curve of a model, instead of a request that has not started; start no computation."""
         self._requested = model
 
     def discard_curve_and_requests(self) -> None:
@@ -64,6 +64,7 @@ class ModelCurveWorker:
                 self.problem, self.number = str(error), self.number + 1
 
     def _store_computed_curve(self, computed: Future) -> None:
+        """Store the curve of a finished computation, or the reason why it has no complete curve."""
         self.number += 1
         try:
             self.recording, self.problem = computed.result(), ""
@@ -80,5 +81,5 @@ class ModelCurveWorker:
 
 def simulate_whole_test(model: ts.Model, resolution: str, solver: str,
                         reduced: ts.ReducedModel | None = None) -> ts.Recording:
-    """Simulate the whole test; runs in the worker process."""
+    """Simulate the whole test of a model without an error estimate; runs in the worker process."""
     return ts.simulate(model, resolution=resolution, solver=solver, mesh=reduced, estimate_error=False)

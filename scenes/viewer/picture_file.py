@@ -158,10 +158,12 @@ def _draw_colour_bar(axes, levels: np.ndarray, palette: np.ndarray, label: str) 
 
 
 def _format_level(value: float) -> str:
+    """Format a level with three significant digits and a typographic minus sign."""
     return f"{value:.3g}".replace("-", "−") if value else "0"
 
 
 def _draw_force_curves(axes, curves: Sequence[DrawnForceCurve], band, now) -> None:
+    """Draw force over depth in mm: the band of the replicates, the curves, and the present point `now`."""
     if band is not None:
         depth, low, high = band
         axes.fill_between(np.asarray(depth) * 1e3, low, high, color="0.5", alpha=0.28, linewidth=0)

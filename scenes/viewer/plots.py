@@ -366,7 +366,7 @@ def _make_line_series(label: str, colour: str, width: float, dash: tuple[int, ..
 
 
 def _make_band_edge_series(label: str) -> dict[str, Any]:
-    """Series of an edge of a band, whose line is invisible."""
+    """Return the uPlot options of an edge of a band, whose line is invisible."""
     return {"label": label, "stroke": "rgba(0, 0, 0, 0)", "width": 0, "points": {"show": False}}
 
 

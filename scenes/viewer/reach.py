@@ -57,7 +57,7 @@ def limit_lateral_position(scene: Scene, snapshot: Snapshot, across: tuple[float
 
 
 def require_depths_within_scene(scene: Scene, protocol: Protocol, field: str) -> None:
-    """Check that a motion stays within the depths of a scene.
+    """Check that a motion stays within the depths of a scene, with a tolerance of 1 %.
 
     Args:
         scene: The scene.

@@ -85,6 +85,7 @@ def read_recording_upload(name: str, content: bytes) -> tuple[RecordingUpload, .
 
 
 def _read_sidecar(path: Path, content: bytes) -> RecordingUpload:
+    """Return the upload of a sidecar; raise an `InputError` unless the file contains a JSON object."""
     metadata = read_json(path, "the sidecar of a recording (JSON)")
     if not isinstance(metadata, dict):
         raise InputError("must be a JSON object {...} with the metadata of a recording. Upload the file that was "
@@ -116,7 +117,7 @@ def _read_machine_file(path: Path, origin: Mapping[str, str]) -> tuple[Recording
 
 
 def _select_usable_recordings(reading: TableGroup) -> tuple[Recording, ...]:
-    """Return the recordings of a reading.
+    """Return all recordings of a reading that has displacement, force and their units.
 
     Raises:
         InputError: Displacement, force or a unit is missing.
@@ -138,5 +139,6 @@ def _describe_column_channels(reading: TableGroup, machine: str) -> str:
 
 
 def _describe_column(column: ColumnGuess) -> str:
+    """Return header (or number), unit and a changed sign of a column as text."""
     sign = ", its sign changed" if column.sign < 0 else ""
     return f"{repr(column.header) if column.header else f'column {column.place}'} in {column.unit}{sign}"

@@ -258,7 +258,7 @@ class Session:
         self._curve.request_curve(self._make_whole_test_model())
 
     def save_material_file(self, folder: Path, name: str) -> None:
-        """Write the present material into a new file.
+        """Write the present material into a new file, which becomes its source.
 
         Args:
             folder: Folder of the file.
@@ -288,7 +288,7 @@ class Session:
         self._curves = replace(self._curves, compared=kept)
 
     def restart_simulation(self) -> None:
-        """Start a new simulation process."""
+        """End the simulation process and start a new one with the present scene."""
         self._simulation.close()
         self._simulation = self._start_simulation()
 
@@ -315,7 +315,7 @@ class Session:
 
 
     def _start_simulation(self) -> LiveSimulation:
-        """Start a simulation with the tool at the undeformed surface, and request its model curve."""
+        """Return a new simulation with the tool at the undeformed surface; clear the trace, request its model curve."""
         self._motion, self._has_hand_force = "hand", False
         self._target, self._across = 0.0, self._first_contact_position
         self._clear_trace()

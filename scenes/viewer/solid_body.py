@@ -134,7 +134,7 @@ class SolidBody:
         return means.select_elements(np.flatnonzero(visible)).at_nodes(name), at_points, sample
 
     def _get_element_means(self, fields: SolidFields) -> SolidFields:
-        """Return `SolidFields.means`, with a cache of the parts that stay the same from frame to frame."""
+        """Return the fields averaged over each element; the parts that stay the same from frame to frame are cached."""
         cached = self._means.get(0)
         if cached is None or cached[0] is not fields.gradients:
             cached = self._means[0] = fields.gradients, fields.average_over_elements()

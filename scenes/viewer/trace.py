@@ -166,12 +166,14 @@ class Trace:
         return self._dropped + self._end - before
 
     def _differs_from_last_point(self, time: float, depth: float, force: float) -> bool:
+        """Return whether a tick differs enough from the last point to be kept; update the largest force so far."""
         last_time, last_depth, last_force = self._last
         self._largest = max(self._largest, abs(force))
         return (time - last_time >= SETTINGS.longest or abs(depth - last_depth) >= SETTINGS.depth_step
                 or abs(force - last_force) > SETTINGS.force_step * self._largest)
 
     def _append_point(self, point: list[float]) -> None:
+        """Append a point; drop the oldest point if there are more than `max_points`."""
         if self._end == self._points.shape[1]:
             self._points[:, :len(self)] = self._points[:, self._first:self._end].copy()
             self._dropped += self._first
@@ -289,6 +291,7 @@ class Trace:
                 for direction, first, last in self._reversals.list_branches(dropped + len(self) - 1)]
 
     def _make_trace_branch(self, first: int, last: int) -> TraceBranch:
+        """Return the points from index `first` to index `last`, both included, in the order of time."""
         part = slice(first, last + 1)
         return TraceBranch(self.time[part], self.depth[part], self.force[part], self.is_late[part],
                            self.includes_inertia[part])

@@ -162,6 +162,7 @@ class ViewerServer(viser.ViserServer):
         self.stop()
 
     def _unregister_sharing(self) -> None:
+        """Remove viser's handlers of sharing requests, which would open a public tunnel."""
         for message in (viser._messages.ShareUrlRequest, viser._messages.ShareUrlDisconnect):
             if message not in self._websock_server._incoming_handlers:
                 raise _make_version_error(f"viser has no handler for {message.__name__}")
@@ -282,6 +283,7 @@ class _CheckedListener:
         return check_and_process_request
 
     def _list_allowed_names(self, connection) -> frozenset[str]:
+        """Return the host names and addresses by which a request may address this server."""
         if _is_loopback(self.host):
             return _LOCAL_NAMES | {normalise_host_name(self.host)}
         name = platform.node().lower()
@@ -314,6 +316,7 @@ def _delete_header(headers, name: str) -> None:
 
 
 def _is_loopback(host: str) -> bool:
+    """Return whether an IP address is a loopback address; raise an `InputError` for any other text."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -334,6 +337,7 @@ def _add_version_check(handler: Callable) -> Callable:
 
 
 def _require_tested_viser() -> None:
+    """Raise a `MissingBackendError` unless `VISER_VERSION` is installed."""
     if viser.__version__ != VISER_VERSION:
         raise _make_version_error(f"viser {viser.__version__} is installed")
 

@@ -34,6 +34,7 @@ class Wedge:
 
     @cached_property
     def _rotation_matrix(self) -> np.ndarray:
+        """Rotation from the frame of the tool to the frame of the scene, shape (3, 3)."""
         return np.array(self.pose.rotation)
 
     def transform_scene_to_tool(self, points: np.ndarray) -> np.ndarray:

@@ -132,9 +132,11 @@ class Column:
                                     lambda curve: CubicSpline(curve.displacement, curve.base_stretch))
 
     def _compute_curve(self, law: Law, values, depth: float) -> _CompressionCurve:
+        """Return the cached compression curve, which reaches at least `depth`, m, if the column is stable."""
         return _curve(self.specimen, law, tuple(law.as_array(values).tolist()), depth)
 
     def _evaluate_curve(self, law: Law, displacement, values, choose, *width: int) -> np.ndarray:
+        """Evaluate the spline that `choose` returns: 0 at negative displacements, NaN beyond the stable branch."""
         displacement = np.asarray(displacement, dtype=float)
         curve = self._compute_curve(law, values, float(displacement.max(initial=0.0)))
         touching = displacement >= 0

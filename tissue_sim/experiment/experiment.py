@@ -23,6 +23,7 @@ from tissue_sim.specimen import Specimen
 
 
 def _declare_friction_parameter(symbol: str, key: str, default: str | None) -> Any:
+    """Declare the friction coefficient of a face as a parameter; the word ``frictionless`` is the value 0."""
     return parameter(symbol, "1", key=key, bounds=(0.0, LARGEST_FRICTION), absent=0.0, words={"frictionless": 0.0},
                      default=default)
 
@@ -134,7 +135,9 @@ class Experiment:
         return self.friction if isinstance(self.friction, str) else AS_TOOL
 
     def with_free_faces(self) -> Experiment:
-        """Return the experiment with every face that slips in part made frictionless.
+        """Return the experiment without slip fraction and with frictionless instead of bonded faces.
+
+        The face of the tool becomes frictionless; between plates, a bonded base becomes frictionless too.
 
         Raises:
             InputError: tissue would slide around a sharp edge.

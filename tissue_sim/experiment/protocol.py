@@ -79,6 +79,7 @@ class Protocol:
             self._set_read_only(name, labels)
 
     def _set_read_only(self, name: str, array: np.ndarray) -> None:
+        """Store an array as the attribute `name` of this frozen object, and make the array read-only."""
         array.flags.writeable = False
         object.__setattr__(self, name, array)
 
@@ -86,7 +87,7 @@ class Protocol:
     at = OldName("interpolate_motion")
 
     def interpolate_motion(self, samples: np.ndarray) -> Protocol:
-        """Interpolate the motion at fractional sample numbers.
+        """Return the protocol interpolated at fractional sample numbers.
 
         Args:
             samples: fractional sample numbers, ascending, shape (m,). A sample between two has the labels of the later
@@ -203,6 +204,7 @@ def _compute_hold_sample_times(duration: float, step: float) -> np.ndarray:
 
 
 def _require_valid_points_and_speed(points: int, speed: float) -> None:
+    """Raise an `InputError` unless there are at least 2 points and the speed is positive and finite."""
     require_positive_length(speed, "protocol.speed")
     if points < 2:
         raise InputError(f"must be at least 2; got {points}.", field="protocol.points")

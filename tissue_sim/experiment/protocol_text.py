@@ -54,6 +54,7 @@ def format_protocol(steps: Sequence[ProtocolSegment | ProtocolRepeat]) -> str:
 
 
 def _format_segment(segment: ProtocolSegment) -> str:
+    """Return the text of a segment with its lengths in mm, speed in mm/s and time in s."""
     def format_milli(value: float) -> str:
         return f"{Decimal(repr(float(value))) * 1000:g}mm"
 
@@ -69,6 +70,7 @@ class _ProtocolParser:
         self.text, self.at = text, 0
 
     def read_whole_text(self) -> tuple[ProtocolSegment | ProtocolRepeat, ...]:
+        """Return the steps of the whole text; raise an error at a bracket that closes nothing."""
         steps = self.read_steps()
         if self.at < len(self.text):
             raise self._make_error(self.at, "this bracket closes nothing; take it out")
@@ -179,6 +181,7 @@ class _ProtocolParser:
         return match[0] if match else None
 
     def skip_blanks(self) -> None:
+        """Move past white space."""
         self.match_and_advance(_BLANKS)
 
     def describe_position(self, at: int) -> str:
@@ -187,7 +190,7 @@ class _ProtocolParser:
         return f"line {1 + self.text.count(chr(10), 0, at)}, {column}" if "\n" in self.text.strip() else column
 
     def _make_error(self, at: int, problem: str):
-        """Error at an index of the text."""
+        """Return the error for a problem at the index `at` of the text; the caller raises it."""
         rest = self.text[at:].strip()
         found = f"at {_quote_shortened_text(rest)}" if rest else "at the end"
         return protocol_error(f"{self.describe_position(at)}, {found}", problem)
@@ -198,7 +201,7 @@ def _quote_shortened_text(text: str) -> str:
 
 
 def _convert_to_si(number: str, factor: str, divisor: str) -> float:
-    """Float nearest to the number in SI, so that 0.248 mm/s is 0.248e-3 m/s to the last digit."""
+    """Return number * factor / divisor, rounded once, so that 0.248 mm/s is 0.248e-3 m/s to the last digit."""
     value = float(number)
     if value == 0 or not math.isfinite(value):
         return value

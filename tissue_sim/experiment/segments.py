@@ -64,7 +64,7 @@ class MotionLeg:
 
 
 def expand_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed: float) -> Iterator[MotionLeg]:
-    """Return the legs of a protocol, one for each segment, with repeats expanded.
+    """Yield the legs of a protocol, one for each segment, with repeats expanded.
 
     Args:
         steps: segments and repeats in order.
@@ -91,18 +91,20 @@ def expand_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed: float)
 
 
 def protocol_error(position: str, problem: str) -> InputError:
-    """Make the error of a protocol: position, problem, and an example."""
+    """Return the error of a protocol with position, problem and an example; the caller raises it."""
     example = f"{' For' if problem.endswith('?') else '; for'} example {EXAMPLE!r}"
     return InputError(f"{position + ': ' if position else ''}{problem}{example}", field="protocol")
 
 
 def _expand_repeats(steps: Sequence[ProtocolSegment | ProtocolRepeat]) -> Iterator[ProtocolSegment]:
+    """Yield the segments in order; yield those of a repeat as often as the repeat states."""
     for step in steps:
         for _ in range(step.times if isinstance(step, ProtocolRepeat) else 1):
             yield from step.segments if isinstance(step, ProtocolRepeat) else (step,)
 
 
 def _find_approach_start(segment: ProtocolSegment) -> float:
+    """Return the height above the touch at which an approach starts, m; raise an error if none is given."""
     if segment.amount is None:
         raise protocol_error(segment.position, "the first approach needs the height above the touch at which it "
                                                "starts, such as approach 2mm")

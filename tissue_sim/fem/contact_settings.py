@@ -66,8 +66,8 @@ class ActiveSetSettings:
             multiplied by the augmentation parameter and added to the contact force; the sign of the sum decides the
             state. The parameter must be about the stiffness of the tissue: with a much larger one the active set
             cycles.
-        draw_interval: values of `changeable` other than `ALL_POINTS` let one point in this number change its state,
-            other points for each value, so that the active set does not cycle.
+        draw_interval: a value of `changeable` between 0 and `ALL_POINTS` lets one of `draw_interval` points change its
+            state; each value selects other points, so that the active set does not cycle.
     """
 
     augmentation_factor: float

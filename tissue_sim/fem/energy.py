@@ -46,6 +46,7 @@ def make_invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
         Python function of (I1, I2, coefficients) -> W, W1, W2, W11, W12, W22.
     """
     def derive_expressions():
+        """Return the arguments (I1, I2, coefficients) and the expressions of W and its derivatives (sympy)."""
         W, (I1, I2) = energy.energy, energy.variables
         second = [sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3
         return (I1, I2, energy.coefficients), [W, sp.diff(W, I1), sp.diff(W, I2), *second]
@@ -56,6 +57,7 @@ def make_invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
 def make_stretch_derivatives(energy: KernelEnergy):
     """Return a function (stretch, coefficients) -> (w', w'', w) of a law W = sum of w over the isochoric stretches."""
     def derive_expressions():
+        """Return the arguments (stretch, coefficients) and the expressions w', w'' and w (sympy)."""
         W, (stretch,) = energy.energy, energy.variables
         return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]
 
@@ -74,6 +76,7 @@ def make_inverse_cube_root_function():
 
     @ti.func
     def inverse_cube_root(J):
+        """Return J^(-1/3) of the positive components of a vector J."""
         x = J - 1.0
         r = 1.0 + x * (-1.0 / 3.0 + x * (2.0 / 9.0 - x * (14.0 / 81.0)))
         for _i in ti.static(range(3)):

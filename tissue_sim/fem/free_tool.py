@@ -27,7 +27,7 @@ class FreeTool:
 
     @property
     def is_time_dependent(self) -> bool:
-        """Whether the tissue changes with time while nothing moves, so that steps are needed without contact."""
+        """Whether the tissue changes with time while the tool rests, so that steps are needed without contact too."""
         return True
 
     def mesh_digest(self) -> str:
@@ -45,7 +45,7 @@ class FreeTool:
         return pose.position[2]
 
     def place_tool_at_first_touch(self, pose: Pose) -> bool:
-        """Place the tool at the pose of its first touch on undeformed tissue; return whether this is possible.
+        """Place the tool at the pose of its first touch on undeformed tissue; return whether the tool was placed.
 
         A solver whose mesh, contact or reference belongs to one position of the tool moves them to `pose`, so that the
         tool drags no tissue there.

@@ -23,7 +23,7 @@ class PointEffects:
         settings: time step, s, then the parameters of all effects.
         states: state variables of all effects at the last committed step, then the sum of their second Piola-Kirchhoff
             stresses (RR, RZ, ZZ, hoop), Pa; shape (elements, q, variables + 4).
-        found: the same at the end of the present step.
+        found: values of `states` at the end of the present step.
     """
 
     def __init__(self, points: tuple[int, int]):

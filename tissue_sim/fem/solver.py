@@ -77,7 +77,7 @@ class StaticStiffnessRequest(IntEnum):
 
     @staticmethod
     def is_stiffness_due(request: int, has_left: bool) -> bool:
-        """Return whether a converged step computes the stiffness; `has_left`: a linear solve is left to the step."""
+        """Return whether a converged step computes the stiffness; `has_left`: one of its linear solves is unused."""
         return request == StaticStiffnessRequest.RESERVED or (bool(request) and has_left)
 
 
@@ -118,7 +118,7 @@ class Step:
     @classmethod
     def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,
               slipping: int = 0, stiffness: float | None = None) -> Step:
-        """Return the result of a solver with axial motion only, from force along z, N, and axial stiffness, N/m."""
+        """Make the result of a step with axial motion only, from the force along z, N, and the stiffness, N/m."""
         return cls(status, iterations, residual, make_axial_wrench(force),
                    None if stiffness is None else make_axial_stiffness_matrix(stiffness), violation, slipping)
 
@@ -174,7 +174,7 @@ class ForceDerivatives(Protocol):
     force: np.ndarray
 
     def pop_contact_change(self) -> bool:
-        """Return and reset whether the contact changed since the last call: a kink of the force over the parameters."""
+        """Return whether the contact changed since the last call, which is a kink of the force; then reset the flag."""
 
 
 @runtime_checkable
@@ -334,7 +334,7 @@ class Solver(FreeTool, ABC):
         return None
 
     def differentiate(self, neighbours: Neighbours) -> ForceDerivatives | None:
-        """Make every step compute exact derivatives; to be called before the first step; None if there are none."""
+        """Make every step compute exact derivatives of the force; None if not supported. Call before the first step."""
         return None
 
     @abstractmethod
@@ -343,7 +343,7 @@ class Solver(FreeTool, ABC):
 
     @abstractmethod
     def fields(self, samples: Sequence[Any]) -> Fields | None:
-        """Return fields of states, given by `field_sample`; None if the solver has no fields."""
+        """Return the fields of several states, one result of `field_sample` each; None if the solver has no fields."""
 
     @abstractmethod
     def deformed_surface(self) -> Surface:

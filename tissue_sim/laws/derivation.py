@@ -79,6 +79,7 @@ def _make_cache_path(cache_key: tuple | None, source: str | None = None) -> Path
 
 
 def _write_cache_file(path: Path | None, text: str) -> None:
+    """Write a text to the cache; a path that is None or cannot be written is ignored."""
     if path is not None:
         # Without a writable cache the derivation is only repeated.
         with suppress(InputError):
@@ -87,7 +88,7 @@ def _write_cache_file(path: Path | None, text: str) -> None:
 
 @cache
 def _compute_source_digest(files: tuple[Path, ...]) -> str:
-    """Return the SHA-256 of the source files and the version of sympy, which invalidates the cache after a change."""
+    """Return one SHA-256 of the version of sympy and of the contents of the source files, as hexadecimal digits."""
     try:
         release = version("sympy")
     except PackageNotFoundError:

@@ -87,7 +87,7 @@ class Law:
         return tuple(sp.Symbol(name, real=True) for name in self.parameters)
 
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
-        """Return W as an expression of three principal stretches with l1 l2 l3 = 1, which are symbols or numbers."""
+        """Return W, Pa, as an expression of three principal stretches with l1 l2 l3 = 1 (symbols or numbers)."""
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
     @property
@@ -97,7 +97,7 @@ class Law:
         return (kind.__name__, self.name) if kind.__module__.startswith("tissue_sim.laws.") else None
 
     def derive_function(self, what: str, derive):
-        """Return the function of the arguments and expressions that `derive` returns; see `load_or_derive_function`."""
+        """Return the compiled function of the formula that `derive` returns, from the cache under the name `what`."""
         return load_or_derive_function(derive, cache_key=None if self.cache_key is None else (*self.cache_key, what))
 
     @property
@@ -148,7 +148,7 @@ class Law:
         return {name: float(value) for name, value in zip(self.parameters, Law.as_array(self, values), strict=True)}
 
     def _evaluate_mode(self, mode, stretch, values) -> list[np.ndarray]:
-        """Nominal stress, slope and parameter derivatives, each with the shape of `stretch`."""
+        """Return [nominal stress, its slope, its derivative by each parameter], each with the shape of `stretch`."""
         stretch = np.asarray(stretch, dtype=float)
         results = _compile_mode_functions(self, mode)(stretch, *self.as_array(values))
         return [np.broadcast_to(np.asarray(item, dtype=float), stretch.shape) for item in results]
@@ -179,7 +179,7 @@ class Law:
         return np.stack(self._evaluate_mode(mode, stretch, values)[2:], axis=-1)
 
     def principal_response(self, stretches, values) -> tuple[np.ndarray, np.ndarray]:
-        """Energy density and deviatoric Kirchhoff stresses tau_i = l_i dW/dl_i of the isochoric part.
+        """Return energy density and deviatoric Kirchhoff stresses tau_i = l_i dW/dl_i of the isochoric part.
 
         Args:
             stretches: principal stretches, shape (..., 3), with product J > 0; the energy is that of
@@ -214,12 +214,12 @@ class Law:
         return "W = " + self._print_formula("latex")
 
     def _print_formula(self, by: str) -> str:
-        """Formula from a printer function of sympy, given by its name."""
+        """Return the energy as text, from the printer function of sympy with the name `by`: "sstr" or "latex"."""
         return load_or_print_text(lambda: self._print_in_parameter_order(getattr(sp, by)),
                                 cache_key=None if self.cache_key is None else (*self.cache_key, by))
 
     def _print_in_parameter_order(self, write) -> str:
-        """Formula with its terms in the order of the parameters; sympy would sort them otherwise."""
+        """Return the energy as text by the function `write`, with its terms in the order of the parameters."""
         def first_parameter(term):
             return min((i for i, p in enumerate(self.symbols) if term.has(p)), default=len(self.symbols))
 
@@ -233,11 +233,12 @@ class Law:
 
 @lru_cache
 def _compile_mode_functions(law: Law, mode: str):
-    """Return the compiled nominal stress, its slope and its parameter derivatives along a mode of `MODES`."""
+    """Return one compiled function: stretch, parameters -> [nominal stress, slope, parameter derivatives]."""
     return law.derive_function(mode, lambda: _derive_mode_stress(law, mode))
 
 
 def _derive_mode_stress(law: Law, mode: str):
+    """Return symbols (stretch, *parameters), and expressions [nominal stress, slope, *parameter derivatives]."""
     if mode == "simple_shear":
         # Principal stretches of simple shear gamma: l and 1/l with l - 1/l = gamma.
         s = sp.Symbol("gamma", real=True)
@@ -254,11 +255,12 @@ def _derive_mode_stress(law: Law, mode: str):
 
 @lru_cache
 def _compile_principal_functions(law: Law):
-    """Return the compiled energy and its derivatives with respect to the logarithms of the three stretches."""
+    """Return one compiled function: three stretches, parameters -> [energy, its three derivatives by ln(stretch)]."""
     return law.derive_function("principal", lambda: _derive_principal_slopes(law))
 
 
 def _derive_principal_slopes(law: Law):
+    """Return symbols (*stretches, *parameters), and expressions [energy, *derivatives by ln(stretch)]."""
     l1, l2, l3 = stretches = sp.symbols("l1:4", positive=True)
     energy = law.energy_of_stretches(l1, l2, l3, law.symbols)
     slopes = [s * sp.diff(energy, s) for s in stretches]
@@ -287,7 +289,7 @@ class InvariantLaw(Law):
         return sp.sympify(self.energy(*_invariant_symbols(), *self.symbols))
 
     def _polynomial_coefficients(self):
-        """Symbols, and coefficients of (I1-3)^i (I2-3)^j as expressions of them; None for another formula."""
+        """Return symbols, and coefficients of (I1-3)^i (I2-3)^j as expressions of them; None for another formula."""
         x, y = sp.symbols("x y", real=True)
         try:
             polynomial = sp.Poly(sp.sympify(self.energy(x + 3, y + 3, *self.symbols)), x, y)
@@ -300,6 +302,7 @@ class InvariantLaw(Law):
 
     @cached_property
     def _polynomial_function(self):
+        """Compiled function: parameters -> coefficients of the polynomial; None for another formula."""
         return self.derive_function("polynomial", self._polynomial_coefficients)
 
     @cached_property
@@ -353,6 +356,7 @@ POWERS = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)
 
 
 def _invariant_symbols() -> tuple[sp.Symbol, ...]:
+    """Return the symbols I1 and I2."""
     return tuple(sp.symbols("I1 I2", positive=True))
 
 

@@ -33,12 +33,12 @@ class StabilityRange:
 
     @property
     def stable_from(self) -> float:
-        """Highest of the lower limits over the modes."""
+        """Lowest stretch down to which the law is stable in all modes: the highest of their lower limits."""
         return max(low for low, _ in self.limits.values())
 
     @property
     def stable_to(self) -> float:
-        """Lowest of the upper limits over the modes."""
+        """Highest stretch up to which the law is stable in all modes: the lowest of their upper limits."""
         return min(high for _, high in self.limits.values())
 
     def __str__(self) -> str:
@@ -60,11 +60,15 @@ class StabilityRange:
 
 @lru_cache
 def _compile_hessian(law: Law):
-    """Return the compiled Hessian d2W/(de_i de_j) in the logarithmic strains; entries 11, 22, 33, 12, 13, 23."""
+    """Return one compiled function: three stretches' logarithmic strains, parameters -> six entries of the Hessian.
+
+    The entries d2W/(de_i de_j) are in the order 11, 22, 33, 12, 13, 23.
+    """
     return law.derive_function("hessian", lambda: _derive_hessian(law))
 
 
 def _derive_hessian(law: Law):
+    """Return the arguments and the six Hessian entries as symbols; see `_compile_hessian`."""
     import sympy as sp
 
     e = sp.symbols("e1:4", real=True)
@@ -75,7 +79,10 @@ def _derive_hessian(law: Law):
 
 
 def _is_stable(law: Law, values: np.ndarray, strains: np.ndarray) -> np.ndarray:
-    """Whether d(tau) : d(e) > 0 for every volume-preserving d(e), at logarithmic strains, shape (n, 3); shape (n,)."""
+    """Return whether d(tau) : d(e) > 0 for every volume-preserving d(e), shape (n,), at strains of shape (n, 3).
+
+    The strains are logarithmic. A number that overflows counts as stable.
+    """
     with np.errstate(all="ignore"):
         entries = _compile_hessian(law)(*strains.T, *values)
         h = np.empty((3, 3, len(strains)))
@@ -98,7 +105,7 @@ def _is_stable(law: Law, values: np.ndarray, strains: np.ndarray) -> np.ndarray:
 
 def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRETCH_RANGE,
                     points: int = 400) -> StabilityRange:
-    """Check Drucker's criterion: positive work of every additional strain, d(tau) : d(e) > 0.
+    """Return the range of stretches in which a law fulfils Drucker's criterion, d(tau) : d(e) > 0.
 
     With the Kirchhoff stress tau and the logarithmic strain e, the 2 x 2 matrix d(tau)/d(e) of an incompressible solid
     is the Hessian of W in two of the logarithmic strains; the third is minus their sum. The matrix must be positive
@@ -123,9 +130,11 @@ def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRET
     directions = {"uniaxial": (1.0, -0.5, -0.5), "planar": (1.0, 0.0, -1.0), "equibiaxial": (1.0, 1.0, -2.0)}
 
     def is_stable(stretch, mode):
+        """Return whether the law is stable at each stretch of a mode, shape (n,)."""
         return _is_stable(law, array, np.multiply.outer(np.log(np.atleast_1d(stretch)), directions[mode]))
 
     def limit(end, mode):
+        """Return the last stable stretch from 1 towards `end`; `end` itself if the law is stable on the whole range."""
         stretches = np.geomspace(1.0, end, points + 1)
         unstable = np.flatnonzero(~is_stable(stretches, mode))
         if unstable.size == 0:

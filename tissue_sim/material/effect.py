@@ -38,7 +38,7 @@ class TissueEffect(ABC):
 
 @dataclass(frozen=True, slots=True)
 class ToolHistory:
-    """Depths that the tool has reached.
+    """Present depth of the tool, its largest depth so far, and the time.
 
     Attributes:
         depth: present depth, m.
@@ -62,7 +62,7 @@ class ReducedEffect(TissueEffect):
 
     @abstractmethod
     def share(self, history: ToolHistory) -> float:
-        """Ratio of the tool's force with the effect to the force without it.
+        """Return the ratio of the tool's force with the effect to the force without it, 1.
 
         The ratio is 1 if the parameters have their absent values (`Declaration.absent`).
         """
@@ -131,7 +131,7 @@ class ReducedForceFactor:
         self.history = ToolHistory(-inf, -inf)
 
     def compute_factor(self, depth: float, dt: float = 0.0) -> float:
-        """Return the factor on the force of the tool at a trial depth, m, reached dt s after the last accepted depth.
+        """Return the factor on the force of the tool at a trial depth, m, reached dt s after the last recorded depth.
 
         The factor is the product over all effects in reduced form. The history is not changed.
         """
@@ -139,7 +139,7 @@ class ReducedForceFactor:
         return prod((effect.share(here) for effect in self._effects), start=1.0)
 
     def accept_depth(self, depth: float, dt: float = 0.0) -> float:
-        """Add a depth, m, reached dt s after the last one, to the history; return the factor on the force there.
+        """Record a depth, m, reached dt s after the last one, in `history`; return the factor on the force at it.
 
         The factor is the product over all effects in reduced form.
         """
@@ -147,7 +147,7 @@ class ReducedForceFactor:
         return share
 
     def _make_history_at(self, depth: float, dt: float) -> ToolHistory:
-        """Return the history with the tool at a depth, m, dt s later."""
+        """Return a copy of the history that continues to a depth, m, dt s later; `history` is not changed."""
         return ToolHistory(depth, max(self.history.deepest, depth), self.history.time + dt)
 
 

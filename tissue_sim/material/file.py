@@ -91,7 +91,7 @@ class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
            others: Sequence[str] = (), population: Mapping[str, Any] | None = None,
            valid_range: ValidRange | Mapping[str, Any] | None = None,
            provenance: Provenance | Mapping[str, Any] | None = None) -> MaterialFile:
-        """Make the file of a material and compute its range of stability.
+        """Make the checked content of a file from a material, and compute the range of stability of its law.
 
         Args:
             material: the material.
@@ -144,14 +144,14 @@ class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
 
     @property
     def material(self) -> Material:
-        """Material for `tissue_sim.Model`."""
+        """Material that the file describes; the file must be read or checked, so that its parameters are in SI."""
         return Material(self.law, list_parameter_values(self.parameters), self.bulk.make_bulk(), self.density_kg_m3,
                         self.name,
                         **make_components_from_entries(self._effects))
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """Path of a parameter -> standard error, SI; only for a file that was read or checked, which is in SI."""
+        """Standard errors that the file states, SI, by path of the parameter; the file must be read or checked."""
         stated, content = {}, msgspec.to_builtins(self)
         for path, each in _list_parameters_with_errors(self.material).items():
             *place, key = split_parameter_path(each.path_in_file)
@@ -164,7 +164,7 @@ class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
 
     @property
     def covariance_SI(self) -> tuple[tuple[str, ...], np.ndarray] | None:
-        """Paths of parameters and their covariance, SI, shape (m, m); None if the file has none."""
+        """Paths of m parameters, and their covariance, SI, shape (m, m); None if the file states no covariance."""
         if self.covariance is None:
             return None
         known = {each.path_in_file: each for each in _list_parameters_with_errors(self.material).values()}
@@ -174,11 +174,12 @@ class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
 
     @property
     def _effects(self) -> dict[str, Any]:
+        """Entries of the material's components by key, in the units of the file; None for components it lacks."""
         return {key: getattr(self, key) for key in EFFECTS}
 
 
 def load_material(path: str | Path) -> Material:
-    """Read the material of a file; errors as in `read_material_file`."""
+    """Read a material file and return its `Material`; errors as in `read_material_file`."""
     return read_material_file(path).material
 
 
@@ -217,7 +218,7 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
 
 
 def decode_material_file(data: Any) -> MaterialFile:
-    """Make a `MaterialFile` from decoded JSON; see `read_material_file`."""
+    """Check the decoded JSON of a material file and return it as a `MaterialFile` in SI; see `read_material_file`."""
     require_file_schema(data, "material", VERSION)
     _decode_map_values(data, "parameters", ParameterEntry)
     regions = data.get("regions")
@@ -231,7 +232,7 @@ def decode_material_file(data: Any) -> MaterialFile:
 
 
 def _decode_map_values(data: dict[str, Any], key: str, kind: type[MaterialFileEntry]) -> None:
-    """Decode each value of a map separately, so that errors name the key, which msgspec's messages do not."""
+    """Require that each value of the map `data[key]` can be decoded; an error names the key of the value."""
     entries = data.get(key)
     if isinstance(entries, dict):
         for name, entry in entries.items():
@@ -239,7 +240,7 @@ def _decode_map_values(data: dict[str, Any], key: str, kind: type[MaterialFileEn
 
 
 def check_material_file(file: MaterialFile) -> MaterialFile:
-    """Return a file in SI, after all checks that its types do not express.
+    """Check a material file and return it with the parameters of its laws, covariance and population in SI.
 
     Raises:
         InputError: an invalid value, with the dotted path of the field.
@@ -284,11 +285,12 @@ def check_material_file(file: MaterialFile) -> MaterialFile:
 
 
 def _list_parameters_with_errors(material: Material) -> dict[str, Parameter]:
-    """Return path -> parameter for the parameters whose uncertainty a file can state: all but the bulk response."""
+    """Return path -> parameter for all parameters except the bulk response, whose uncertainty a file cannot state."""
     return {path: each for path, each in parameters(material).items() if each.part is not Bulk}
 
 
 def _check_parameter_order(order: Sequence[str], law: Law, known: Sequence[str]) -> None:
+    """Require that a covariance lists the law's parameters first, in their order, then other known ones, each once."""
     m = len(law.parameters)
     if tuple(order[:m]) != law.parameters or len(set(order)) != len(order):
         raise InputError(f"must be the parameters of {law.name} in its order, {', '.join(law.parameters)}, then "
@@ -300,10 +302,12 @@ def _check_parameter_order(order: Sequence[str], law: Law, known: Sequence[str])
 
 
 def _convert_lists_to_tuples(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    """Return the rows of a matrix as tuples of floats."""
     return tuple(map(tuple, matrix.tolist()))
 
 
 def _check_ranges(file: MaterialFile) -> None:
+    """Require lowest <= highest in the valid ranges and in the range of stability, and stretches above 0."""
     ranges = {f"valid_range.{name}": value for name, value in
               (msgspec.structs.asdict(file.valid_range) if file.valid_range else {}).items() if value is not None}
     if file.stability:

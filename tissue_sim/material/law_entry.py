@@ -34,7 +34,7 @@ class BulkEntry(MaterialFileEntry, frozen=True, kw_only=True):
     incompressible: bool | None = None
 
     def make_bulk(self) -> Bulk:
-        """The bulk response.
+        """Return the bulk response.
 
         Raises:
             InputError: none, or several, of the four keys are given.
@@ -48,7 +48,10 @@ class BulkEntry(MaterialFileEntry, frozen=True, kw_only=True):
 
 
 def make_law_entries(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
-    """Make the entries of law, parameters and bulk response by their keys; `errors`: path -> standard error, SI."""
+    """Return the values of the keys ``law``, ``bulk`` and ``parameters`` of a file, in SI.
+
+    The argument `errors` contains the standard errors by path, SI.
+    """
     law, bulk = material.energy_law, material.bulk
     stated: dict[str, Any] = {bulk.kind: True if bulk.value is None else float(bulk.value)}
     return {"law": law.name, "bulk": BulkEntry(**stated),
@@ -58,14 +61,14 @@ def make_law_entries(material: Material, errors: Mapping[str, float]) -> dict[st
 
 def convert_parameters_to_si(law: str, parameters: Mapping[str, ParameterEntry]) -> tuple[
         dict[str, ParameterEntry], dict[str, float]]:
-    """Convert the parameters of a law to SI.
+    """Return the entries of the parameters of a law in SI, and the factor of the unit of each entry.
 
     Args:
         law: name of the law.
         parameters: entries of a file by name.
 
     Returns:
-        Entries in SI, and the factor of each unit.
+        Entries in SI by name; and by name the value in SI of one unit of the file.
 
     Raises:
         InputError: an unknown parameter, a unit of another quantity, or a negative standard error.
@@ -89,5 +92,5 @@ def convert_parameters_to_si(law: str, parameters: Mapping[str, ParameterEntry])
 
 
 def list_parameter_values(parameters: Mapping[str, ParameterEntry]) -> dict[str, float]:
-    """Return the values of parameters in SI by name."""
+    """Return name -> value of the entries, which must be in SI already."""
     return {name: entry.value for name, entry in parameters.items()}

@@ -36,7 +36,7 @@ EXPONENT_BOUND = 50.0
 
 
 def get_ratio_of_incompressible_material(radius: float, height: float) -> float:
-    """Return the ratio K / mu0 that the finite elements use for a cylinder of an incompressible material.
+    """Return the finite ratio K / mu0 that replaces infinity for a cylinder of an incompressible material.
 
     Compressibility reduces the force in proportion to (radius / height)^2 mu0 / K. With this ratio bonded compression
     loses 1e-5 of its force at radius 40 and height 70 mm. Flat specimens get the highest verified ratio; the loss is
@@ -73,15 +73,15 @@ class Bulk:
             raise InputError(f"must be positive and finite; got {self.value}.", field=f"bulk.{self.kind}")
 
     def own_parameters(self) -> dict[str, tuple[Declaration, float]]:
-        """Number of this response by its kind; see `tissue_sim.parameters`."""
+        """Return kind -> (declaration, number) of this response; empty for an incompressible material."""
         return {} if self.value is None else {self.kind: (_BULK[self.kind], float(self.value))}
 
     def with_own_parameters(self, values: Mapping[str, float]) -> Bulk:
-        """Return the response with another number."""
+        """Return a response of the same kind with another number, `values[kind]`."""
         return Bulk(self.kind, values[self.kind])
 
     def modulus(self, mu0: float) -> float:
-        """Bulk modulus K, Pa, for an initial shear modulus mu0, Pa; infinite if incompressible."""
+        """Return the bulk modulus K, Pa, for an initial shear modulus mu0, Pa; infinite if incompressible."""
         if self.value is None:
             return np.inf
         match self.kind:
@@ -162,7 +162,7 @@ class Material:
                                  "remains under constant strain", field="poroelasticity.phi")
 
     def own_parameters(self) -> dict[str, tuple[Declaration, float]]:
-        """Declarations and values of the law's parameters by name; see `tissue_sim.parameters`."""
+        """Return name -> (declaration, value in SI) of the law's parameters."""
         return {name: (get_law_parameter_declaration(self.energy_law, name), value) for name,
                 value in self.parameters.items()}
 
@@ -179,13 +179,13 @@ class Material:
 
     @property
     def remembers(self) -> bool:
-        """Whether the force depends on the previous path of the tool: time dependence or softening."""
+        """Whether the force depends on the previous path of the tool, by time dependence, softening or an effect."""
         return (self.ages or self.softening is not None
                 or any(effect.remembers for effect in self.effects.values())
                 or any(own.remembers for own in self.regions.values()))
 
     def reduced_effects(self, *, plate: bool) -> tuple[ReducedEffect, ...]:
-        """Effects in reduced form that act under a plate, or under a needle if `plate` is False."""
+        """Return the effects in reduced form, puncture included, that act under a plate (needle if not `plate`)."""
         return tuple(part for part in (self.puncture, *self.effects.values())
                      if isinstance(part, ReducedEffect) and (part.under_plates or not plate))
 
@@ -201,7 +201,7 @@ class Material:
 
     @property
     def instantaneous_factor(self) -> float:
-        """Instantaneous stress over the stress of the law; 1 unless `parameters` are long-term."""
+        """Ratio of the instantaneous stress to the stress of the law: 1, or more if `parameters` are long-term."""
         return 1.0 if self.viscoelastic is None else self.viscoelastic.instantaneous_factor
 
     @cached_property
@@ -264,15 +264,17 @@ class Material:
 
     @property
     def _drained(self) -> float:
+        """Fraction of the instantaneous stiffness that is lost by drainage; 0 without poroelasticity."""
         return 0.0 if self.poroelasticity is None else self.poroelasticity.phi
 
     def _young_modulus(self, mu: float) -> float:
+        """Return Young's modulus, Pa, for a shear modulus mu, Pa, and the bulk modulus of this material."""
         K = self.bulk_modulus
         return 3.0 * mu if np.isinf(K) else 9.0 * K * mu / (3.0 * K + mu)
 
 
 def get_bulk_declaration(kind: str) -> Declaration | None:
-    """Return the declaration of the parameter of a kind of bulk response; None for an unknown kind."""
+    """Return the declaration of the number of a kind of bulk response; None for ``incompressible``."""
     return _BULK.get(kind)
 
 

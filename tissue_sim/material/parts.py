@@ -33,7 +33,7 @@ _EXAMPLES = (*(f"{place}[0].{name}" for place, kind in SEVERAL.items() for name 
 
 
 def find_material_declaration(path: str) -> tuple[str, Declaration]:
-    """Find the full path and declaration of a parameter that a material may have, except those of its law.
+    """Return the full path and the declaration of a parameter that a material may have besides its law's parameters.
 
     Args:
         path: path of the attribute, or as in files: ``viscoelastic.terms[0].tau`` or ``...tau_s``; for a region a
@@ -109,7 +109,7 @@ def make_material_from_numbers(law: str, parameters: Mapping[str, float], others
 
 
 def with_material_parameters(material: Material, values: Mapping[str, float]) -> Material:
-    """Return a material with changed parameters; components that the material lacks are added.
+    """Return a copy of a material with changed parameters; components that the material lacks are added.
 
     Args:
         material: material to change.
@@ -127,6 +127,7 @@ def with_material_parameters(material: Material, values: Mapping[str, float]) ->
                                  "layers": material.layers}
 
     def renumbered(path: str) -> str:
+        """Return a path of a new component with its index counted from the end of the present components."""
         place, _, last = find_material_declaration(path)[0].rpartition(".")
         if (numbered := _NUMBERED.fullmatch(place)) is None:
             return path
@@ -146,6 +147,7 @@ def with_material_parameters(material: Material, values: Mapping[str, float]) ->
 
 
 def _find_component_class(place: str) -> type | None:
+    """Return the class of the component at a path, such as ``layers[0]``; None if no component has the path."""
     numbered = _NUMBERED.fullmatch(place)
     if numbered:
         return SEVERAL.get(numbered[1])
@@ -164,7 +166,7 @@ def _find_law_declaration(name: str, path: str) -> Declaration:
 
 
 def _make_region_material(name: str, numbers: Mapping[str, float], bulk: Bulk) -> Material:
-    """Make the material of a region; its law is the one that has exactly these parameters."""
+    """Make the material of a region from its numbers; its law is the registered one with exactly these parameters."""
     law = next((name for name, law in LAWS.items() if set(law.parameters) == set(numbers)), None)
     if law is None:
         raise InputError(f"no law has the parameters {', '.join(numbers)} and no others; give all of one law",
@@ -176,6 +178,7 @@ def _make_region_material(name: str, numbers: Mapping[str, float], bulk: Bulk) -
 
 
 def _sort_numbered_terms(terms: Mapping[str, Mapping[int, Mapping[str, float]]], place: str) -> Iterator[Any]:
+    """Yield the components of a list in the order of their indices, which must be 0, 1, ... without gaps."""
     numbered = terms[place]
     if sorted(numbered) != list(range(len(numbered))):
         raise InputError(f"must be numbered from 0 without gaps, as {place}[0], {place}[1].", field=place)
@@ -183,6 +186,7 @@ def _sort_numbered_terms(terms: Mapping[str, Mapping[int, Mapping[str, float]]],
 
 
 def _make_component(kind: type, place: str, numbers: Mapping[str, float]) -> Any:
+    """Make a component of a class from its numbers; errors name the path of the number."""
     try:
         return kind(**numbers)
     except InputError as refused:

@@ -34,7 +34,7 @@ class PopulationEntry(MaterialFileEntry, frozen=True, kw_only=True):
     spread_interval95: tuple[Range, ...] | None = None
 
     def convert_units(self, order: Sequence[str], factors: Sequence[float]) -> PopulationEntry:
-        """Return the entry with other names of the parameters, and multiplied by the factors of other units."""
+        """Return a copy of the entry with the names `order`, and with each parameter's values times its factor."""
         sizes = np.asarray(factors)
         lists = {key: None if getattr(self, key) is None else (np.transpose(getattr(self, key)) * sizes).T.tolist()
                  for key in _LISTS}
@@ -47,7 +47,7 @@ class PopulationEntry(MaterialFileEntry, frozen=True, kw_only=True):
 
 
 def make_population_entry(stated: Mapping[str, Any], known: Mapping[str, Parameter]) -> PopulationEntry:
-    """Make the entry of a population.
+    """Check the stated fields of a population and convert them to an entry in the units and names of the file.
 
     Args:
         stated: fields of `PopulationEntry`, in SI, with the parameters by path.
@@ -77,6 +77,7 @@ def check_and_convert_population(entry: PopulationEntry, known: Mapping[str, flo
 
 
 def _check_population_entry(entry: PopulationEntry, known: Mapping[str, Any]) -> None:
+    """Require known parameters, one number for each of them in every row, disjoint specimens, and a covariance."""
     for name in entry.order:
         if name not in known:
             raise InputError(f"this material has no parameter {name!r}{suggest_known_word(name, known)}",

@@ -88,7 +88,7 @@ class ComponentEntry(MaterialFileEntry, frozen=True, kw_only=True):
 
     @classmethod
     def from_component(cls, part: Any, place: str, errors: Mapping[str, float]) -> ComponentEntry:
-        """Make the entry of a part.
+        """Make the entry of a component, in the units of the file.
 
         Args:
             part: part of a material.
@@ -101,7 +101,7 @@ class ComponentEntry(MaterialFileEntry, frozen=True, kw_only=True):
         return cls(**{what.key: getattr(part, name) / what.factor for name, what in known}, standard_errors=mine)
 
     def make_component(self, field: str) -> Any:
-        """Make the part of a material.
+        """Make the component of a material from the entry, in SI.
 
         Args:
             field: path of the part, for messages.
@@ -167,13 +167,14 @@ class ViscoelasticEntry(MaterialFileEntry, frozen=True, kw_only=True, omit_defau
 
 
 def make_component_entries(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
-    """Make the entries of all components of a material except law and bulk response, by their keys in the file.
+    """Return key in the file -> entry of every component of a material but law and bulk response; None: no component.
 
     Args:
         material: the material.
         errors: path -> standard error, SI.
     """
     def entry(part: Any, place: str) -> ComponentEntry:
+        """Make the file entry of one component at a path."""
         return make_entry_class(part.__class__).from_component(part, place, errors)
 
     single = {key: None if (part := getattr(material, key)) is None else entry(part, key)
@@ -189,7 +190,7 @@ def make_component_entries(material: Material, errors: Mapping[str, float]) -> d
 
 
 def make_components_from_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Make the keyword arguments of `Material`, except law and bulk response, from the entries of a file.
+    """Return the keyword arguments of `Material`, except law and bulk response, from the entries of a file.
 
     Errors are those of `ComponentEntry.make_component`.
     """
@@ -226,7 +227,7 @@ class RegionEntry(MaterialFileEntry, frozen=True, kw_only=True):
         return cls(name=material.name, **make_law_entries(material, mine), **parts, density_kg_m3=material.density)
 
     def convert_to_si(self, field: str) -> tuple[RegionEntry, dict[str, float]]:
-        """Return the entry in SI, and path -> factor of the unit of its parameters.
+        """Return the entry in SI, and by path of the parameter the value in SI of one unit of the file.
 
         Errors are those of `convert_parameters_to_si`.
         """
@@ -259,7 +260,7 @@ def _decode_effect(name: str, content: Any) -> ComponentEntry:
 
 
 def check_covariance(matrix: np.ndarray, m: int, field: str = "covariance.matrix") -> None:
-    """Check that a matrix is a covariance of m numbers.
+    """Require that a matrix is a covariance of m numbers; returns nothing.
 
     Args:
         matrix: matrix to check.

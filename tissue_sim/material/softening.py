@@ -42,7 +42,7 @@ class Softening:
                              field="modulus")
 
     def factor(self, energy, largest) -> np.ndarray:
-        """Factor eta at an isochoric energy density W, J/m3, for the largest value so far Wm; shapes broadcast."""
+        """Return the factor eta on the stress, 1, for W and its largest value so far Wm, J/m3; shapes broadcast."""
         energy, largest = np.broadcast_arrays(np.asarray(energy, dtype=float), np.asarray(largest, dtype=float))
         scale = self.modulus + self.share * largest
         # Before the first load W, Wm and the scale are zero.

@@ -91,7 +91,7 @@ class Prony:
 
     @property
     def instantaneous_factor(self) -> float:
-        """Instantaneous modulus over the modulus of the law: 1, or 1 / (1 - sum g_i) for long-term parameters."""
+        """Ratio of the instantaneous modulus to the law's: 1, or 1 / (1 - sum g_i) for long-term parameters."""
         return 1.0 if self.moduli == "instantaneous" else 1.0 / (1.0 - self.relaxing_fraction)
 
     def modulus(self, time) -> np.ndarray:
@@ -118,10 +118,12 @@ class Prony:
 
 
 def compute_internal_stress(dt: np.ndarray, elastic: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Compute Q_i / g_i for a history of the elastic stress S that starts from zero and is linear between its points.
+    """Return Q_i / g_i at all points of a history of the elastic stress S, which is linear between the points.
+
+    The stress is zero before the first point.
 
     Args:
-        dt: time since the point before, s, shape (n,); the first entry is the time since rest.
+        dt: time between each point and the previous point, s, shape (n,); the first entry is the time since rest.
         elastic: S, Pa, shape (n, components).
         tau: relaxation times, s, shape (terms,).
 

@@ -32,7 +32,7 @@ class Mesh:
     sets: dict[str, np.ndarray] = field(default_factory=dict)
 
     def select_edges(self, name: str) -> np.ndarray:
-        """Return the element edges with all nodes in a set, as node numbers, shape (m, nodes of an edge).
+        """Return the element edges with all nodes in the named node set, as node numbers, shape (m, nodes of an edge).
 
         The first and the last number of a row are the ends of the edge.
         """
@@ -218,7 +218,7 @@ def tip_mesh(radius: float, height: float, contact_radius: float, element: Quadr
 
 
 def with_lines(z: np.ndarray, interfaces: list[float], least: int) -> np.ndarray:
-    """Add interfaces to element boundaries, with a minimum number of elements in each layer.
+    """Return the heights of element boundaries with interfaces added, and with enough elements in each layer.
 
     Args:
         z: element boundaries, ascending, m.

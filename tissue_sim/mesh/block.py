@@ -41,7 +41,7 @@ _MESH = BlockMeshSettings()
 
 
 def block_under_plate(length: float, width: float, height: float, grading: Grading) -> SolidMesh:
-    """Create the mesh of a block between plates, with small elements at all edges.
+    """Create the mesh of a block between plates that cover its top and base, with small elements at all edges.
 
     Args:
         length: length along x, m.

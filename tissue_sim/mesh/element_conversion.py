@@ -31,7 +31,7 @@ _SHARED = SharedNodeSettings()
 
 def merge_shared_nodes(element: SolidElement, corners: np.ndarray,
                        positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return nodes and connectivity of elements that share nodes if they share the corners of an edge or face.
+    """Number the nodes of elements so that elements with the same corners of an edge or face share the nodes there.
 
     Args:
         element: element type.
@@ -59,7 +59,7 @@ def merge_shared_nodes(element: SolidElement, corners: np.ndarray,
 
 
 def split_hexahedra(mesh: SolidMesh, element: Tetrahedron) -> SolidMesh:
-    """Split each hexahedron of a mesh into six tetrahedra; quadratic tetrahedra keep curved faces.
+    """Return the mesh of tetrahedra, six for each hexahedron of a mesh; quadratic tetrahedra keep curved faces.
 
     The corner with the lowest number is joined to the three faces that do not contain it. Each face is cut at its
     lowest corner, so that neighbours match (Dompierre et al., How to subdivide pyramids, prisms and hexahedra into

@@ -13,7 +13,7 @@ from numpy.polynomial.legendre import leggauss
 
 
 def evaluate_lagrange(x: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Evaluate the Lagrange polynomials with order + 1 evenly spaced nodes in [-1, 1].
+    """Evaluate the one-dimensional Lagrange polynomials with order + 1 evenly spaced nodes in [-1, 1].
 
     Args:
         x: positions, shape (q,).
@@ -64,7 +64,7 @@ class QuadrilateralElement:
 
     @property
     def edge_nodes(self) -> tuple[tuple[int, ...], ...]:
-        """Node numbers in the element along each edge, in order; the first and the last are the ends of the edge."""
+        """Local node indices along each edge, in order; the first and the last index are the ends of the edge."""
         if self.order == 1:
             return (0, 1), (1, 2), (2, 3), (3, 0)
         return (0, 4, 1), (1, 5, 2), (2, 6, 3), (3, 7, 0)

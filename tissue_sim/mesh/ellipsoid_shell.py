@@ -39,6 +39,7 @@ def mesh_ellipsoid_shell(semi_axes: tuple[float, float, float], thickness: float
             sine > 0.0, sine, 1.0), 2.0 / np.pi)
 
     def make_circle_curve(quarter: int) -> Curve:
+        """Return a quarter of the circle on the shell as a curve in the unit disc."""
         return lambda t: map_to_unit_disc(make_quarter_circle(quarter, radius, centre)(t))
 
     angles = np.linspace(0.0, 2.0 * np.pi, 73)

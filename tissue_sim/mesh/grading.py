@@ -64,7 +64,7 @@ class Grading:
         return np.concatenate([half, length - half[-2::-1]])
 
     def insert_interface_heights(self, heights: np.ndarray, height: float) -> np.ndarray:
-        """Add the interfaces to the heights of element boundaries.
+        """Return the heights of element boundaries with the interfaces added, ascending to 0, m.
 
         Args:
             heights: heights of element boundaries, ascending to 0, m.

@@ -29,12 +29,12 @@ class Hexahedron(SolidElement):
 
     @cached_property
     def corner_nodes(self) -> np.ndarray:
-        """Indices of the corner nodes, shape (8,)."""
+        """Local indices of the corner nodes in the element, shape (8,)."""
         return np.flatnonzero(np.abs(self.reference_nodes).all(axis=1))
 
     @cached_property
     def face_nodes(self) -> np.ndarray:
-        """Nodes of each face, shape (6, nodes of a face), in the order -x, +x, -y, +y, -z, +z.
+        """Local node indices of each face, shape (6, nodes of a face), in the order -x, +x, -y, +y, -z, +z.
 
         Nodes are numbered along two directions, the first varying faster; the cross product of the directions points
         outwards.
@@ -63,7 +63,10 @@ class Hexahedron(SolidElement):
 
     @cached_property
     def face_area_fractions(self) -> np.ndarray:
-        """Weights of Simpson's rule (order 2) or of the trapezoidal rule (order 1)."""
+        """Fraction of the area of a face that belongs to each of its nodes, shape (nodes of a face,).
+
+        The fractions are weights of Simpson's rule (order 2) or of the trapezoidal rule (order 1).
+        """
         line = np.array([1.0, 4.0, 1.0]) / 6.0 if self.order == 2 else np.array([0.5, 0.5])
         return np.outer(line, line).ravel()
 

@@ -67,6 +67,7 @@ class PlanarMesh:
         core, origin, line = rings[0] * radius, np.asarray(centre), np.linspace(0, 1, around + 1)
 
         def map_core(s: np.ndarray, t: np.ndarray) -> np.ndarray:
+            """Map the unit square to the core of the disc, a square with round sides."""
             # Uniform angles along the sides of the core.
             return through(origin + core * _map_to_rounded_square(*(
                 np.sqrt(2.0) * np.sin(0.25 * np.pi * (2.0 * each - 1.0)) for each in (s, t))))
@@ -78,7 +79,7 @@ class PlanarMesh:
 
     def add_ring(self, near: Curve, far: Curve, fractions: np.ndarray, around: int,
                  through: Callable[[np.ndarray], np.ndarray] = lambda points: points) -> None:
-        """Add the elements between two curves.
+        """Add the elements between an inner and an outer curve, such as a quarter of a ring.
 
         Args:
             near: inner curve.
@@ -88,6 +89,7 @@ class PlanarMesh:
             through: map applied to all points, shape (..., 2).
         """
         def interpolate_between_curves(s: np.ndarray, t: np.ndarray) -> np.ndarray:
+            """Return the point at the fraction s of the straight line from the inner to the outer curve at t."""
             fraction = s[..., None]
             return through((1.0 - fraction) * near(t) + fraction * far(t))
 
@@ -111,6 +113,7 @@ class PlanarMesh:
         return nodes, connectivity
 
     def _insert_midpoint_heights(self, line: np.ndarray) -> np.ndarray:
+        """Return element boundaries with their midpoints added for elements of order 2; unchanged for order 1."""
         if self._order == 1:
             return line
         return np.sort(np.concatenate([line, 0.5 * (line[1:] + line[:-1])]))
@@ -119,6 +122,7 @@ class PlanarMesh:
 def make_quarter_circle(quarter: int, radius: float, centre: Point = (0.0, 0.0)) -> Curve:
     """Return a curve [0, 1] -> (x, y), m: a quarter of a circle, counter-clockwise; quarter 0 is centred on +x."""
     def evaluate_curve(t: np.ndarray) -> np.ndarray:
+        """Return the points of the circle, m, shape (..., 2), at the positions t in [0, 1]."""
         angle = 0.25 * np.pi * (2.0 * t - 1.0) + 0.5 * np.pi * quarter
         return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
@@ -140,6 +144,7 @@ def make_rectangle_side(quarter: int, low: Point, high: Point, centre: Point) ->
     line = np.array([first[1 - across], centre[1 - across], last[1 - across]])
 
     def evaluate_curve(t: np.ndarray) -> np.ndarray:
+        """Return the points of the side, m, shape (..., 2), at the positions t in [0, 1]."""
         along, fixed = np.interp(t, [0.0, 0.5, 1.0], line), np.full_like(t, end)
         return np.stack([along, fixed] if across else [fixed, along], axis=-1)
 
@@ -147,7 +152,7 @@ def make_rectangle_side(quarter: int, low: Point, high: Point, centre: Point) ->
 
 
 def _merge_coincident_points(points: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Merge coincident points; return the remaining points and the connectivity `numbers` in terms of them."""
+    """Merge coincident points; return the points that are kept, and `numbers` renumbered to these points."""
     from scipy.spatial import cKDTree
 
     first = np.arange(len(points))
@@ -158,6 +163,7 @@ def _merge_coincident_points(points: np.ndarray, numbers: np.ndarray) -> tuple[n
 
 
 def _interpolate_line(line: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """Return values of a piecewise linear function with equally spaced nodes `line`, at positions in [0, 1]."""
     return np.interp(fraction, np.linspace(0, 1, line.size), line)
 
 
@@ -174,6 +180,7 @@ def _make_core_side(quarter: int, core: float, centre: np.ndarray) -> Curve:
     angle = 0.5 * np.pi * quarter
 
     def evaluate_curve(t: np.ndarray) -> np.ndarray:
+        """Return the points of the side, m, shape (..., 2), at the positions t in [0, 1]."""
         side = _map_to_rounded_square(np.ones_like(t), np.sqrt(2.0) * np.sin(0.25 * np.pi * (2.0 * t - 1.0)))
         return centre + core * np.stack([np.cos(angle) * side[..., 0] - np.sin(angle) * side[..., 1],
                                          np.sin(angle) * side[..., 0] + np.cos(angle) * side[..., 1]], axis=-1)

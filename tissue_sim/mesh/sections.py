@@ -38,14 +38,14 @@ class EdgeCrossings:
 
 
 def cut_tetrahedra(cells: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossings, np.ndarray]:
-    """Return the section of tetrahedra at height zero.
+    """Return the plane section of tetrahedra at height zero as triangles.
 
     Args:
         cells: node numbers of tetrahedra with positive volume, shape (t, 4).
         heights: heights of the nodes, shape (nodes,).
 
     Returns:
-        The corners of the section, and triangles between them, shape (k, 3), with normals that point upwards.
+        The corners of the section; and triangles as indices of these corners, shape (k, 3), with upward normals.
     """
     above = heights[cells] > 0.0
     count = above.sum(axis=1)
@@ -66,7 +66,7 @@ def cut_tetrahedra(cells: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossing
 
 
 def intersect_triangles(triangles: np.ndarray, heights: np.ndarray) -> EdgeCrossings:
-    """Return the line segments at which triangles cross height zero, as pairs of successive points, 2 k points."""
+    """Return the k line segments at which triangles cross height zero: 2 k points, two successive ones for each."""
     _, pairs = _find_cut_triangles(triangles, heights)
     crossings, number = _find_crossings(pairs, heights)
     lines = number.reshape(-1, 2)
@@ -104,7 +104,7 @@ def cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[EdgeCross
 
 
 def _find_cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the triangles that cross height zero, and their crossing edges.
+    """Return the triangles that cross height zero, and the edges of these triangles that cross height zero.
 
     Returns:
         Triangles with the node that is alone on its side first, shape (k, 3); and the two edges from this node, as
@@ -123,7 +123,7 @@ def _find_cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[np.
 
 
 def _find_crossings(pairs: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossings, np.ndarray]:
-    """Return the distinct crossing points between pairs of nodes, and the number of the point of each pair."""
+    """Return the distinct crossing points of edges, given as node pairs, and for each pair the index of its point."""
     low, high = heights[pairs[:, 0]], heights[pairs[:, 1]]
     ends = np.where((low == 0.0)[:, None], pairs[:, :1], pairs)
     _, first, number = np.unique(ends[:, 0].astype(np.int64) * len(heights) + ends[:, 1], return_index=True,
@@ -139,6 +139,6 @@ def _is_odd_permutation(order: np.ndarray) -> np.ndarray:
 
 
 def _remove_degenerate_triangles(triangles: np.ndarray) -> np.ndarray:
-    """Remove triangles in which a corner occurs twice."""
+    """Return the triangles without those in which a node occurs twice, shape (k, 3)."""
     a, b, c = triangles.T
     return triangles[(a != b) & (b != c) & (c != a)]

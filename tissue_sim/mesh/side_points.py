@@ -47,7 +47,7 @@ class FaceInterpolation:
         self._factors = np.einsum("ai,bj,mijd->mabd", powers, powers, grid, optimize=True)
 
     def interpolate_positions(self, sides: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return positions on faces, m, shape (k, q, 3).
+        """Evaluate the polynomials of k faces at q points each; return the positions, m, shape (k, q, 3).
 
         Args:
             sides: numbers of the faces, shape (k,).

@@ -60,11 +60,11 @@ class SolidMesh:
 
     @property
     def node_areas(self) -> np.ndarray:
-        """Tributary area of each node on the surface, m2, shape (n,)."""
+        """Tributary area of each node on the whole surface, m2, shape (n,); 0 for nodes in the interior."""
         return self.compute_node_areas(*self.faces)
 
     def compute_node_areas(self, *names: str) -> np.ndarray:
-        """Return the tributary area of each node on the named parts of the surface, m2, shape (n,)."""
+        """Return the tributary area of each node on the faces with these names, m2, shape (n,); 0 elsewhere."""
         areas = np.zeros(len(self.nodes))
         for name in names:
             faces = self.faces[name]
@@ -88,7 +88,7 @@ class SolidMesh:
 
 def create_block_mesh(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray, z: Sequence[float] | np.ndarray,
                       element: Hexahedron) -> SolidMesh:
-    """Create the mesh of a rectangular block.
+    """Create the mesh of a rectangular block from its element boundaries.
 
     Args:
         x: element boundaries along x, ascending, m.
@@ -181,7 +181,7 @@ def create_graded_cylinder_mesh(radius: float, height: float, grading: Grading) 
 
 
 def compute_ring_radii(grading: Grading, radius: float) -> np.ndarray:
-    """Return the radii of the ring boundaries from the core to a circle of this radius, m, as fractions of it."""
+    """Return the radii of the ring boundaries from the core to a circle, as fractions of its radius `radius`, m."""
     inward = grading.divide_line((1.0 - O_GRID.core) * radius)
     return 1.0 - inward[::-1] / radius
 

@@ -36,12 +36,12 @@ class SolidElement(ABC):
     @property
     @abstractmethod
     def corner_nodes(self) -> np.ndarray:
-        """Numbers of the nodes that are vertices."""
+        """Local indices in the element of the nodes that are vertices, shape (corners,)."""
 
     @property
     @abstractmethod
     def face_nodes(self) -> np.ndarray:
-        """Nodes of each face, shape (faces, nodes of a face); corners are counter-clockwise viewed from outside."""
+        """Local node indices of each face, shape (faces, nodes of a face); corners counter-clockwise from outside."""
 
     @property
     @abstractmethod

@@ -96,6 +96,7 @@ def read_file_mesh(path: str | Path, unit: str = "mm") -> FileMesh:
 
 
 def _read(path: Path, unit: str) -> FileMesh:
+    """Read and check a mesh file inside the sandbox, and return its mesh in m, without the digest."""
     reader = read_inp if path.suffix.lower() == ".inp" else read_through_meshio
     content = reader(path, LARGEST_MESH)
     cells = select_volume_cells(content)
@@ -107,7 +108,7 @@ def _read(path: Path, unit: str) -> FileMesh:
 
 
 def _name_faces_and_regions(content: MeshContent, cells: CellBlock, points: np.ndarray) -> FileMesh:
-    """Return the mesh with the faces of its surface and its regions, named as in the file."""
+    """Make the `FileMesh` of checked elements, with named surface faces and regions from the sets of the file."""
     sides = np.array(SIDES[cells.cell_shape])
     all_faces = cells.corner_nodes[:, sides].reshape(-1, sides.shape[1])
     keys = _number_faces(all_faces, len(points))
@@ -148,7 +149,10 @@ def _name_faces_and_regions(content: MeshContent, cells: CellBlock, points: np.n
 
 
 def _number_faces(sides: np.ndarray, points: int) -> np.ndarray:
-    """Return a number for each face from three of its corners, unique in a valid mesh, shape (m,)."""
+    """Return an identifying integer for each face, computed from three of its corners, shape (m,).
+
+    Two faces of a valid mesh have the same integer only if they are the same face.
+    """
     low = np.sort(sides, axis=1)[:, :3].astype(np.int64)
     return (low[:, 0] * points + low[:, 1]) * points + low[:, 2]
 
@@ -225,6 +229,7 @@ def _evaluate_shape_functions(kind: str, positions: np.ndarray) -> np.ndarray:
     powers = [each for each in powers if each.count(2) <= most]
 
     def products(points: np.ndarray) -> np.ndarray:
+        """Return the monomials with the exponents `powers` at points, shape (q, monomials)."""
         return np.stack([(points ** np.array(each)).prod(axis=1) for each in powers], axis=-1)
 
     return products(positions) @ np.linalg.inv(products(_HEXAHEDRON[:count]))
@@ -232,6 +237,7 @@ def _evaluate_shape_functions(kind: str, positions: np.ndarray) -> np.ndarray:
 
 def _require_positive_element_volumes(element: SolidElement, nodes: np.ndarray, connectivity: np.ndarray,
                                       cells: CellBlock) -> None:
+    """Require a positive Jacobian determinant at every quadrature point of every element."""
     _, slopes = element.evaluate_shape_functions(element.quadrature[0])
     volumes = np.linalg.det(np.einsum("eai,qaj->eqij", nodes[connectivity], slopes)).min(axis=1)
     if not (volumes > 0.0).all():
@@ -265,6 +271,7 @@ def find_base_and_top(mesh: FileMesh, base: str | None, top: str | None) -> tupl
 
 
 def _find_named_faces(mesh: FileMesh, name: str, field: str) -> np.ndarray:
+    """Return the indices in `FileMesh.sides` of the faces with a name, in any case; an `InputError` if unknown."""
     known = {each.upper(): members for each, members in mesh.named_sides.items()}
     if name.upper() not in known:
         hint = suggest_known_word(name, mesh.named_sides) if mesh.named_sides else "; the file names none"
@@ -273,6 +280,7 @@ def _find_named_faces(mesh: FileMesh, name: str, field: str) -> np.ndarray:
 
 
 def _list_known_names(mesh: FileMesh) -> str:
+    """Return the end of a message: the names of faces in the file."""
     return f"; the file names {', '.join(sorted(mesh.named_sides))}" if mesh.named_sides else "; the file names none"
 
 

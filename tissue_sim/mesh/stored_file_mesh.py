@@ -42,6 +42,7 @@ def file_mesh_from_arrays(arrays: Mapping[str, np.ndarray], kind: str, digest: s
     cells = CellBlock(kind, nodes, numbers)
 
     def are_indices(array: np.ndarray, count: int, *shape: int) -> bool:
+        """Return whether an array of rows of the shape `shape` contains indices from 0 to count - 1."""
         return (array.dtype.kind in "iu" and array.ndim == 1 + len(shape) and array.shape[1:] == shape
                 and array.size > 0 and int(array.min()) >= 0 and int(array.max()) < count)
 

@@ -27,7 +27,7 @@ class DivisibleElement(Protocol):
 
     @property
     def face_nodes(self) -> np.ndarray:
-        """Nodes of each face, numbered in the same order with outward orientation, shape (faces, nodes of a face)."""
+        """Local node indices of each face, in the same order with outward orientation, shape (faces, face nodes)."""
 
 
 @cache
@@ -35,7 +35,7 @@ def subdivide_into_tetrahedra(element: DivisibleElement) -> np.ndarray:
     """Subdivide an element into tetrahedra between its nodes.
 
     Returns:
-        Node numbers of the element, shape (t, 4), read-only; each tetrahedron has a positive volume.
+        Local node indices in the element, shape (t, 4), read-only; each tetrahedron has a positive volume.
     """
     nodes = element.reference_nodes
     middle = _find_central_node(nodes)
@@ -85,7 +85,7 @@ def subdivide_face_into_triangles(element: DivisibleElement) -> np.ndarray:
 
 @cache
 def find_face_edges(element: DivisibleElement) -> np.ndarray:
-    """Return the edges around a face as indices among the nodes of a row of `face_nodes`, shape (k, 2), read-only."""
+    """Return the outline edges of a face as index pairs among the nodes of a row of `face_nodes`, (k, 2), read-only."""
     triangles = subdivide_face_into_triangles(element)
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     different, times = np.unique(edges, axis=0, return_counts=True)
@@ -115,7 +115,7 @@ def _find_central_node(nodes: np.ndarray) -> int | None:
 
 
 def _triangulate_nodes(nodes: np.ndarray) -> np.ndarray:
-    """Return the Delaunay simplices of nodes, unique for nodes on a lattice."""
+    """Return the Delaunay simplices of nodes as node indices, in any orientation; unique for nodes on a lattice."""
     from scipy.spatial import Delaunay
 
     compressed = nodes - _COMPRESSION * nodes.mean(axis=1, keepdims=True)

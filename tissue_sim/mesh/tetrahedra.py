@@ -54,12 +54,12 @@ class Tetrahedron(SolidElement):
 
     @cached_property
     def corner_nodes(self) -> np.ndarray:
-        """Indices of the corner nodes, shape (4,)."""
+        """Local indices of the corner nodes in the element, shape (4,)."""
         return np.arange(4)
 
     @cached_property
     def face_nodes(self) -> np.ndarray:
-        """Nodes of each face: corners, midpoints of the edges from each corner to the next, centre."""
+        """Local node indices of each face, (4, face nodes): corners, edge midpoints in the same order, centre."""
         if self.order == 1:
             return np.column_stack([_SIDES, np.arange(4, 8)])
         number = {frozenset(edge): 4 + index for index, edge in enumerate(_EDGES.tolist())}
@@ -78,7 +78,10 @@ class Tetrahedron(SolidElement):
 
     @cached_property
     def face_area_fractions(self) -> np.ndarray:
-        """Normalised integrals of the shape functions; positive, in contrast to those of the six-node triangle."""
+        """Fraction of the area of a face that belongs to each of its nodes, shape (nodes of a face,).
+
+        The fractions are integrals of the shape functions; they are positive, unlike those of a six-node triangle.
+        """
         return np.repeat(*((11 / 60, 9 / 20), (3, 1)) if self.order == 1 else ((1 / 20, 2 / 15, 9 / 20), (3, 3, 1)))
 
     @cached_property
@@ -131,7 +134,7 @@ class Tetrahedron(SolidElement):
         return np.stack([barycentric[:, list(factors)].prod(axis=1) for factors in self._basis_factor_indices], axis=-1)
 
     def _evaluate_basis_derivatives(self, barycentric: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the basis by the four barycentric coordinates, shape (q, nodes, 4)."""
+        """Return the derivatives of the basis with respect to the barycentric coordinates, shape (q, nodes, 4)."""
         slopes = np.zeros((len(barycentric), self.node_count, 4))
         for number, factors in enumerate(self._basis_factor_indices):
             for index, corner in enumerate(factors):

@@ -31,7 +31,7 @@ class VerticalProjection:
         self._rim = edges[first[times == 1]]
 
     def distance_to_top_rim(self, x: float, y: float) -> float:
-        """Return the horizontal distance of a position from the rim of the top, m; negative outside of the top."""
+        """Return the horizontal distance from (x, y), m, to the rim of the top, m; negative outside of the top."""
         a, b = self._points[self._rim[:, 0], :2], self._points[self._rim[:, 1], :2]
         position, edge = np.array([x, y]), b - a
         length2 = np.einsum("ei,ei->e", edge, edge)
@@ -40,13 +40,13 @@ class VerticalProjection:
         return distance if self._find_crossing_heights(self._top, x, y).size else -distance
 
     def vertical_thickness(self, x: float, y: float) -> float:
-        """Return the distance from the highest to the lowest point of the surface on a vertical line, m; 0 outside."""
+        """Return the height difference of the extreme surface points on the vertical line at (x, y), m; 0 outside."""
         heights = self._find_crossing_heights(self._surface, x, y)
         return float(np.ptp(heights)) if heights.size else 0.0
 
     @property
     def outer_radius(self) -> float:
-        """Radius of the smallest circle about the axis that contains the projection of the body, m."""
+        """Largest horizontal distance of the surface from the axis x = y = 0, m."""
         return float(np.hypot(*self._points[np.unique(self._surface), :2].T).max())
 
     def _find_crossing_heights(self, triangles: np.ndarray, x: float, y: float) -> np.ndarray:
@@ -63,4 +63,5 @@ class VerticalProjection:
 
 
 def _split_into_triangles(sides: np.ndarray) -> np.ndarray:
+    """Return triangles, shape (k, 3), from faces with three or four corners."""
     return sides if sides.shape[1] == 3 else np.concatenate([sides[:, [0, 1, 2]], sides[:, [0, 2, 3]]])

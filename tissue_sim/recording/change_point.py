@@ -59,7 +59,7 @@ class LoadingWindow:
 
     @cached_property
     def coarse_window(self) -> LoadingWindow:
-        """The window with at most `ChangePointSettings.coarse_samples` averaged samples, for the coarse search."""
+        """This window averaged to at most `ChangePointSettings.coarse_samples` samples, for the coarse search."""
         return self.average_neighbouring_samples(_SETTINGS.coarse_samples)
 
     def average_neighbouring_samples(self, samples: int) -> LoadingWindow:
@@ -293,7 +293,7 @@ class ChangePointFit:
         return max(self.freedom * (1 - self.correlation) / (1 + self.correlation), 5.0)
 
     def estimate_noise_correlation(self, place: float, power: float) -> float:
-        """Return the correlation of the noise of neighbouring samples, for a fit with these values.
+        """Return the correlation of the noise of neighbouring samples, 0 to 1, of a fit with these values.
 
         Contact (`place`, m) and exponent (`power`) count as fitted parameters.
         """
@@ -306,7 +306,7 @@ class ChangePointFit:
         return float(self._data @ self._data)
 
     def fit_linear_coefficients(self, place: float, power: float) -> np.ndarray:
-        """Return the fitted coefficients, N: zero minus first force, drift over the window, then the law's terms."""
+        """Store the design in `_design`; return coefficients, N: zero minus first force, drift in the window, terms."""
         columns = [column[0] for column in self._evaluate_law_terms(np.array([place]), np.array([[power]]))]
         t = (self.part.time - self.part.time[0]) / ((self.part.time[-1] - self.part.time[0]) or 1.0)
         self._design = np.stack([np.ones(t.size), t, *columns])
@@ -314,7 +314,7 @@ class ChangePointFit:
         return np.linalg.lstsq(self._whiten_noise(self._design).T, wanted, rcond=None)[0]
 
     def compute_drift_error(self, place: float, power: float, variance: float) -> float:
-        """Return the standard error of the drift over the part, N; contact and exponent are fitted, too.
+        """Return the standard error of the drift over the whole window, N; contact and exponent are fitted, too.
 
         Args:
             place: displacement of contact, m.
@@ -336,7 +336,7 @@ class ChangePointFit:
         return float(np.linalg.lstsq(self._whiten_noise(design).T, wanted, rcond=None)[0][0])
 
     def _leading_terms_at_shifted_parameters(self, place: float, power: float) -> list[np.ndarray]:
-        """Return the leading power-law term at a shifted contact, and at a shifted exponent, for derivatives, (n,)."""
+        """Return two arrays (n,) for derivatives: the leading term at a shifted contact, and at a shifted exponent."""
         shifted = place - _SETTINGS.difference_step * self._scale
         return [self._evaluate_law_terms(np.array([shifted]), np.array([[power]]))[0][0],
                 self._evaluate_law_terms(np.array([place]), np.array([[power + _SETTINGS.difference_step]]))[0][0]]

@@ -25,7 +25,7 @@ _SHOWN = {"length": (" mm", 1e3), "force": (" N", 1.0), "stress": (" kPa", 1e-3)
 def remove_outliers_and_saturation(recording: Recording, leave_out: Sequence[int] | None = None,
                                    zeroed: Sequence[str] = (), controlled: str | None = None
                                    ) -> tuple[Recording, Screening]:
-    """Remove outliers and saturated samples from a recording, and report the findings.
+    """Return a recording without outliers and saturated samples, and the findings.
 
     Args:
         recording: a recording without a motion or without a load is returned without a change.
@@ -80,7 +80,7 @@ def remove_outliers_and_saturation(recording: Recording, leave_out: Sequence[int
 
 
 def find_start_value(recording: Recording, screening: Screening, name: str) -> float | None:
-    """Return the motion or the load at the first sample; None if the other samples do not determine this value.
+    """Return the motion or load at the first sample, SI, also if this sample is left out; None if undetermined.
 
     Args:
         recording: recording with all samples.
@@ -111,7 +111,7 @@ def _require_start_value(recording: Recording, screening: Screening, name: str) 
 
 
 def subtract_start_values(recording: Recording, zeroed: Sequence[str]) -> Recording:
-    """Count channels from their value at the first sample, also if the first sample is an outlier.
+    """Return a recording whose channels count from their value at the first sample, even if that is an outlier.
 
     If the other samples do not determine this value, the channels count from the first sample that is kept.
 
@@ -131,7 +131,7 @@ def subtract_start_values(recording: Recording, zeroed: Sequence[str]) -> Record
 
 def _split_stated_outliers(recording: Recording, leave_out: Sequence[int], found: tuple[LeftOutSamples, ...]
                ) -> tuple[tuple[LeftOutSamples, ...], tuple[LeftOutSamples, ...]]:
-    """Return the samples that the campaign lists, and the outliers that are not listed, with reasons."""
+    """Return the samples that the campaign lists, and those found outliers that it does not list, with reasons."""
     for number in leave_out:
         if not 1 <= number <= len(recording):
             raise InputError(f"leave_out must list samples from 1 to {len(recording)}; got {number}", field="leave_out")
@@ -145,7 +145,7 @@ def _split_stated_outliers(recording: Recording, leave_out: Sequence[int], found
 def _find_channel_saturation(recording: Recording, kept: np.ndarray, name: str, other: str,
                              values: np.ndarray | None = None, title: str = "", rounding: float = 0.0, *,
                              is_free: bool = False) -> tuple[Saturation, ...]:
-    """Find the saturation of a channel.
+    """Return the intervals in which a channel is saturated, with one sentence for each.
 
     Args:
         recording: recording without outliers.
@@ -173,7 +173,7 @@ def _find_channel_saturation(recording: Recording, kept: np.ndarray, name: str, 
 
 def _find_load_saturation(recording: Recording, kept: np.ndarray, load: str, motion: str, *, is_free: bool
                       ) -> tuple[Saturation, ...]:
-    """Find the saturation of the load in the measure of the file, or in the nominal stress.
+    """Return the intervals in which the load is saturated, in the measure of the file, or in the nominal stress.
 
     A load cell at its limit gives a constant force, which is the nominal stress times the undeformed area. The true
     stress of such a test still follows the stretch, and the nominal stress is constant to the rounding of the columns.
@@ -212,7 +212,7 @@ def _compute_nominal_stress_rounding(recording: Recording, measure: StrainOrStre
 
 
 def _get_time_if_present(recording: Recording) -> np.ndarray | None:
-    """Return the time of a recording, s, shape (n,); None for a recording without the channel ``time``."""
+    """Return the time of a recording, s, shape (n,); None without a channel ``time`` or if the time is constant."""
     return recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
 
 

@@ -13,7 +13,7 @@ from tissue_sim.recording.recording import Recording
 
 
 def complete_motion_from_speed(recording: Recording, speed: float, path: Path) -> Recording:
-    """Add the missing time, s, or the missing displacement, m, to a recording of a test at constant speed.
+    """Return a recording of a test at constant speed with the missing time, s, or displacement, m, added.
 
     Args:
         recording: recording without time or without displacement; a recording with both is returned without a change.

@@ -166,7 +166,7 @@ class Contact:
 
 def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None, *,
                  exponents: tuple[float, float] = EXPONENTS) -> Contact:
-    """Find contact in the first loading.
+    """Return the contact in the first loading; its `status` states whether contact was found.
 
     The search uses the loading up to the first hold under load, and after contact only the part that the law describes.
 
@@ -216,7 +216,7 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
 
 
 def _compute_misfit_probability(part: LoadingWindow, terms: int, exponents: tuple[float, float]) -> tuple[float, float]:
-    """Return the p value of the misfit of the law in a window, and the standard deviation of its residual, N."""
+    """Return the p value of a chance misfit of the law in a window, and the residual's standard deviation, N."""
     from scipy import special
 
     part = part.coarse_window
@@ -279,7 +279,7 @@ def _build_contact(loading: _FirstLoading, fitted: ChangePointFit, profile: Like
 
 @dataclass(frozen=True, eq=False)
 class _FirstLoading:
-    """Loading up to the first hold under load.
+    """Samples of the loading up to the first hold under load, with a first estimate of zero and noise.
 
     Attributes:
         whole: all samples of the loading.
@@ -295,10 +295,12 @@ class _FirstLoading:
 
     @property
     def step(self) -> float:
+        """Displacement between two samples, m."""
         return self.whole.step
 
     @property
     def start(self) -> float:
+        """Displacement at the start of the motion, m."""
         return self.whole.start
 
     @classmethod
@@ -332,7 +334,7 @@ class _FirstLoading:
                                                              max(self.noise * share, part.rounding))
 
     def find_immediate_rise(self) -> float | None:
-        """Return the displacement, m, at which the force rises clearly in the first moves; None without a rise."""
+        """Return the displacement, m, of a clear rise of the force in the first moves; None without such a rise."""
         first = int(np.argmax(self.whole.displacement > self.start)) - 1
         before = np.median(self.whole.force[:max(first, 0) + 1])
         risen = self.whole.force[max(first, 0):][:_SETTINGS.fewest_in_air + 1] - before
@@ -340,7 +342,7 @@ class _FirstLoading:
         return float(self.whole.displacement[max(first, 0) + int(np.argmax(clear))]) if clear[-2:].all() else None
 
     def list_fit_windows(self) -> list[LoadingWindow]:
-        """Return windows from the start of the loading: the longest first, down to a clear rise of the force."""
+        """Return windows that begin with the loading, the whole loading first, then shorter and shorter ones."""
         rise, parts = float(self.smooth.max()) - self.zero, [self.whole]
         for share in _SETTINGS.rise_fractions[1:]:
             if share * rise < _SETTINGS.least_rise * self.noise:

@@ -101,7 +101,7 @@ def analyse_control_and_creep(motion: np.ndarray, load: np.ndarray, time: np.nda
 
 
 def _count_equal_loads(load: np.ndarray, first: int, last: int) -> int:
-    """Return how many loads from sample `first` to `last` (not included) equal their median exactly.
+    """Return how many loads of the samples `first` to `last` (not included) equal the median of these loads exactly.
 
     The number is 0 if the loads scatter, or if their last digit is coarse.
     """
@@ -155,7 +155,7 @@ def _find_sample_near_maximum_motion(motion: np.ndarray) -> int:
 
 
 def _count_samples_to_largest_motion(motion: np.ndarray, oscillation: Oscillation) -> int:
-    """Return the number of samples up to the largest displacement before the oscillation."""
+    """Return the number of samples up to and including the largest displacement before the oscillation."""
     return int(np.argmax(motion[:oscillation.first + 1])) + 1
 
 
@@ -167,7 +167,7 @@ def _iterate_label_runs(labels: np.ndarray) -> Iterator[tuple[str, int, int]]:
 
 
 def _iterate_long_holds(labels: np.ndarray) -> Iterator[tuple[int, int]]:
-    """Yield first sample and end (not included) of each hold that is long enough, from the end of its motion."""
+    """Yield first sample and end (not included) of each long hold; the first sample is the last one of the motion."""
     yield from ((max(first - 1, 0), last) for name, first, last in _iterate_label_runs(labels)
                 if name == "hold" and last - first >= _SETTINGS.fewest)
 
@@ -228,7 +228,7 @@ def _is_motion_creeping(motion: np.ndarray, clock: np.ndarray, first: int, last:
 
 def _find_channel_linear_in_time(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: int
                 ) -> Literal["displacement", "force"] | None:
-    """Return the channel that is linear in time up to sample `end` (not included); None if both are, or none is."""
+    """Return the channel that is linear in time up to sample `end` (not included); None if both or neither are."""
     if end < 2 * _SETTINGS.fewest or not clock[end - 1] > clock[0]:
         return None
     bends = []

@@ -164,13 +164,13 @@ class _RampOrHold:
     tremor: float
 
     def _compute_least_losses(self, peak: np.ndarray) -> np.ndarray:
-        """Return the least loss of force after each peak, N; infinite for a peak that is too low."""
+        """Return for each peak the least loss of force, N, that is a failure; infinite for a peak that is too low."""
         risen = peak - min(self.zero, float(self.force[0]))
         return np.where(risen > max(_SETTINGS.least_rise * self.range, 2 * _SETTINGS.least_noise * self.noise),
                         np.maximum(self.least * risen, _SETTINGS.least_noise * self.noise), np.inf)
 
     def find_peak_of_ramp(self) -> int | None:
-        """Return the peak before a sample with lower force, larger displacement and the same speed; None: no peak."""
+        """Return the index of the peak before a loss of force in a motion that continues; None without such a peak."""
         if self.force.size < 4:
             return None
         smooth = _running_median_of_three(self.force)
@@ -213,7 +213,7 @@ class _RampOrHold:
 
 def _build_failure_and_recovery_sample(displacement: np.ndarray, force: np.ndarray, index: int, zero: float,
                                        labels: np.ndarray) -> tuple[Failure, int]:
-    """Return the `Failure` after the peak at `index`, and the sample at which the force exceeds this peak again."""
+    """Return the `Failure` after the peak at `index`, and the sample of larger force after it (else `index`)."""
     after = np.flatnonzero(labels[index:] == "unload")
     end = index + (after[0] if after.size else labels.size - index)
     risen = force[index] - zero
@@ -253,7 +253,7 @@ def _running_median_of_three(values: np.ndarray) -> np.ndarray:
 
 
 def _compute_sample_speeds(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """Return the speed at each sample, m/s: the mean speed of its straight part of the motion."""
+    """Return for each sample the mean speed, m/s, of the straight part of the motion that contains it, shape (n,)."""
     corners = find_motion_corners(time, displacement, MOTION_SETTINGS.straightness * float(np.ptp(displacement)))
     duration = np.diff(time[corners])
     speed = np.diff(displacement[corners]) / np.where(duration > 0, duration, 1.0)

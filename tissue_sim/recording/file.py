@@ -33,7 +33,7 @@ _FILE_UNITS = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stres
 def read_recording(path: str | Path, *, format: str = "native", columns: Mapping[str, Any] | None = None,
                    skip_lines: int = 0, delimiter: str | None = None, speed: float | None = None,
                    kind: str | None = None, **options) -> Recording:
-    """Read one replicate; SI inside.
+    """Read the only recording of a file; the values of the recording are in SI.
 
     Args:
         path: the file. ``NAME.json`` in the folder of ``NAME.csv`` is merged into the metadata.
@@ -45,14 +45,14 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
         speed: constant speed, m/s; makes the time from the displacement where the file has no time, and the
             displacement from the time where it has force and no motion.
         kind: kind of test, such as ``"lubricated_compression"``: refuse a recording without the channels it needs.
-        options: what only some formats take: ``sheet`` of a spreadsheet; ``curve``, ``spring_constant`` and
+        options: arguments of certain formats: ``sheet`` of a spreadsheet; ``curve``, ``spring_constant`` and
             ``sensitivity`` of an AFM file.
 
     Returns:
         The recording; its metadata always has ``name``, ``source`` and ``sha256``.
 
     Raises:
-        InputError: anything wrong with the file, with its line where there is one; a file with several recordings.
+        InputError: the file is invalid (with the line if it is known), or contains several recordings.
     """
     found = read_recordings(path, format=format, columns=columns, skip_lines=skip_lines, delimiter=delimiter,
                             speed=speed, kind=kind, **options)
@@ -65,7 +65,7 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
 def read_recordings(path: str | Path, *, format: str = "native", columns: Mapping[str, Any] | None = None,
                     skip_lines: int = 0, delimiter: str | None = None, speed: float | None = None,
                     kind: str | None = None, **options) -> tuple[Recording, ...]:
-    """Read all replicates of one file, such as the curves of an AFM file; see `read_recording` for the arguments.
+    """Read all recordings of one file, such as the curves of an AFM file; see `read_recording` for the arguments.
 
     Several recordings are named after the file and their numbers: ``cells_3``.
     """
@@ -96,7 +96,7 @@ def read_recordings(path: str | Path, *, format: str = "native", columns: Mappin
 
 
 def _add_time_and_metadata(recording: Recording, path: Path, speed: float | None, kind: str | None) -> Recording:
-    """Add time or displacement from the speed, and name, source, SHA-256 and sidecar to the metadata.
+    """Return a recording with time or displacement from the speed, and with the metadata of file and sidecar.
 
     Raises:
         InputError: the kind of test requires other channels.
@@ -193,7 +193,7 @@ def _format_csv(recording: Recording, path: Path) -> str:
 
 
 def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
-    """Return the metadata of the sidecar; empty without a sidecar.
+    """Return the metadata in the sidecar of a CSV file; empty if the file has no sidecar.
 
     Args:
         path: CSV file.
@@ -213,7 +213,11 @@ def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
 
 
 def _require_channels_of_kind(recording: Recording, kind: str | None, path: Path) -> None:
-    """Raise an `InputError` for a recording without a motion or a load, or without the channels of its kind."""
+    """Require the channels of the kind of test; if the kind is None, a motion and a load.
+
+    Raises:
+        InputError: a channel is missing.
+    """
     has = ", ".join(recording.channels)
     if kind is not None:
         KINDS.find(kind, "kind").require_channels(recording.channels, f"this file has {has}", file=path)

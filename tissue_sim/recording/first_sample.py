@@ -101,7 +101,10 @@ def estimate_first_sample_value(recording: Recording, screening: Screening, name
 
 
 def _is_first_sample_omitted(screening: Screening, name: str) -> bool:
-    """Return whether the screening left out the first sample because of the channel `name`."""
+    """Return whether the screening left out the first sample because of the channel `name`.
+
+    An empty name stands for the samples that the campaign lists.
+    """
     return any(1 in each.samples and each.channel == name for each in screening.left_out)
 
 
@@ -131,7 +134,7 @@ def _extrapolate_to_time_zero(clock: np.ndarray, values: np.ndarray, rounding: f
 
 
 def _estimate_load_rounding(recording: Recording, usable: np.ndarray, load: str, motion: str) -> float:
-    """Return the standard deviation of the rounding of a load that is constant while the motion continues; else 0."""
+    """Return the standard deviation of the rounding of a load; 0 if the load never keeps its value during motion."""
     steps, moves = (np.abs(np.diff(recording.channel(each)[usable])) for each in (load, motion))
     is_coarse = bool(np.any((steps == 0) & (moves > np.median(moves)))) and bool(np.any(steps > 0))
     return float(steps[steps > 0].min()) / np.sqrt(12.0) if is_coarse else 0.0

@@ -126,7 +126,7 @@ class _StartFromRest:
             motion, settings, is_counted=channels["motion"].is_counted)
 
     def find_wrong_samples(self, name: str) -> tuple[int, ...]:
-        """Return the wrong samples of the group: the first load, unless it is already left out."""
+        """Return the wrong samples of a channel at the start: (0,) for a load that is not left out yet; else ()."""
         return (0,) if name == "load" and self.motion is None else ()
 
 

@@ -63,7 +63,7 @@ _DIGITS = LastDigitSettings()
 
 @dataclass(frozen=True)
 class SaturatedRun:
-    """Samples `first` to `last` (from 0, both included) of a saturated channel; `count` have its extreme value."""
+    """Samples `first` to `last` (from 0, both included) of a saturated channel, `count` of them at its extreme."""
 
     first: int
     last: int

@@ -39,7 +39,7 @@ class LeftOutSamples:
 
     Attributes:
         samples: numbers of the samples in the recording, from 1.
-        channel: that shows the fault, e.g. ``"force"``; empty where the campaign lists the samples.
+        channel: channel that shows the fault, e.g. ``"force"``; empty if the campaign lists the samples.
         reason: one clause without its subject, e.g. ``"displacement is -0.7 mm, and its neighbours point to 0 mm"``.
     """
 
@@ -59,7 +59,7 @@ class Saturation:
 
     Attributes:
         channel: ``"force"``, ``"nominal stress"``, ``"displacement"``, ...
-        level: of the channel, SI, with its sign in the recording.
+        level: extreme value of the channel, SI, with its sign in the recording.
         samples: numbers of the samples that are left out, from 1: from the first saturated one to the last.
         sentence: the finding in words.
     """
@@ -75,8 +75,8 @@ class Preload:
     """A load at zero displacement in a test without air before contact.
 
     Attributes:
-        force: at zero displacement, N (Pa where stress was recorded), positive under load.
-        fraction: of the range of the force.
+        force: force at zero displacement, N (Pa for a recording of stress), positive under load.
+        fraction: `force` over the range of the force.
         shift: distance by which contact lies before the zero of the displacement if the force is right, m (strain).
         is_settled: whether the contact offset that the campaign states or fits covers `shift`, or the zero of the force
             that it states removes `force`. False: the moduli are wrong.
@@ -100,10 +100,12 @@ class ControlFindings:
         relaxation: largest fraction of the force that is lost in a hold of the displacement; 0 without a hold.
         creep: largest fraction of the displacement that is gained while the force is held; 0 without such a hold.
         loss_factor: tangent of the phase angle of an oscillation; None without an oscillation.
-        frequency: of the oscillation, Hz (1 / samples without time); None without one.
+        frequency: frequency of the oscillation, Hz (1 / samples without time); None without an oscillation.
         loading: number of samples of the first loading before the first hold or creep.
-        time_constant: s (samples without time), in which 63 % of the relaxation or creep takes place; None without one.
-        loading_time: s (samples), from the first sample to the largest displacement, or to the start of the creep.
+        time_constant: time, s (samples without time), in which 63 % of the relaxation or creep takes place; None
+            without relaxation or creep.
+        loading_time: time, s (samples), from the first sample to the largest displacement, or to the start of the
+            creep.
         equal_samples: number of samples of the longest creep whose load is equal to the last digit, where that digit is
             much finer than a controller holds a load; 0 elsewhere, and where the user states the quantity.
     """
@@ -121,7 +123,7 @@ class ControlFindings:
 
     @property
     def modulus_rate_error(self) -> float:
-        """Estimated relative error of an elastic modulus of the loading by what relaxes or creeps during it.
+        """Estimated relative error of an elastic modulus due to relaxation or creep during the loading, 1.
 
         A material with the relaxed fraction g and the time constant tau, loaded at a constant rate for a time T, shows
         a mean modulus that is smaller by g (1 - (tau / T) (1 - exp(-T / tau))).
@@ -179,8 +181,8 @@ class Screening:
 
     Attributes:
         left_out: samples that are not used, by reason; numbers from 1 in the recording as the file has it.
-        saturation: of each saturated channel. preload: None where the load starts from zero.
-        control: None where it was not examined (tables without an order).
+        saturation: one entry for each saturated channel. preload: None if the load starts from zero.
+        control: findings about the controlled quantity; None for a table without an order of its samples.
         suspected: outliers that are kept, because the campaign lists the samples to leave out.
     """
 

@@ -145,7 +145,7 @@ def label_reloads_and_cycles(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """Return the labels with ``reload`` for each ramp after an unloading, and the numbers of the cycles, shapes (n,).
 
     Args:
-        labels: of `label_motion`, shape (n,). A cycle, numbered from 1, begins at each reload.
+        labels: labels that `label_motion` returned, shape (n,). A cycle, numbered from 1, begins at each reload.
     """
     labels, cycles = np.array(labels, dtype="U6"), np.ones(labels.size, dtype=int)
     begins = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))

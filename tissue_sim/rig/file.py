@@ -63,6 +63,7 @@ def write_rig(rig: Rig, path: str | Path) -> None:
 
 
 def _decode_rig(data) -> Rig:
+    """Return the rig in the decoded JSON data of a rig file; InputError for an invalid schema, key or value."""
     require_file_schema(data, "rig", VERSION)
     file = decode_struct(data, _RigFile)
     require_valid_json_values(data)

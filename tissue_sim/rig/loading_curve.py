@@ -77,6 +77,7 @@ class LoadingCurve:
         factor, rest = (np.interp(history, samples, values) for values in (self._factor, self._rest))
 
         def interpolate_force(depth):
+            """Return the force, N, at depths, m, with the effect of history."""
             return rest + factor * self(depth)
 
         if not compliance:

@@ -148,6 +148,7 @@ class Rig:
                     *(fault.needs_time for fault in self.faults.values())))
 
     def _select_effects(self, *targets: str, faults: Any) -> Rig:
+        """Return a rig with only the effects on the given targets, and the given faults."""
         own = {entry.name: getattr(self, entry.name) for entry in fields(self)
                if entry.metadata.get(_ACTS_ON) in targets}
         return Rig(**own, faults=faults)
@@ -172,7 +173,7 @@ class Rig:
         return compute_nut_motion(screw, self.backlash)[0]
 
     def apply(self, recording: Recording) -> Recording:
-        """Compute the true force under this rig for the same reported motion, without a new simulation.
+        """Return the recording with the true force under this rig for the same reported motion; no new simulation.
 
         Let E(d) be the force on first loading. The ideal recording is F = R E(D), where R contains the effect of
         history (relaxation, unloading, friction, softening). The result is F = R E(d) with R at the same time and
@@ -275,4 +276,5 @@ class Rig:
 
 
 def _round_to_resolution(values: np.ndarray, resolution: float) -> np.ndarray:
+    """Return the values rounded to multiples of the resolution; unchanged if the resolution is 0."""
     return np.round(values / resolution) * resolution if resolution else values

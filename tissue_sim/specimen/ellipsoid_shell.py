@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 
 def _declare_size(symbol: str, key: str) -> Any:
+    """Declare a field for a size in m, with its symbol in reports and its key (mm) in files."""
     return parameter(symbol, "m", key=key, factor=1e-3, bounds=(1e-4, 1.0), shapes_mesh=True)
 
 

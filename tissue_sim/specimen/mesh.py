@@ -67,11 +67,13 @@ class MeshSpecimen(Specimen):
 
     @property
     def _content_key(self) -> tuple:
+        """Values that determine equality and hash: digest of the file and all other fields except the path."""
         return (self.digest, self.mesh_unit, self.mesh_base, self.mesh_top, self.name, self.density, self.gravity,
                 self.height_is)
 
     @cached_property
     def _mesh(self) -> FileMesh:
+        """Mesh of the file, m: `content`, or read from the file at first use."""
         if self.content is not None:
             return self.content
         path = Path(self.mesh_file)
@@ -93,6 +95,7 @@ class MeshSpecimen(Specimen):
 
     @cached_property
     def _vertical_projection(self) -> VerticalProjection:
+        """Plan view of the body: its top and base faces, with the origin in the middle of the top."""
         from tissue_sim.mesh.solid_file import find_base_and_top, find_top_centre
         from tissue_sim.mesh.vertical_projection import VerticalProjection
 

@@ -176,7 +176,7 @@ class Specimen(metaclass=_SpecimenShapeMeta):
                          for name, what in list_field_declarations(type(self)).items() if name not in _COMMON)
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
-        """Distance of a point from the edge of the top, in plan view, m; negative outside."""
+        """Return the distance of a position (x, y) from the edge of the top, in plan view, m; negative outside."""
         raise NotImplementedError
 
     @property
@@ -219,6 +219,7 @@ _COMMON = frozenset(entry.name for entry in fields(Specimen))
 
 
 def _spell_name(name: str) -> str:
+    """Return a name with blanks instead of underscores."""
     return name.replace("_", " ")
 
 
@@ -251,7 +252,7 @@ class SpecimenSize(NamedTuple):
 
 
 def specimen_sizes() -> dict[str, SpecimenSize]:
-    """Return the sizes of all shapes by their keys in files and on the command line.
+    """Return key in files and on the command line -> declaration and shapes, for the sizes of all shapes.
 
     Raises:
         InputError: two shapes use one key for different sizes.
@@ -270,13 +271,13 @@ def specimen_sizes() -> dict[str, SpecimenSize]:
 
 
 def get_shape_sizes(shape: str) -> dict[str, Declaration]:
-    """Return the declarations of the sizes of a shape, in order, by their keys in files."""
+    """Return key in files -> declaration, for the sizes of a shape, in the order of its fields."""
     return {what.key: what for name, what in list_field_declarations(SPECIMENS.find(shape, "specimen.shape")).items()
             if name not in _COMMON}
 
 
 def specimen_texts() -> dict[str, tuple[str, ...]]:
-    """Return the keys of texts in files and, for each, the shapes that have it.
+    """Return key in files -> names of the shapes with this key, for all keys whose value is a text.
 
     Raises:
         InputError: the key of a text is the key of a size of another shape.
@@ -292,7 +293,7 @@ def specimen_texts() -> dict[str, tuple[str, ...]]:
 
 
 def get_shape_keys(shape: str) -> dict[str, bool]:
-    """Return the keys of sizes and texts of a shape, and whether each is required."""
+    """Return key in files -> whether the key is required, for the sizes and texts of a shape."""
     kind = SPECIMENS.find(shape, "specimen.shape")
     usual = {entry.name: entry.default is not MISSING for entry in fields(kind)}
     return {**{key: what.absent is None for key, what in get_shape_sizes(shape).items()},

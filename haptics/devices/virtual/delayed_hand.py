@@ -15,7 +15,7 @@ from tissue_sim.pose import Pose, Screw
 
 
 class DelayedHand(HapticDevice):
-    """A `VirtualHand` to which each force is delivered late; the hand keeps the last force until the next arrives.
+    """A `VirtualHand` that receives each force late and keeps it until the next one; poses are not delayed.
 
     The stability of a loop depends on the total delay around the loop only, so the force carries all of it; the delay
     need not be a multiple of the tick. Messages keep their order, as on a TCP connection.
@@ -77,7 +77,7 @@ class DelayedHand(HapticDevice):
             self._in_transit.append((arrives, wrench))
 
     def _draw_message_loss(self) -> bool:
-        """Draw a random number, and return True if the message of this call is lost, with probability `loss`."""
+        """Return True with the probability `loss`: the message of this call is then lost. Uses one random number."""
         return self._loss > 0.0 and self._random.random() < self._loss
 
     def stop(self) -> None:
@@ -94,7 +94,7 @@ class DelayedHand(HapticDevice):
         self._hand.set_approach(approach)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
-        """Set the target of the hand, m."""
+        """Set the target of the hand's motion, depth and position across, m; see `HapticDevice.aim`."""
         self._hand.aim(depth, across)
 
     def describe(self) -> dict[str, Any]:

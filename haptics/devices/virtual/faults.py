@@ -92,11 +92,11 @@ class FaultyMessageQueue:
         self._held_back: bytes | None = None
 
     def is_disconnected(self, now: float) -> bool:
-        """Return True after the simulated disconnection."""
+        """Return True if the time `now`, s, is after the simulated disconnection."""
         return now - self._began >= self._faults.disconnect_after
 
     def put_message(self, message: bytes, now: float) -> None:
-        """Queue a message of the device, subject to the faults."""
+        """Queue a message to be due after the delay; at random it is lost, damaged, doubled or held back instead."""
         faults, draw = self._faults, self._random.random
         if self.is_disconnected(now) or draw() < faults.loss:
             return
@@ -110,7 +110,7 @@ class FaultyMessageQueue:
             self._waiting.append((now + faults.delay, each))
 
     def _release_held_message(self) -> list[bytes]:
-        """Return the message that was held back to change the order, in a list; empty if no message is held back."""
+        """Remove the message held back to change the order, and return it in a list; empty if there is none."""
         held_back, self._held_back = self._held_back, None
         return [] if held_back is None else [held_back]
 

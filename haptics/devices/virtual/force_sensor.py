@@ -13,7 +13,7 @@ from tissue_sim.errors import InputError
 
 
 class VirtualForceSensor(ForceSensor):
-    """Sample a force along one axis or several.
+    """Sample a load, a function of time with one or more channels, as a force sensor with counts and a finite range.
 
     Args:
         load: Function of the time on `clock`, s, that returns the load of each channel, N or N m.
@@ -45,7 +45,7 @@ class VirtualForceSensor(ForceSensor):
         self._passed = 0
 
     def start(self) -> None:
-        """Set the time of the first sample to one period from now."""
+        """Start sampling; the first sample is one period from now."""
         if self._began is None:
             self._began, self._passed = self._clock(), 0
 
@@ -79,31 +79,32 @@ class VirtualForceSensor(ForceSensor):
                 "resolution_N": self._resolution, "range_N": self._largest_count * self._resolution}
 
     def _get_present_and_start_time(self) -> tuple[float, float]:
-        """Return the present time and the time of the start, s on the clock."""
+        """Return the present time and the time of the start, s on the clock; DeviceError if not started."""
         if self._began is None:
             raise DeviceError("the virtual force sensor is not started; start it first")
         return self._clock(), self._began
 
     def _measure_counts(self, at: float) -> tuple[tuple[int, ...], SampleStatus]:
-        """Return counts, clipped to the range, and status at a time on the clock, s."""
+        """Return the counts of all channels, clipped to the range, and their status at a time on the clock, s."""
         unclipped = [round(value / self._resolution) for value in self._load(at)]
         counts = tuple(min(max(count, -self._largest_count), self._largest_count) for count in unclipped)
         return counts, SampleStatus.GOOD if list(counts) == unclipped else SampleStatus.SATURATED
 
 
 def open_virtual_sensor(text: str) -> VirtualForceSensor:
-    """Make a sensor under constant load from ``virtual:rate_hz=1000,resolution_N=0.001,range_N=50,load_N=0``."""
+    """Make a sensor with one constant load from ``rate_hz=1000,resolution_N=0.001,range_N=50,load_N=0``."""
     given = read_settings(text, rate_hz=1000.0, resolution_N=1e-3, range_N=50.0, load_N=0.0)
     return VirtualForceSensor(_ConstantLoad(given["load_N"]), rate=given["rate_hz"], resolution=given["resolution_N"],
                               reach=given["range_N"])
 
 
 class _ConstantLoad:
-    """A constant load, N; a class instead of a lambda, so that the sensor can be pickled."""
+    """A function of time that returns a constant load, N; a class, so that the sensor can be pickled."""
 
 
     def __init__(self, load: float):
         self._load = (load,)
 
     def __call__(self, time: float) -> tuple[float, ...]:
+        """Return the load, N, one channel, at any time."""
         return self._load

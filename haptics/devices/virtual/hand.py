@@ -59,7 +59,7 @@ class VirtualHand(HapticDevice):
         self.start()
 
     def start(self) -> None:
-        """Start with the push as the only force; the first call of `pose` places the hand on its target."""
+        """Restart: the push is the only force, and the next call of `pose` places the hand at rest on its target."""
         #: Rendered force plus push, N.
         self._force: Vector = (0.0, 0.0, -self._push)
         self._time = 0.0
@@ -67,7 +67,7 @@ class VirtualHand(HapticDevice):
         self._velocity: Vector = (0.0, 0.0, 0.0)
 
     def pose(self, time: float) -> Pose | None:
-        """Solve the equation of motion up to a time, s, and return the pose; None if the motion has no pose."""
+        """Advance the hand to a time, s, and return its pose; None if the motion that it follows has no pose."""
         target = self._motion.pose(time)
         if target is None:
             return None
@@ -93,6 +93,7 @@ class VirtualHand(HapticDevice):
         velocity_to_velocity = ((r * exp_r - s * exp_s) / difference).real
 
         def integrate_axis(axis: int) -> tuple[float, float]:
+            """Return position, m, and velocity, m/s, along one axis (0 to 2) after the step."""
             equilibrium, velocity = target[axis] + self._force[axis] / self._grip, self._velocity[axis]
             offset = position[axis] - equilibrium
             return (equilibrium + offset_to_offset * offset + velocity_to_offset * velocity,
@@ -102,7 +103,7 @@ class VirtualHand(HapticDevice):
         return (x, y, z), (u, v, w)
 
     def _integrate_motion_without_grip(self, position: Vector, dt: float) -> tuple[Vector, Vector]:
-        """Return position, m, and velocity, m/s, after a time step, s, of mass x'' + damping x' = force."""
+        """Return position, m, and velocity, m/s, after a step, s, of mass x'' + damping x' = force."""
         mass, damping = self._mass, self._damping
         decay = damping * dt / mass
         if decay < _LEAST_ROOT_SEPARATION:
@@ -116,6 +117,7 @@ class VirtualHand(HapticDevice):
             force_to_offset = (dt - velocity_to_offset) / damping
 
         def integrate_axis(axis: int) -> tuple[float, float]:
+            """Return position, m, and velocity, m/s, along one axis (0 to 2) after the step."""
             force, velocity = self._force[axis], self._velocity[axis]
             return (position[axis] + velocity_to_offset * velocity + force_to_offset * force,
                     velocity_to_velocity * velocity + force_to_velocity * force)
@@ -142,7 +144,7 @@ class VirtualHand(HapticDevice):
         self._motion.set_approach(approach)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
-        """Set the target of the motion that the hand follows, m."""
+        """Set the target of the motion that the hand follows, depth and position across, m; see `HapticDevice.aim`."""
         self._motion.aim(depth, across)
 
     def describe(self) -> dict[str, Any]:
@@ -152,5 +154,5 @@ class VirtualHand(HapticDevice):
 
 
 def open_virtual_hand(text: str) -> VirtualHand:
-    """Make a hand that follows a named motion, as in ``virtual:random:seed=3``; ``virtual:`` is steerable."""
+    """Make a simulated hand that follows the motion named in `text`, as ``random:seed=3``; by default ``hand``."""
     return VirtualHand(open_motion(text or "hand"))

@@ -100,7 +100,7 @@ class ElasticSpecimen:
         self._forces = curve.solve_force_with_compliance(motion, model.rig.compliance, np.zeros(motion.size)).tolist()
 
     def force(self, time: float, depth: float) -> float:
-        """Return the force at a depth, m, by linear interpolation in the table of forces, N."""
+        """Return the force, N, at a depth, m, by linear interpolation in the table; 0 above the surface."""
         if depth <= 0.0:
             return 0.0
         index = depth / self._step
@@ -193,11 +193,11 @@ class VirtualRig:
 
     @property
     def bench(self) -> Bench:
-        """The virtual sensor and the virtual stage as a `Bench`."""
+        """The virtual sensor and the virtual stage of this rig as a `Bench`; neither is started here."""
         return Bench(self.sensor, self.stage)
 
     def _compute_load(self, at: float) -> tuple[float, ...]:
-        """Return the load of each channel at a time on the clock, s; N."""
+        """Return the load of each channel, N, at a time on the clock, s; advances the specimen and the noise to it."""
         rig = self._rig
         self._began = min(self._began, at)
         delayed = at - rig.latency
@@ -211,15 +211,15 @@ class VirtualRig:
         return tuple(self._sign * force if axis == self._axis else 0.0 for axis in range(self._count))
 
     def _compute_depth(self, at: float) -> float:
-        """Return the depth of the tool at a time on the clock, s; m."""
+        """Return the depth, m, of the tool below the surface at a time on the clock, s, with the errors of the rig."""
         return float(self._tool_motion(np.array(self._find_stage_path(at)) - self._surface)[-1])
 
     def _find_stage_path(self, at: float) -> Sequence[float]:
-        """Return the reversal positions until a time, s, and the position then, m; backlash depends on these alone."""
+        """Return the stage's first position, reversals until a time, s, and position then, m; for the backlash."""
         return (*self.stage.list_reversal_positions(at), self.stage.tool_position_at(at))
 
     def _compute_disturbance(self, at: float) -> float:
-        """Return noise (a first-order Gauss-Markov process) plus drift at a time on the clock, s; N."""
+        """Return noise (a Gauss-Markov process) plus drift, N; advances the noise to a time on the clock, s."""
         rig, time_constant = self._rig, self._rig.noise_correlation_time
         if rig.force_noise:
             correlation = math.exp(-(at - self._last) / time_constant) if time_constant and at > self._last else 0.0

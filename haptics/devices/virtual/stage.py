@@ -32,7 +32,7 @@ class _LinearMotion(NamedTuple):
     speed: float
 
     def compute_position(self, at: float) -> float:
-        """Return the position of the motor in this motion at a time `at` on the clock, s; m."""
+        """Return the position of the motor, m, at a time `at` on the clock, s; `goal` after the end of the motion."""
         length = self.goal - self.start
         travelled = self.speed * max(at - self.began, 0.0)
         return self.goal if travelled >= abs(length) else self.start + math.copysign(travelled, length)
@@ -99,7 +99,7 @@ class VirtualStage(Stage):
         self._begin_motion(position, speed)
 
     def position(self) -> StageSample:
-        """Return the position of the encoder, m: of the tool if `measures_position`, otherwise of the motor."""
+        """Return a sample with the position, m, of the tool if `measures_position`, otherwise of the motor."""
         self._require_started()
         self._finish_homing()
         now = self._clock()
@@ -114,11 +114,11 @@ class VirtualStage(Stage):
                            int(SampleStatus.GOOD), now)
 
     def tool_position_at(self, at: float) -> float:
-        """Return the present or past position of the tool at a time on the clock, s; m."""
+        """Return the position of the tool, m, at a present or past time on the clock, s; constant after the stall."""
         return self._motor_position_at(min(at, self._stalls))
 
     def list_reversal_positions(self, until: float) -> list[float]:
-        """Return the first position and the positions of all reversals until a time on the clock, s; m."""
+        """Return the first position of the tool and its positions at all reversals until a time on the clock, s; m."""
         return [position for at, position in self._reversals if at <= until]
 
     def halt(self) -> None:
@@ -139,7 +139,7 @@ class VirtualStage(Stage):
                 "top_speed_mm_s": self.limits.speed * 1e3, "resolution_mm": self._resolution * 1e3}
 
     def _begin_motion(self, position: float, speed: float) -> None:
-        """Begin a motion to a position, m, at a speed, m/s, and end homing."""
+        """Begin a motion from the present position to a position, m, at a speed, m/s; homing counts as interrupted."""
         now = self._clock()
         start, last = self._motor_position_at(now), self._motions[-1]
         if (position - start) * (last.goal - last.start) < 0:
@@ -149,22 +149,23 @@ class VirtualStage(Stage):
         self._homing = False
 
     def _motor_position_at(self, at: float) -> float:
-        """Return the present or past commanded position at a time on the clock, s; m."""
+        """Return the position of the motor, m, at a present or past time on the clock, s, also after a stall."""
         motions = self._motions
         return motions[max(bisect_right(motions, at, key=lambda motion: motion.began) - 1, 0)].compute_position(at)
 
     def _finish_homing(self) -> None:
-        """Mark the stage as homed if a homing motion has ended."""
+        """Mark the stage as homed if the tool is at the end of a homing motion; otherwise change nothing."""
         if self._homing and self.tool_position_at(self._clock()) == self._motions[-1].goal:
             self._homing, self._homed = False, True
 
     def _require_started(self) -> None:
+        """Raise a DeviceError if the stage is not started."""
         if not self._started:
             raise DeviceError("the virtual stage is not started; start it first")
 
 
 def open_virtual_stage(text: str) -> VirtualStage:
-    """Make a stage from ``virtual:lowest_mm=-50,highest_mm=50,top_speed_mm_s=50,resolution_mm=0.001``."""
+    """Make a stage without a rig from ``lowest_mm=-50,highest_mm=50,top_speed_mm_s=50,resolution_mm=0.001``."""
     given = read_settings(text, lowest_mm=-50.0, highest_mm=50.0, top_speed_mm_s=50.0, resolution_mm=1e-3)
     limits = StageLimits.from_settings(given)
     return VirtualStage(limits, given["resolution_mm"] * 1e-3)

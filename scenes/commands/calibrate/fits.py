@@ -130,7 +130,7 @@ def _choose_row_style(fit: Fit, best: Fit) -> str | None:
 
 
 def _format_R2(fit: Fit) -> str:
-    """Format the coefficient of determination."""
+    """Return the coefficient of determination of a fit as text."""
     return f"{fit.R2:.5f}" if fit.R2 > -1 else f"{fit.R2:.3g}"
 
 

@@ -210,7 +210,7 @@ def _parse_channel_values(texts: Sequence[str], flag: str) -> dict[str, str]:
 
 
 def _parse_flag_number(text: str, flag: str) -> float:
-    """Convert the value of a flag to a number."""
+    """Convert the value of a flag to a number; the InputError of another text names the flag."""
     try:
         return float(text)
     except ValueError:

@@ -271,6 +271,7 @@ def make_force_rendering(arguments, largest_force: float):
     has_limit = math.isfinite(largest_force)
 
     def choose_value_or_default(value: float | None, device_default: float) -> float:
+        """Return the given value, else the default of a device with a force limit, else 0."""
         return value if value is not None else device_default if has_limit else 0.0
 
     stiffness = choose_value_or_default(arguments.coupling_stiffness_N_m, DEFAULTS.coupling_stiffness)

@@ -40,7 +40,7 @@ class LoopStatusLine:
         self._ring, self._seconds, self._number = ring, seconds, 0
 
     def format_new_status(self) -> str:
-        """Return the status line for the ticks since the last call."""
+        """Return the status line at every call; its quantiles are those of the ticks since the last call."""
         ticks = self._ring.since(self._number)
         self._number, records = ticks.number, ticks.records
         if not len(records):

@@ -43,6 +43,7 @@ def add_arguments(parser: CommandParser) -> None:
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
 
     def add_action(name, texts, run) -> CommandParser:
+        """Add one action with its help, its function and ``--json``; return its parser."""
         inner = actions.add_parser(name, help=texts[0], description=texts[0], epilog=f"example:\n  {texts[1]}")
         inner.set_defaults(run=run)
         add_json_flag(inner)

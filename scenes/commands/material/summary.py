@@ -151,7 +151,7 @@ def list_effect_lines(summary: dict[str, Any]) -> list[str]:
 
 
 def _format_with_error(entry: dict[str, Any], key: str, absent: float | None = None) -> str:
-    """Format a value with its standard error, if stated; `absent` is the value of a missing key."""
+    """Format a value with its standard error, if stated; `absent` replaces the value of a missing key."""
     error = entry.get("standard_error", entry.get("standard_errors", {}).get(key))
     return f"{entry.get(key, absent):.6g}" + ("" if error is None else f" +- {error:.2g}")
 
@@ -161,6 +161,7 @@ def print_material_summary(summary: dict[str, Any], console: Console) -> None:
     from rich.table import Table
 
     def print_line(text: str) -> None:
+        """Print a text literally, on one line of any length."""
         console.print(text, markup=False, soft_wrap=True)
 
     print_line(f"{summary['name'] or 'unnamed'}: {summary['title']} ({summary['law']})")

@@ -141,6 +141,7 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
           _display_run_status(arguments.json) as show_status, live.run_writing_thread()):
 
         def publish_and_show_progress(moment: RunProgress) -> None:
+            """Store the progress for the live file, and show it on the terminal."""
             live.set_progress(moment)
             show_status(moment)
 
@@ -205,6 +206,7 @@ def _watch_for_stop_request(quiet: bool) -> Iterator[Callable[[], str | None]]:
     requests: list[str] = []
 
     def wait_for_enter_key() -> None:
+        """Wait for a line from the keyboard, then append a stop request."""
         sys.stdin.readline()
         requests.append("stopped at the keyboard")
 
@@ -233,6 +235,7 @@ def _display_run_status(quiet: bool) -> Iterator[Callable[[RunProgress], None]]:
         task = progress.add_task("starting; press Enter to stop", total=1.0)
 
         def update_status_line(moment: RunProgress) -> None:
+            """Show test, phase, position and force of the run on the terminal."""
             replicate = f" {moment.replicate}" if moment.replicate else ""
             progress.update(task, completed=moment.fraction, description=(
                 f"{moment.test}{replicate} {moment.phase}: {moment.position * 1e3:7.3f} mm {moment.force:7.3f} N; "

@@ -53,7 +53,7 @@ def show_campaign_progress(arguments: Namespace, last_file: str) -> Iterator[Cam
 
 
 def add_worker_flags(parser: CommandParser, tasks: str) -> None:
-    """Add ``--workers`` and ``--dask``.
+    """Add ``--workers`` (number of processes, default 1) and ``--dask`` (cluster), which exclude each other.
 
     Args:
         parser: parser of the command.
@@ -67,7 +67,7 @@ def add_worker_flags(parser: CommandParser, tasks: str) -> None:
 
 
 def add_figures_format_flag(parser: CommandParser) -> None:
-    """Add ``--figures-format``."""
+    """Add ``--figures-format``; without this flag the figures are drawn in the report only."""
     parser.add_argument("--figures-format", choices=("svg", "pdf", "png"),
                         help="also write each figure of the report as a file of this format")
 

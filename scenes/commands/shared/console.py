@@ -25,7 +25,7 @@ def print_json(content: dict[str, Any]) -> None:
 
 
 def _convert_path_for_json(value: Any) -> str:
-    """Convert a path to a string for JSON."""
+    """Convert a path to a string for JSON; raise TypeError for a value of any other type."""
     if isinstance(value, Path):
         return str(value)
     raise TypeError(f"value must be a JSON type or a path; got {value!r}. Convert it before printing.")
@@ -39,6 +39,7 @@ def make_results_console(*, quiet: bool = False) -> Console:
         """Console that passes a closed pipe on to `scenes.cli`; rich itself would end the process with code 1."""
 
         def on_broken_pipe(self) -> None:
+            """Raise BrokenPipeError, which `scenes.cli` handles."""
             raise BrokenPipeError
 
     width = None if sys.stdout.isatty() else TABLES.pipe_width

@@ -35,12 +35,12 @@ def describe_planned_feature(feature: str) -> str:
 
 
 def add_json_flag(parser: CommandParser) -> None:
-    """Add ``--json``."""
+    """Add ``--json``, with which a command prints one JSON object on stdout and nothing else."""
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
 
 
 def add_overwrite_flag(parser: CommandParser) -> None:
-    """Add ``--overwrite``."""
+    """Add ``--overwrite``, without which a command refuses to replace existing output."""
     parser.add_argument("--overwrite", action="store_true", help="replace existing output")
 
 
@@ -61,8 +61,9 @@ def parse_non_negative_number(text: str) -> float:
 
 
 def make_number_parser(lowest: float, highest: float):
-    """Return a function for argparse's ``type`` that converts text to a number between `lowest` and `highest`."""
+    """Return a function for argparse's ``type`` that converts text to a number above `lowest` and below `highest`."""
     def parse_number_in_range(text: str) -> float:
+        """Convert text to a number above `lowest` and below `highest`."""
         value = _parse_number_or_nan(text)
         if not lowest < value < highest:
             raise argparse.ArgumentTypeError(f"must be between {lowest:.3g} and {highest:.3g}; got {text!r}")
@@ -96,6 +97,7 @@ def make_integer_parser(lowest: int, highest: int | None = None):
     `highest` None: no upper limit.
     """
     def parse_whole_number(text: str) -> int:
+        """Convert text to an integer from `lowest` to `highest`, both included."""
         try:
             value = int(text)
         except ValueError:

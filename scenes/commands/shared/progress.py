@@ -138,7 +138,7 @@ class CampaignProgressDisplay:
         return Group(*parts)
 
     def _estimate_remaining_time(self, now: float) -> str:
-        """Estimate the remaining time of the current part from its finished tasks; empty without an estimate."""
+        """Return the estimated remaining time of the current tasks as text; empty without an estimate."""
         elapsed = self._last_report - self._part_start
         if not 0 < self._done < self._total or elapsed < _SETTINGS.estimate_after:
             return ""

@@ -38,7 +38,7 @@ def add_solver_flags(parser: CommandParser, resolutions: Sequence[str] = tuple(_
 
 
 def add_reduced_flag(parser: CommandParser) -> None:
-    """Add ``--reduced``, which replaces the specimen, tool and solver of the other flags."""
+    """Add ``--reduced FILE``, a reduced model that replaces specimen, tool and solver of the other flags."""
     parser.add_argument("--reduced", type=Path, metavar="FILE",
                         help="reduced model from `tissue-sim reduce` (NAME.reduced.npz); it contains specimen, tool "
                              "and interfaces")

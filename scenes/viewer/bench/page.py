@@ -50,6 +50,7 @@ class BenchPage:
         self._draw_force_plot("time", "time [s]", view.time, view.forces)
 
     def _draw_force_plot(self, name: str, label: str, x: np.ndarray, force: np.ndarray) -> None:
+        """Draw force over one quantity with rounded axis ranges; with fewer than two samples, draw nothing."""
         if x.size < 2:
             return
         ranges = (round_axis_range((float(x.min()), float(x.max())), self._ranges.get(name, (None, None))[0]),
@@ -83,6 +84,7 @@ class BenchPage:
 def bench_status_html(view: BenchView) -> str:
     """Return HTML with the title, the progress, a message, and force and depth in large digits."""
     def format_value_html(key: str, label: str, value: float | None, decimals: int, unit: str) -> str:
+        """Return HTML of a label and a value with its unit; a dash replaces None."""
         text = "–" if value is None else f"{round(value, decimals) + 0.0:.{decimals}f}"
         return (f'<div style="flex:1"><div style="font-size:0.75em;opacity:0.7">{label}</div>'
                 f'<div style="font-size:1.7em;font-weight:600;font-variant-numeric:tabular-nums">'

@@ -64,7 +64,7 @@ class BenchSource(ABC):
 
     @abstractmethod
     def read(self) -> BenchView:
-        """Return the present state without waiting for new data."""
+        """Return the present state at every call, without waiting for new data."""
 
     def close(self) -> None:
         """Release the devices; does nothing by default."""
@@ -178,6 +178,7 @@ class ConnectedDevicesSource(BenchSource):
         return self._make_bench_view(message)
 
     def _make_bench_view(self, message: str) -> BenchView:
+        """Return the view of the stored samples, thinned to about `BenchCurveSettings.points`, with a message."""
         rows = np.array(list(self._rows)[:: max(1, len(self._rows) // CURVE.points)]).reshape(-1, 3)
         last = self._rows[-1] if self._rows else None
         return BenchView("sensor" if self._stage is None else "sensor and stage", message or (
@@ -193,6 +194,7 @@ class ConnectedDevicesSource(BenchSource):
 
 
 def _get_modification_time(path: Path) -> float:
+    """Return the modification time of a file, s; 0 if the file does not exist."""
     try:
         return path.stat().st_mtime
     except OSError:  # the recorder has renamed the file

@@ -73,6 +73,7 @@ class Page:
 
     def _add_controls(self, session: CommandReceiver, frame: SessionFrame, materials: Path, low_graphics: bool,
                       dark: bool) -> None:
+        """Add the picture, the texts, the control tabs and the plots to the page, and connect their callbacks."""
         server, gui = self.server, self.server.gui
         self._solid = ScenePicture(server, frame.scene, low_graphics=low_graphics)
         self._solid.register_drag_callback(lambda depth, across, reply: session.post(
@@ -108,10 +109,12 @@ class Page:
 
         @self._restart.on_click
         def restart_simulation_on_click(event: viser.GuiEvent) -> None:
+            """Post the command that restarts the simulation."""
             session.post("restart", reply=make_browser_reply(event))
 
         @server.on_client_connect
         def set_camera_on_connect(client: viser.ClientHandle) -> None:
+            """Set the preset view "iso" for a new browser."""
             self._look.move_camera_to_preset(client, "iso")
 
     def show(self, frame: SessionFrame) -> None:
@@ -155,5 +158,6 @@ class Page:
 
 
     def _apply_colour_scheme(self, dark: bool) -> None:
+        """Select the dark or the light colour scheme of the page and its plots."""
         self.server.set_page_theme(dark_mode=dark)
         self._plots.set_colour_scheme(dark)

@@ -51,6 +51,7 @@ class CalibrationControls:
 
         @self._upload.on_upload
         def add_recordings_on_upload(event: viser.GuiEvent) -> None:
+            """Read the uploaded file, and post its recordings; show the message of a file that is refused."""
             file = self._upload.value
             try:
                 uploads = read_recording_upload(file.name, file.content)
@@ -66,10 +67,12 @@ class CalibrationControls:
 
         @self._save.on_click
         def save_material_on_click(event: viser.GuiEvent) -> None:
+            """Post the command that writes the calibrated material into the folder."""
             name = self._name.value.strip().removesuffix(SUFFIX)
             state = None if self._shown is None else self._shown[0]
 
             def notify_and_send_file(problem: str | None) -> None:
+                """Show the problem, or without a problem the success, and send the saved file to the browser."""
                 make_browser_reply(event, f"Saved as {name}{SUFFIX} in {folder}.")(problem)
                 if problem is None and state is not None and state.result is not None:
                     send_download(event.client, f"{name}{SUFFIX}", state.result.file)
@@ -77,8 +80,10 @@ class CalibrationControls:
             session.post("save_calibration", reply=notify_and_send_file, folder=folder, name=name)
 
     def _post_command_on_click(self, session: CommandReceiver, button: viser.GuiButtonHandle, command: str) -> None:
+        """Post a command without arguments at each click of a button."""
         @button.on_click
         def post_command_of_button(event: viser.GuiEvent) -> None:
+            """Post the command; its problem is shown in the browser."""
             session.post(command, reply=make_browser_reply(event))
 
     def update_controls(self, frame: SessionFrame) -> None:
@@ -111,6 +116,7 @@ def recordings_html(state: CalibrationState, scene: Scene) -> str:
 
 
 def _describe_recording_html(uploaded: UploadedRecording, scene: Scene) -> str:
+    """Return HTML of one recording: file, kind of test, tool, depth, force, duration and warnings."""
     facts = [uploaded.measured.stated_test_kind or "kind of test not stated", uploaded.stated_tool or "tool not stated",
              f"{len(uploaded.recording)} samples",
              f"maximum depth {uploaded.max_displacement * 1e3:.3g} mm, "

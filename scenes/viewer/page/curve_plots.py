@@ -49,6 +49,7 @@ class CurvePlots:
         self._legend = gui.add_html("")
 
         def add_empty_plot(options: dict[str, Any]) -> viser.GuiUplotHandle:
+            """Add a plot without data to the panel, and return its handle."""
             return gui.add_uplot(tuple(empty for _ in options["series"]), **options)
 
         self._force = add_empty_plot(make_force_depth_options(x, unit))
@@ -62,10 +63,11 @@ class CurvePlots:
 
         @keep.on_click
         def keep_or_remove_curve_on_click(event: viser.GuiEvent) -> None:
+            """Keep the present model curve for comparison, or remove the kept curve."""
             session.post("keep_curve", reply=make_browser_reply(event), name="" if self._kept else "kept")
 
     def set_colour_scheme(self, dark: bool) -> None:
-        """Redraw the plots with the colours of a dark or a light page."""
+        """Select the colours of a dark or a light page; the next `update_plots` redraws all plots."""
         self._dark, self._ranges, self._drawn = dark, {}, ()
 
     def update_plots(self, frame: SessionFrame) -> None:

@@ -57,11 +57,13 @@ class MaterialControls:
 
         @self._file.on_update
         def load_chosen_file_on_update(event: viser.GuiEvent) -> None:
+            """Load the chosen material file; changes that the program makes are ignored."""
             if event.client is not None and self._file.value != _NONE:
                 self._load_and_post_material(self._folder / self._file.value, event)
 
         @self._upload.on_upload
         def use_material_on_upload(event: viser.GuiEvent) -> None:
+            """Read the uploaded material file, and post its material; show the message of a file that is refused."""
             file = self._upload.value
             try:
                 material = read_uploaded_material(file.name, file.content)
@@ -73,9 +75,11 @@ class MaterialControls:
 
         @self._save.on_click
         def save_material_on_click(event: viser.GuiEvent) -> None:
+            """Post the command that writes the edited material into the folder."""
             name = self._name.value
 
             def notify_and_send_file(problem: str | None) -> None:
+                """Show the problem; without a problem, update the file list and send the file to the browser."""
                 make_browser_reply(event, f"Saved as {name}{SUFFIX} in {folder}.")(problem)
                 if problem is None:
                     self._update_file_list()
@@ -93,6 +97,7 @@ class MaterialControls:
         self._session.post("use_material", reply=make_browser_reply(event), material=material, source=path.name)
 
     def _update_file_list(self) -> None:
+        """Update the choices of the dropdown to the material files in the folder."""
         names = tuple(path.name for path in list_material_files(self._folder))
         if self._file.options != (_NONE, *names):
             self._file.options = (_NONE, *names)
@@ -125,6 +130,7 @@ class MaterialControls:
                 set_control_value(slider, value)
 
     def _replace_sliders(self, material: ts.Material) -> None:
+        """Remove all sliders, and add a slider for each parameter that can change."""
         for slider in self._sliders.values():
             slider.remove()
         self._sliders, self._factors = {}, {}
@@ -145,11 +151,13 @@ class MaterialControls:
         """Return the callback that posts the value of a slider; `factor` is displayed value over SI value."""
         # viser runs a coroutine before it writes another value.
         async def post_slider_value(event: viser.GuiEvent) -> None:
+            """Post the value of the slider in SI units; ignore changes that the program makes."""
             if event.client is None:
                 return
             notify_problem = make_browser_reply(event)
 
             def count_answer_and_notify(problem: str | None) -> None:
+                """Count the executed or refused command; for a refused value show the problem and reset the slider."""
                 self._answered += 1
                 if problem is not None:
                     self._shown = None  # resets the slider in the next frame

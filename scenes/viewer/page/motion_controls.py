@@ -24,7 +24,7 @@ PROTOCOLS = {
 
 
 def _make_example_protocol(name: str, scene: Scene) -> str:
-    """Return an example protocol for a scene, without the parts that lift the tool if the scene forbids lifting."""
+    """Return the text of an example protocol, without segments that lift the tool if the scene forbids lifting."""
     parts = PROTOCOLS[name].format(depth=f"{scene.max_tool_displacement * 1e3:g}").split("; ")
     may_lift = scene.min_tool_displacement < 0.0
     return "; ".join(part for part in parts if may_lift or not part.startswith(("approach", "retract")))
@@ -167,11 +167,11 @@ class MotionControls:
         gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(callback)
 
     def _move_by_axial_step(self, step: float, event: Any) -> None:
-        """Move the tool by a step along its axis, mm, positive into the tissue."""
+        """Move the tool by a step along its axis from the last aimed depth, mm, positive into the tissue."""
         self._move_to_depth(self._aimed + step, event)
 
     def _move_to_depth(self, depth: float, event: Any) -> None:
-        """Move the tool to a depth, mm."""
+        """Move the tool to a depth, mm, limited to the range of the slider."""
         self._aimed = self._depth.clip_to_slider_range(depth)
         self._post_aim_command(event, depth=self._aimed * 1e-3)
 
@@ -195,6 +195,7 @@ class MotionControls:
 
     @staticmethod
     def _list_motion_choices(frame: SessionFrame) -> tuple[str, ...]:
+        """Return the motions that Play can start: the protocol, and the measured motion if there is a measurement."""
         return ("protocol",) if frame.scene.measurement is None else ("protocol", "measured motion")
 
     def _post_button_command(self, button: str, event: viser.GuiEvent) -> None:
@@ -211,7 +212,7 @@ class MotionControls:
             self._session.post(button.lower(), reply=reply)
 
     def update_controls(self, frame: SessionFrame) -> None:
-        """Update the sliders to the position of the tool, which another browser, a protocol or a device may move."""
+        """Update the sliders, the list of motions and the state of Play; others may have moved or paused the tool."""
         self._paused = frame.phase is Phase.PAUSED
         self._plays = not self._paused and frame.motion in ("protocol", "recording")
         sources = self._list_motion_choices(frame)

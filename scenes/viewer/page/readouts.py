@@ -145,7 +145,7 @@ def model_agreement_html(frame: SessionFrame) -> str:
 
 
 def live_force_gap_html(gap: LiveForceGap | None) -> str:
-    """Return HTML with the largest difference between live force and model curve, and its likely causes."""
+    """Return HTML with the largest difference of live force and model curve, and its causes; empty for None."""
     if gap is None:
         return ""
     reasons = []

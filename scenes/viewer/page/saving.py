@@ -87,7 +87,7 @@ class SaveControls:
     def record_frame(self, frame: SessionFrame) -> None:
         """Store the newest frame for saving, and add it to a replay that is being recorded.
 
-        A replay of `SavedFileLimits.longest_replay` ends.
+        A replay that has lasted `SavedFileLimits.longest_replay` is finished and kept for download.
         """
         self._frame = frame
         if self._recorder is None:
@@ -102,6 +102,7 @@ class SaveControls:
             self._replay.label = label
 
     def _send_curve_files(self, event: viser.GuiEvent) -> None:
+        """Send the curve (CSV and JSON) to the browser of an event, or the reason why there is no curve."""
         frame = self._frame
         trace = None if frame is None else frame.curves.trace
         if frame is None or trace is None or len(trace) < 5:
@@ -117,6 +118,7 @@ class SaveControls:
             send_download(event.client, name, content)
 
     def _send_picture_file(self, event: viser.GuiEvent) -> None:
+        """Send the picture (PNG) to the browser of an event; notify it if it does not render the picture."""
         frame, client = self._frame, event.client
         if frame is None or client is None:
             return
@@ -138,6 +140,7 @@ class SaveControls:
         send_download(client, f"{scene.kind.name}.png", content)
 
     def _start_or_send_replay(self, event: viser.GuiEvent) -> None:
+        """Start to record a replay; if a replay exists already, finish it and send it to the browser of the event."""
         if self._recorder is None and self._finished is None:
             self._recorder = self._server.get_scene_serializer()
             self._recorded, self._last = 0.0, time.monotonic()
@@ -149,6 +152,7 @@ class SaveControls:
         self._finished, self._replay.label = None, "Record replay"
 
     def _finish_replay_recording(self, recorder: viser.infra.StateSerializer) -> None:
+        """End the recording of a replay and keep its HTML page for download."""
         self._finished, self._recorder = recorder.as_html(dark_mode=False).encode(), None
 
 

@@ -347,7 +347,7 @@ class ScenePicture:
 
 @lru_cache(maxsize=8)
 def _make_wedge_opening(degrees: float, segments: int, turn: float = 0.0) -> WedgeOpening:
-    """Return the opening of a cut, cached because a `WedgeOpening` caches its angles."""
+    """Return the cached opening for an angle and a rotation, both in degrees; rotation 0 opens it towards -y."""
     return WedgeOpening(np.radians(degrees), np.radians(turn - 90.0), segments=segments)
 
 

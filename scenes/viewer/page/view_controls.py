@@ -105,6 +105,7 @@ class ViewControls:
             client.camera.position, client.camera.look_at = position, look_at
 
     def _compute_preset_camera_pose(self, preset: str, aspect: float):
+        """Return the position and the target of the camera of a preset view, each in browser units, shape (3,)."""
         experiment, snapshot = self._frame.scene.experiment, self._frame.snapshot
         tool_pose = experiment.tool_pose(0.0) if snapshot is None else snapshot.pose
         above = compute_picture_height(experiment.tool, experiment.specimen)

@@ -36,4 +36,5 @@ def inject_shell(page: bytes, title: str) -> bytes:
 
 @cache
 def _read_page_file(name: str) -> str:
+    """Return the text of a file of this folder."""
     return files(__package__).joinpath(name).read_text(encoding="utf-8")

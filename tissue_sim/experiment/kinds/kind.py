@@ -31,7 +31,7 @@ SHEAR_STRESS = ("shear strain", "nominal stress")
 
 @dataclass(frozen=True)
 class FaceInterface:
-    """Interface of a face in a kind of test; see `tissue_sim.experiment.interfaces`.
+    """Default interface of one face in a kind of test, and who may change it; see `tissue_sim.experiment.interfaces`.
 
     Attributes:
         usual: default interface.
@@ -118,7 +118,7 @@ class TestKind:
 
     @property
     def motion_name(self) -> str:
-        """Name of the motion for messages: ``compression``."""
+        """Last word of the kind's name, for messages, such as ``compression``."""
         return self.name.rpartition("_")[2]
 
     @property

@@ -67,7 +67,7 @@ class ProfileTool(Tool):
         self.require_sizes("edge_radius")
 
     def _choose_rounding(self) -> None:
-        """Set the largest rounding of the series that fits the outline."""
+        """Set `edge_radius` to the default rounding, halved until the rounding fits the outline."""
         for halvings in range(ROUNDING.most_halvings):
             object.__setattr__(self, "edge_radius", ROUNDING.fraction * self._widest / 2**halvings)
             try:
@@ -96,6 +96,7 @@ class ProfileTool(Tool):
 
     @property
     def _widest(self) -> float:
+        """Largest radius of the outline, m."""
         return float(self.outline[:, 0].max())
 
     @property

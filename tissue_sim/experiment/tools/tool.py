@@ -136,6 +136,7 @@ def _spell_name(name: str) -> str:
 
 
 def _make_missing_size_error(kind: type[Tool], name: str) -> InputError:
+    """Return the error for a size `name` that the shape does not have; the caller raises it."""
     problem = "a plate covers the whole top face and has no radius" if kind.is_plate else \
         f"a {kind.name} tool has no {_spell_name(name)}"
     return InputError(f"{problem}; leave it out", field=f"tool.{name}")

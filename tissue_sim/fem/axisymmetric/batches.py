@@ -128,7 +128,7 @@ class ElementBatches:
 
     def compute_scatter_indices(self, mesh: Mesh, equation: np.ndarray, free: int, direction: np.ndarray,
                                 shape: tuple[int, int]) -> None:
-        """Compute the indices with which kernels add forces and stiffnesses to the residual and the matrix.
+        """Store the indices with which kernels add forces and stiffnesses to the residual and the matrix.
 
         Args:
             mesh: undeformed mesh.
@@ -157,7 +157,7 @@ class ElementBatches:
         self._compute_pull_table(mesh, own, direction, rows, columns, twice, free)
 
     def _compute_pull_table(self, mesh, own, direction, rows, columns, twice, free) -> None:
-        """Compute the rows of `pulls`: stiffness between moving and free nodes, and within the moving nodes."""
+        """Store the table `pulls`: stiffness between moving and free nodes, and within the moving nodes."""
         shared = mesh.element.boundary_nodes
         moves = np.zeros(int(own.max()) + 1)
         moves[own] = direction.reshape(-1, 2)[mesh.connectivity[:, :shared]]

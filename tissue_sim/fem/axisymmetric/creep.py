@@ -74,7 +74,7 @@ class DampedStepSolver(Protocol):
 
     def solve_depth_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
                          rate: float, *, resumes: bool = False) -> Step:
-        """Solve a step with a damping force: `rate` (N/m4) times nodal volume times displacement from rest."""
+        """Try a step with a damping force, `rate` (N/m4) times nodal volume times displacement from rest."""
 
     def save(self) -> SavedState:
         """Return the committed state."""

@@ -384,4 +384,4 @@ class EquilibriumEquations:
 
 
 def _do_nothing() -> None:
-    """Do nothing: stands for the kernel before a material is set, and for `launch` if only the assembly is needed."""
+    """Do nothing: placeholder of the kernel before a material is set, and of `launch` if only assembly is needed."""

@@ -51,11 +51,11 @@ class Fields:
         return (self.states,) if self.stresses is None else (self.states, self.stresses)
 
     def with_arrays(self, arrays: Sequence[np.ndarray]) -> Fields:
-        """Return fields with the arrays of other samples, from `arrays`."""
+        """Return the fields of other samples, whose arrays come from the method `arrays`."""
         return replace(self, states=arrays[0], stresses=arrays[1] if len(arrays) > 1 else None)
 
     def material_data(self) -> dict[str, Any]:
-        """Return the attributes that depend on the material; see `with_material`."""
+        """Return name -> value of the attributes that depend on the material; see `with_material`."""
         return {"material": self.material, "bulk_modulus": self.bulk_modulus, "moduli": self.moduli}
 
     def with_material(self, changed: Mapping[str, Any]) -> Fields:

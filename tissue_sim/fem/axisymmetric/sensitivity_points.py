@@ -30,7 +30,7 @@ class SensitivityFunctions(NamedTuple):
 
 
 def make_directional_derivative(energy: KernelEnergy) -> KernelEnergy:
-    """Return the directional derivative of an energy with respect to its coefficients, as an energy.
+    """Return a `KernelEnergy`: the directional derivative of a strain energy with respect to its coefficients.
 
     The coefficients of the result are those of the energy, followed by the components of the direction.
     """
@@ -114,7 +114,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                          coefficients: ti.template(), past: ti.template(), inherited: ti.template(),
                          largest: ti.template(), pressures, modes_at: ti.template(), weights: ti.template(),
                          moduli: ti.template(), law: ti.template()):
-        """Store the quantities at the points of batch b that are independent of the parameter, as strain and stress."""
+        """Store strains, stresses and tangents at the quadrature points of batch b, equal for all parameters."""
         one = which[KernelSwitch.ONE]
         for a in range(nodes):
             i = b * nodes + a
@@ -198,9 +198,10 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                                     stress_rates: ti.template(), before_rates: ti.template(), recent: ti.template(),
                                     internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
                                     decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template()):
-        """Convert the stored derivative of the law's stress to that of the stress with softening and relaxation.
+        """Convert, in place, the derivative of the law's stress to that of the softened and relaxed stress.
 
-        The derivatives of energy and softened stress are stored for the memory. The modulus is 1.
+        The derivatives of energy and softened stress are stored for the memory.
+        The modulus ratio of the element is not included.
         """
         at, noted, terms, one = (RATE + 5 * q, LAW + PointRecordOffset.SIZE * q, which[KernelSwitch.TERMS],
                                  which[KernelSwitch.ONE])

@@ -11,8 +11,8 @@ class PointRecordOffset(IntEnum):
         ROOT: J^(-1/3).
         ENERGY: isochoric energy density, Pa.
         STRESS: isochoric first Piola stress of the law, 5 numbers, Pa.
-        SOFT_STRESS: the same with softening.
-        RELAXED_STRESS: the same with softening and relaxation.
+        SOFT_STRESS: `STRESS` with softening, 5 numbers, Pa.
+        RELAXED_STRESS: `SOFT_STRESS` with relaxation, 5 numbers, Pa.
         SIZE: numbers in a record.
     """
 
@@ -54,7 +54,7 @@ class KernelSwitch(IntEnum):
         RELAXES: 1 if a parameter changes the relaxation.
         ONE: 1, unknown to the compiler, see `make_sensitivity_functions`.
         REFINES: 1 if the iteration uses the factorisation of the step instead of one of the exact tangent.
-        SETTLED: output, 1 if that iteration converged.
+        SETTLED: output, 1 if the iteration of `REFINES` converged.
         PASSES: number of passes of the loop in a kernel, 1.
     """
 

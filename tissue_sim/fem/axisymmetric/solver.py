@@ -70,8 +70,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
         tool: node set -> components that are bonded to the tool: ``"z"`` moves with the tool, ``"rz"`` also sticks.
         contact: contact pairs; None without contact.
         specific_weight: density times gravity, N/m3, towards -z.
-        element_layers: index of the material's layer of each element, shape (elements,); the number of layers, or None
-            for all elements, stands for no layer.
+        element_layers: index of the material's layer of each element, shape (elements,); an element with the number of
+            layers as its index belongs to no layer. None: no element belongs to a layer.
         contact_radius: radius that determines the drainage time of the pores, m, see `Material.relaxation`.
         start: solver on the same mesh whose last state is the initial state, in which the tool touches; its contact
             pairs are the first pairs of this solver. None: the undeformed mesh.

@@ -19,7 +19,7 @@ class SavedState:
 
     Attributes:
         arrays: arrays of the state, contact, effects, memory and motion.
-        depths, times, largest_force, unchanged: see `SolverState`.
+        depths, times, largest_force, equilibria_since_contact_change: see `SolverState`.
         touching: contact state at the last equilibrium.
     """
 
@@ -47,8 +47,8 @@ class SolverState:
         depths: depths of the tool in these states, the latest first, m.
         times: times of the latest states of an inertial motion relative to the last one, s.
         largest_force: largest force so far, N.
-        unchanged: number of equilibria since a contact point last touched, separated, stuck or slipped; counted if
-            `commit` is `watched`.
+        equilibria_since_contact_change: number of equilibria since a contact point last touched, separated, stuck or
+            slipped; counted if `commit_step` is called with ``watched=True``.
         motion: velocities and accelerations; None without inertia.
     """
 

@@ -140,6 +140,7 @@ def _find_first_touch_height(mesh: Mesh, contact: ContactPairs, displacement: np
     positions = np.concatenate([(mesh.nodes + displacement)[mesh.sets["top"]], points])
 
     def find_smallest_gap(datum):
+        """Return the smallest gap of all positions, m, if the tool's deepest point is at the height `datum`, m."""
         return min(profile.gap(positions - [0.0, datum]).min() for profile in profiles)
 
     high = positions[:, 1].max()

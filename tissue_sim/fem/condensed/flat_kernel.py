@@ -39,7 +39,7 @@ class FlatKernelInput(IntEnum):
         TOLERANCE: relative residual below which no linear equations are assembled.
         FLOOR: smallest force against which the residual is measured, N.
         STEP_LENGTH: step length of the line search: 0 evaluates at the present forces; 1 takes the full step of a new
-            linear solution; less than 1 takes a part of the same step.
+            linear solution; less than 1 takes this fraction of that full step.
     """
 
     NEAR_GAP = 0
@@ -238,6 +238,7 @@ def make_flat_contact_kernel():
     def evaluate_contact_equations(settings: real1, found: real1, limits: real1, states: int2, carried: real2,
                                    lists: int2, local: real2, compliance: real2, flat: real2, matrix: real1,
                                    right: real1):
+        """Apply a line-search step, compute the residual, and assemble the next linear equations if needed."""
         ti.loop_config(serialize=True)
         for _ in range(1):
             if limits[FlatKernelInput.STEP_LENGTH] > 0.0:

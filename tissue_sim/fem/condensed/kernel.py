@@ -45,6 +45,7 @@ def make_node_compliance_function():
 
     @ti.func
     def node_compliance(i, n, compliance: ti.template()):
+        """Return the displacement of node i per own normal force and, as mean, per own tangential force, m/N."""
         C = ti.Matrix([[compliance[3 * i + a, 3 * i + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
         # Tissue that would buckle without the tool may have negative compliances.
         least, along = 1e-2 * ti.abs(C.trace()), n.dot(C @ n)
@@ -258,6 +259,7 @@ def make_contact_kernel():
                               states: int2, carried: real2, lists: int2, free_displacement: real2, tool_coupling: real2,
                               compliance: real2, rows: vector1, u: real1, local: real2, columns: real2, matrix: real1,
                               right: real1):
+        """Evaluate displacements and contact of the nodes, and assemble the linear equations of their forces."""
         ti.loop_config(serialize=True)
         for _ in range(1):
             if settings[KernelSetting.PREDICTED] > 0.0:

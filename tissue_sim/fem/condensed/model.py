@@ -90,7 +90,7 @@ class CondensedBulk:
         compliance: C, symmetric, m/N, shape (3 n, 3 n).
         tool_coupling: G, derivative of the displacements with respect to the motion of the tool, shape (3 n, 6).
         wrench: wrench of the tissue that is bonded to the tool, N and N m, shape (6,).
-        stiffness: minus its derivative with respect to the motion of the tool, shape (6, 6).
+        stiffness: minus the derivative of `wrench` with respect to the motion of the tool, shape (6, 6).
         reach: distance from `pose` within which the tool cannot touch other nodes, m.
         modulus: shear modulus of the material, Pa.
         residual: relative residual of the state at which the bulk was linearised.

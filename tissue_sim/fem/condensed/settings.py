@@ -9,7 +9,7 @@ class StepperSettings:
 
     Attributes:
         max_iterations: maximum number of contact iterations of an increment.
-        max_exact_iterations: the same if the stiffness must belong to the pose (`exact`).
+        max_exact_iterations: maximum number of contact iterations of an increment in an exact step.
         max_flat_iterations: number of iterations in which the linear equations keep the contact states that
             `TangentPlaneContact` found.
         flat_gap: nodes with a gap below this fraction of the contact radius take part in the flat contact.

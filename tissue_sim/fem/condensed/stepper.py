@@ -135,7 +135,7 @@ class CondensedStepper:
         self.reset()
 
     def reset(self) -> None:
-        """Set forces to zero and bonds to those of the first touch; the linearisation of the bulk stays."""
+        """Set forces to zero and bonds to those of the first touch, and forget the pose; the linearisation stays."""
         for array in (self.forces, self._pressed, self._slips, self._met):
             array[:] = 0
         self._bound[:], self._anchors[:] = self.surface.bound, self.surface.anchors
@@ -153,8 +153,8 @@ class CondensedStepper:
     def place_at_first_touch(self, pose: Pose) -> None:
         """Place the tool at a pose of first touch; the next step continues from there.
 
-        At the pose for which the surface was described, nodes are bound as there. At another one, nodes are bound
-        where the tool meets them in the next steps.
+        At the pose `ContactSurface.start` the nodes get the bonds that the surface states. At any other pose no node
+        is bound; nodes are bound where the tool touches them in the next steps.
         """
         self.reset()
         if self.max_travel(motion(self.surface.start, pose)) > self.surface.tolerance:

@@ -57,6 +57,7 @@ def make_wrench_kernel():
     @ti.kernel
     def compute_tool_wrench(settings: real1, answer: real1, states: int2, carried: real2, lists: int2, local: real2,
                             tool_coupling: real2, compliance: real2, columns: real2):
+        """Commit the bonds of the nodes, and compute the wrench on the tool and its derivative by the tool motion."""
         ti.loop_config(serialize=True)
         for _ in range(1):
             commit_node_bonds(states, carried)

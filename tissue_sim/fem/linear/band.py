@@ -82,6 +82,7 @@ def make_add_lower_entry_function():
 
     @ti.func
     def add_lower_entry(row, column, value, free, width, band: ti.template()):
+        """Add `value` to an entry of the lower triangle; ignore entries above the diagonal or from row `free` on."""
         if row < free and column <= row:
             I, J = row // BLOCK, column // BLOCK
             w, c, r = J - I + width - 1, column % BLOCK, row % BLOCK
@@ -100,6 +101,7 @@ def make_subtract_block_products_function():
 
     @ti.func
     def subtract_block_products(I, J, first, width, matrix: ti.template(), left: ti.template(), right: ti.template()):
+        """Write matrix(I, J) minus the sum of left(I, K) right(J, K)^T over earlier columns K to left(I, J)."""
         w = J - I + width - 1
         # Eight columns stay in registers while all earlier blocks are subtracted.
         t0, t1, t2, t3 = matrix[I, w, 0], matrix[I, w, 1], matrix[I, w, 2], matrix[I, w, 3]
@@ -132,6 +134,7 @@ def make_copy_lower_to_upper_function():
 
     @ti.func
     def copy_lower_to_upper(lower: ti.template(), upper: ti.template(), begin, end, width):
+        """Copy block rows `begin` to `end` - 1 of the lower band to the upper band, which stores the transpose."""
         for I in range(begin, end):
             for w in range(width):
                 for c in range(BLOCK):
@@ -150,6 +153,7 @@ def make_fill_diagonal_blocks_function():
 
     @ti.func
     def fill_diagonal_blocks(lower: ti.template(), rows, width):
+        """Copy the lower triangle of every diagonal block to its upper triangle."""
         for I in range(rows):
             for c in range(BLOCK):
                 for r in range(c):
@@ -168,6 +172,7 @@ def make_add_unsymmetric_entry_function():
 
     @ti.func
     def add_unsymmetric_entry(row, column, value, free, width, lower: ti.template(), upper: ti.template()):
+        """Add `value` to an entry on either side of the diagonal; ignore rows and columns from `free` on."""
         if row < free and column < free:
             I, J = row // BLOCK, column // BLOCK
             r, c = row % BLOCK, column % BLOCK

@@ -17,6 +17,7 @@ def make_cholesky_functions() -> BandSolverFunctions:
     @ti.func
     def factorise_band(matrix: ti.template(), _matrix_upper: ti.template(), band: ti.template(), _upper: ti.template(),
                        inverse: ti.template(), rows, width, begin, _skewed):
+        """Write the Cholesky factor of `matrix` to `band`; return 1, or 0 if `matrix` is not positive definite."""
         ok = 1
         for I in range(begin, rows):
             first = ti.max(0, I - width + 1)
@@ -50,6 +51,7 @@ def make_cholesky_functions() -> BandSolverFunctions:
 
     @ti.func
     def solve_band(band: ti.template(), _upper: ti.template(), inverse: ti.template(), x: ti.template(), rows, width):
+        """Overwrite the right-hand side x with the solution, by forward and backward substitution."""
         for I in range(rows):
             v = x[I]
             for J in range(ti.max(0, I - width + 1), I):

@@ -22,6 +22,7 @@ def make_lu_functions() -> BandSolverFunctions:
     @ti.func
     def factorise_band(matrix: ti.template(), matrix_upper: ti.template(), lower: ti.template(), upper: ti.template(),
                        inverse: ti.template(), rows, width, begin, skewed):
+        """Write the LU factors of the matrix to `lower` and `upper`; return 1, or 0 if a pivot is too small."""
         ok = 1
         for I in range(begin, rows):
             first = ti.max(0, I - width + 1)
@@ -61,6 +62,7 @@ def make_lu_functions() -> BandSolverFunctions:
 
     @ti.func
     def solve_band(lower: ti.template(), upper: ti.template(), inverse: ti.template(), x: ti.template(), rows, width):
+        """Overwrite the right-hand side x with the solution, by forward and backward substitution."""
         for I in range(rows):
             v = x[I]
             for J in range(ti.max(0, I - width + 1), I):

@@ -109,7 +109,7 @@ class PardisoPatternFactor:
         self._analysed = False
 
     def factorise(self, matrix: Any) -> np.ndarray | None:
-        """Factorise a matrix with the pattern of this object.
+        """Factorise a matrix with the pattern of this object, and keep the factor for `solve`.
 
         Returns:
             The Schur complement of the interface, shape (m, m); None without an interface.
@@ -168,12 +168,14 @@ class PardisoPatternFactor:
         return self._solve_phase(_PardisoPhase.BACKWARD, reduced)
 
     def _solve_phase(self, phase: int, right: np.ndarray) -> np.ndarray:
+        """Run one solution phase, a `_PardisoPhase`, and return its result in the shape of `right`."""
         columns = np.asfortranarray(right.reshape(self.size, -1), dtype=self._data.dtype)
         answer = np.zeros_like(columns, order="F")
         self._call_pardiso(phase, columns, answer)
         return np.ascontiguousarray(answer, dtype=np.float64).reshape(right.shape)
 
     def _call_pardiso(self, phase: int, right: np.ndarray, answer: np.ndarray) -> None:
+        """Run one phase of Pardiso, which writes to `answer`; raise PardisoError if Pardiso reports an error."""
         solver, numbers = self._solver, ctypes.POINTER(ctypes.c_int32)
         one, error = ctypes.byref(ctypes.c_int32(1)), ctypes.c_int32(0)
         reals = ctypes.POINTER(ctypes.c_double)

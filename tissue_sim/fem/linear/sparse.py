@@ -30,7 +30,7 @@ class Factor(Protocol):
     definite: bool
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solve for right-hand sides, shape (n,) or (n, m)."""
+        """Return the solutions for right-hand sides, shape (n,) or (n, m)."""
 
 
 class CondensedFactor(Factor, Protocol):
@@ -43,7 +43,7 @@ class CondensedFactor(Factor, Protocol):
     compliance: np.ndarray
 
     def solve_interface(self, right: np.ndarray) -> np.ndarray:
-        """Compute the interface rows of a solution (half of the work); `complete_solution` computes the other rows.
+        """Return the argument of `complete_solution`; its interface rows are already the solution (half of the work).
 
         Results are linear in the right-hand side and may be added.
 
@@ -100,7 +100,7 @@ class SparseSolver:
         return factor
 
     def factorise_condensed(self, matrix: Any, interface: np.ndarray) -> CondensedFactor | None:
-        """Factorise a symmetric matrix and condense it onto interface equations.
+        """Factorise a symmetric matrix, and condense the matrix onto interface equations.
 
         Args:
             matrix: a `scipy.sparse.csc_array` with sorted rows.
@@ -120,6 +120,7 @@ class SparseSolver:
 
 def _find_or_analyse_pattern(kept: dict[MatrixType, PardisoPatternFactor], matrix: Any, kind: MatrixType, *,
                              single: bool = False) -> PardisoPatternFactor:
+    """Return the analysis of the pattern of a matrix from `kept`; analyse the pattern first if it is a new one."""
     pattern = kept.get(kind)
     if pattern is None or pattern.indices is not matrix.indices:
         pattern = kept[kind] = PardisoPatternFactor(matrix, kind, single=single)
@@ -146,6 +147,7 @@ class _SuperLUFactor:
 
     @classmethod
     def try_factorise(cls, matrix: Any, symmetric: bool) -> _SuperLUFactor | None:
+        """Return the factor of a matrix; None if the matrix is singular."""
         from scipy.sparse.linalg import splu
 
         options = {"SymmetricMode": True} if symmetric else {}
@@ -172,6 +174,7 @@ class _CondensedSuperLUFactor:
 
     @classmethod
     def try_factorise(cls, matrix: Any, interface: np.ndarray) -> _CondensedSuperLUFactor | None:
+        """Return the factor of a matrix; None if the matrix is singular."""
         factor = _SuperLUFactor.try_factorise(matrix, True)
         if factor is None:
             return None
@@ -201,6 +204,7 @@ class _PardisoFactor:
 
     @classmethod
     def try_factorise(cls, pattern: PardisoPatternFactor, matrix: Any, symmetric: bool) -> _PardisoFactor | None:
+        """Return the factor of a matrix; None if the matrix is singular."""
         try:
             pattern.factorise(matrix)
         except PardisoError:
@@ -223,6 +227,7 @@ class _CondensedPardisoFactor:
 
     @classmethod
     def try_factorise(cls, pattern: PardisoPatternFactor, matrix: Any) -> _CondensedPardisoFactor | None:
+        """Return the factor of a matrix; None if it is singular, or not positive definite with the interface held."""
         from scipy.linalg import lapack
 
         try:

@@ -56,7 +56,7 @@ class MissingComplianceForce:
     def estimate_force_error(self, force: float) -> float:
         """Return the force error from missing compliance, N, for a force on the tool of this norm, N.
 
-        The error is the part of `compute_missing_force` above that of accurate training states at the same force.
+        The error is the excess of `compute_missing_force` over the value of accurate training states at this force.
         """
         return max(0.0, self.compute_missing_force() - self._table.accepted_missing_force_at(force))
 

@@ -35,7 +35,7 @@ class ContactCompliance:
         return replace(self, forces=np.zeros(1), accepted=np.full(1, np.inf))
 
     def accepted_missing_force_at(self, force: float) -> float:
-        """Interpolate the accepted missing force, N, at a force on the tool, N; proportional beyond the largest."""
+        """Interpolate the accepted missing force, N, for a force on the tool, N; beyond the table in proportion."""
         last = float(self.forces[-1])
         if force > last > 0.0:
             return float(self.accepted[-1]) * force / last

@@ -75,7 +75,7 @@ def make_layer_contact_kernel():
                            moved: ti.template(), springs: ti.template(), friction: ti.template(), first: ti.template(),
                            closed: ti.template(), anchors: ti.template(), touched: ti.template(), forces: ti.template(),
              rates: ti.template(), gaps: ti.template(), new_anchors: ti.template(), states: ti.template()):
-        """Write gap, contact state, and if node n touches, its force and minus the derivative by its position."""
+        """Write gap and contact state of node n; if it touches, also its force and minus the derivative by position."""
         turn = ti.Matrix([[settings[LayerSetting.ROTATION + 3 * i + k] for k in ti.static(range(3))]
                           for i in ti.static(range(3))])
         offset = ti.Vector([places[n, i] + moved[n, i] - settings[LayerSetting.ORIGIN + i]
@@ -201,6 +201,7 @@ def make_layer_contact_kernel():
               friction: real2, first: int1, closed: int1, anchors: real2, touched: int1, forces: real2, rates: real3,
               gaps: real1, new_anchors: real2, states: int1, rows: real2, met: real2, answers: real2, pushes: real1,
                                twists: real2, report: real1):
+        """Compute the contact forces of all nodes, their derivatives, and the projections on modes and tool motions."""
         ti.loop_config(serialize=True)
         for _ in range(1):
             for m in range(pushes.shape[0]):

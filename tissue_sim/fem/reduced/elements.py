@@ -238,7 +238,7 @@ class SampledElements:
             self._tangents[group] = np.dot(flat.T, pushed.reshape(flat.shape))
 
     def initialise_rest_state(self) -> None:
-        """Set pressures and history to rest under self-weight, whose modal forces are then subtracted from all.
+        """Set pressures and history to rest under self-weight; `modal_forces` then excludes the forces of this state.
 
         Without self-weight the method does nothing.
         """

@@ -77,6 +77,7 @@ def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
                                   past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2,
                  volume_rates: vector1, gaps: vector1, forces: vector1, stiffness: vector1, groups: int1,
                                   wanted: real1, blocks: single1, standing: vector1):
+        """Compute nodal forces and the smallest J, and the stiffness matrices of the elements in wanted groups."""
         ti.loop_config(serialize=True)
         for _ in range(1):
             kappa, remembers = settings[SettingColumn.KAPPA], settings[SettingColumn.REMEMBERS]

@@ -66,7 +66,7 @@ class PoseBox:
                 and math.hypot(*turn) <= self.turn * most + slack)
 
     def has_pose_above(self, pose: Pose, start: Pose) -> bool:
-        """Whether a pose is above the box, which is relative to the pose `start`; it would be inside if lowered."""
+        """Whether a pose is above the top of the box at `start`, and inside the box if lowered to its top."""
         (x, y, z), (_, _, top) = pose.position, start.position
         return z > top and self.contains_pose(Pose((x, y, top), pose.orientation), start)
 
@@ -82,7 +82,7 @@ def require_reducible(model: Model) -> None:
         raise InputError("a reduced solid requires a needle; the tool is a plate. Use the axisymmetric solver, which "
                          "is fast enough for a plate", field="tool")
     if experiment.base_interface not in ("bonded", "frictionless"):
-        raise InputError("a reduced solid requires a bonded or frictionless base. Use one of them",
+        raise InputError("a reduced solid requires a bonded or frictionless base. Use 'bonded' or 'frictionless'",
                          field="friction_base")
     if experiment.acting_laws:
         raise InputError("a reduced solid does not support adhesion or other contact laws. Leave them out",

@@ -74,7 +74,8 @@ class TrainingSettings:
 
     Attributes:
         max_iterations: maximum number of Newton iterations of a full-order step.
-        max_subdivisions: maximum number of times that the rest of a failed full-order step is divided by 4.
+        max_subdivisions: maximum number of times that the remaining motion of a failed full-order step is
+            tried again in 4 times as many steps.
         min_force: smallest force of a state used to choose elements, as a fraction of the largest force with the same
             material.
         sampling_states: maximum number of states used to choose elements. More states take more time and memory.

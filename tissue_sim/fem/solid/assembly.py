@@ -36,6 +36,7 @@ def make_assembly_kernel(element_name: str, energy: KernelEnergy):
                  moduli: vector1, coefficients: real1, elements: int2, past: real1, inherited: real3, largest: real2,
                  stresses: real3, energies: real2, volume_rates: vector1, gaps: vector1, forces: vector1,
                  stiffness: vector1, scattered: real1, places: int2, mirrored: int2, residual: real1, data: real1):
+        """Assemble the nodal forces of all batches, and the stiffness if requested; see `make_assembly_kernel`."""
         # One pass of one serial task, started without waking a thread pool.
         ti.loop_config(serialize=True)
         for _ in range(1):

@@ -226,7 +226,7 @@ class ElementBatches:
 
         Args:
             motion: increments of the degrees of freedom, m, shape (freedoms,).
-            kappa: bulk modulus, or those of the batches, Pa.
+            kappa: bulk modulus of all batches, or of each batch, Pa.
         """
         nodes = self._dofs.shape[1]
         moved = motion[self._equations_in_lanes].reshape(self.batches, 1, 3 * nodes, LANES)
@@ -253,6 +253,7 @@ class ElementBatches:
 
     @cached_property
     def _equations_in_lanes(self) -> np.ndarray:
+        """Indices of the degrees of freedom of each element, fixed ones included, shape (batches, freedoms, LANES)."""
         # Unused lanes have the equations of the last element, so that they remain copies of it.
         own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(self.count, -1)
         return np.moveaxis(own[self._elements], 1, -1)

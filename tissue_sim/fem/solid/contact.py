@@ -104,7 +104,7 @@ class ContactNodes:
 
     @property
     def total_forces(self) -> np.ndarray:
-        """Forces on the bodies at the last evaluation, `forces` plus those of the contact laws, N, shape (n, 3)."""
+        """Force of each node on its body at the last evaluation, `forces` plus the law forces, N, shape (n, 3)."""
         return self.forces + self._law_forces if self.laws else self.forces
 
     @property

@@ -89,6 +89,7 @@ def make_cofactor_function():
 
     @ti.func
     def compute_cofactor(F):
+        """Return dJ/dF, the cofactor matrix of F, 9 components."""
         return [F[4] * F[8] - F[5] * F[7], F[5] * F[6] - F[3] * F[8], F[3] * F[7] - F[4] * F[6],
                 F[2] * F[7] - F[1] * F[8], F[0] * F[8] - F[2] * F[6], F[1] * F[6] - F[0] * F[7],
                 F[1] * F[5] - F[2] * F[4], F[2] * F[3] - F[0] * F[5], F[0] * F[4] - F[1] * F[3]]
@@ -154,6 +155,7 @@ def _make_invariant_function(energy: KernelEnergy):
 
     @ti.func
     def compute_stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
+        """Return energy density W, stress P and tangent A; see `make_stress_function`."""
         scale = root * root
         # F^T F and F F^T.
         right = [[F[i] * F[k] + F[3 + i] * F[3 + k] + F[6 + i] * F[6 + k] for k in ti.static(range(3))]
@@ -206,6 +208,7 @@ def _make_stretch_function(energy: KernelEnergy):
 
     @ti.func
     def compute_stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
+        """Return energy density W, stress P and tangent A; see `make_stress_function`."""
         # Jacobi rotations diagonalise F^T F; V contains its directions, and F V has orthogonal columns.
         zero = 0.0 * J
         C = [[F[i] * F[k] + F[3 + i] * F[3 + k] + F[6 + i] * F[6 + k] for k in ti.static(range(3))]

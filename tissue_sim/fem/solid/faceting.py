@@ -65,7 +65,7 @@ def estimate_faceting_geometry(contact: ContactNodes, mesh: SolidMesh,
         displacement: displacement of all nodes, m, shape (nodes, 3).
 
     Returns:
-        The faceting; None for elements with curved sides, and if no round part of the tool carries most of the force.
+        The geometry; None for elements with curved sides, and if no round face of the tool carries most of the force.
     """
     if len(mesh.element.corner_nodes) < mesh.element.node_count or not (contact.pressed & contact.moves).any():
         return None

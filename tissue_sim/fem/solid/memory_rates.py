@@ -63,7 +63,7 @@ class HistoryDerivatives:
         return self._before, self._internal, self._largest
 
     def begin_step(self) -> None:
-        """Set `inherited` for a step, after `Memory.prepare_step`."""
+        """Set `inherited` for a step, after `MaterialMemory.prepare_step`."""
         memory = self.memory
         if not len(memory.internal):
             return

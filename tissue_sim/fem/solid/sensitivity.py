@@ -55,7 +55,7 @@ class SensitivityInputs:
         x: displacements, m, shape (freedoms,).
         free: indices of the free degrees of freedom.
         moved: indices of the degrees of freedom that the tool holds.
-        tissue, contact, matrix: those of the solver.
+        tissue, contact, matrix: the objects of the solver, not copies.
         first: frame of the tool at its first touch.
         assemble: assembles forces and matrix of the tissue at the present state.
     """

@@ -33,7 +33,8 @@ class SettlingSettings:
     Attributes:
         smallest_part: smallest part of the weight that is applied in one step, 1. A smaller value tries smaller steps
             before the specimen counts as unstable.
-        height_width: width of the difference with respect to the logarithm of the height, 1; ten times its half width.
+        height_width: distance of the neighbours of the logarithm of the height, 1; the half width of the difference is
+            ten times this distance.
     """
 
     smallest_part: float = 2.0**-6
@@ -45,7 +46,8 @@ class LinearisationSettings:
     """Settings of the linearisation of a solid for multirate simulation.
 
     Attributes:
-        more: number of condensed nodes over that of published nodes with Pardiso, whose cost hardly depends on it.
+        more: number of condensed nodes over the number of published nodes with Pardiso, whose cost hardly depends on
+            this ratio.
         needed: fraction of the nearest nodes that must be condensed; otherwise other nodes are chosen, which requires
             a new symbolic analysis.
         fractions: fractions of a step that are tried in turn if it turns elements inside out, 1.

@@ -59,7 +59,10 @@ class ReusableTangentFactor:
         self.stale, self._before = False, np.inf
 
     def factorise(self, symmetric: bool) -> Factor | None:
-        """Factorise the matrix that was assembled last, with the contact stiffness; None if it is singular."""
+        """Add the contact stiffness to the matrix that was assembled last, factorise it, and return the factor.
+
+        The factor is also stored in `factor`; it is None if the matrix is singular.
+        """
         self._matrix.add_contact_stiffness(self._contact.rates)
         self._contact.store_assembled_contact_rates()
         self.factor, self.stale = self._sparse.factorise(self._matrix.free, symmetric=symmetric), False
@@ -87,7 +90,7 @@ class ReusableTangentFactor:
         return motion
 
     def record_solution(self, ratio: float, far: bool) -> None:
-        """Record a solution from an iterate with a relative residual; it decides whether the factor is reused.
+        """Record the relative residual before a linear solution; `is_accurate` compares the next residual with it.
 
         Args:
             ratio: relative residual before the solution, 1.
@@ -96,7 +99,7 @@ class ReusableTangentFactor:
         self.stale, self._before = not far and ratio <= _SETTINGS.far, ratio
 
     def is_accurate(self, ratio: float, goal: float, changed: bool) -> bool:
-        """Whether the factor of an earlier iterate reduces the residual fast enough to be used again.
+        """Return whether the factor of an earlier iterate reduces the residual fast enough to be used again.
 
         Args:
             ratio: present relative residual, 1.

@@ -23,7 +23,7 @@ from tissue_sim.mesh.solid import SolidMesh
 
 
 class RegionDerivativeInputs(NamedTuple):
-    """Data of the elements of one region that `SolidSensitivity` differentiates.
+    """Arrays and history of the elements of one region that depend on its material, for `SolidSensitivity`.
 
     Attributes:
         inputs: arrays that the material sets in place and the assembly reads.
@@ -59,7 +59,10 @@ class RegionElements:
         self.kernel: BoundKernel
 
     def set_material(self, own: Material, bulk: float, contact_radius: float) -> dict[str, np.ndarray]:
-        """Set material and bulk modulus, Pa; return argument name of the kernel -> array of this region."""
+        """Set material and bulk modulus, Pa; return the arrays of this region by name of the kernel's argument.
+
+        The bulk modulus is stated separately, because an incompressible material gets a finite one.
+        """
         coefficients = own.energy_law.kernel_coefficients(own.parameters)
         if coefficients.size == self.coefficients.size:
             self.coefficients[:] = coefficients
@@ -117,9 +120,9 @@ class Tissue:
 
     @property
     def region_derivative_inputs(self) -> tuple[RegionDerivativeInputs, ...]:
-        """Data of each region that `SolidSensitivity` differentiates."""
+        """For each region, in the order of the regions: arrays and history that depend on its material."""
         def make_relaxation_function(name: str) -> Callable[[Material], Prony | None]:
-            """Return the function material of the whole solid -> Prony series of a region."""
+            """Return the function that returns the Prony series of a region, or None, for a solid's material."""
             return lambda material: material.regions.get(name, material).relaxation(self.contact_radius)
 
         kappa = slice(SettingColumn.KAPPA, SettingColumn.KAPPA + 1)
@@ -149,7 +152,11 @@ class Tissue:
                 region.kernel = BoundKernel(kernel, {"x": self._x, **named, **self.batches.get_kernel_arrays(part)})
 
     def assemble_forces_and_tangent(self, tangent: bool = True) -> float:
-        """Assemble residual and optionally matrix at the present displacements; return the smallest volume ratio J."""
+        """Assemble residual and, if `tangent`, matrix in `batches` at the present displacements.
+
+        Returns:
+            Smallest volume ratio J of all elements, 1.
+        """
         self._run_region_kernels(self._regions, tangent)
         if self.effects:
             self.effects.add_forces_and_stiffness(self._x, tangent)
@@ -158,7 +165,7 @@ class Tissue:
         return min(float(region.least[0]) for region in self._regions)
 
     def assemble_region_forces(self, numbers: Sequence[int]) -> None:
-        """Set the residual to the forces of some regions, given by their indices, without weight and point effects."""
+        """Overwrite the residual with the forces of the regions with these indices, without weight and effects."""
         self.batches.residual[:] = 0.0
         self._run_region_kernels([self._regions[number] for number in numbers], False)
 
@@ -173,7 +180,8 @@ class Tissue:
     def compute_element_forces(self, bulk_ratio: float, standing: np.ndarray) -> np.ndarray:
         """Compute the forces of each element on its nodes, without weight, N, shape (elements, freedoms of an element).
 
-        The bulk modulus is the element's, or `bulk_ratio` times its shear modulus if that is less.
+        The bulk modulus is the element's, or `bulk_ratio` times its shear modulus if that is less. Residual, matrix and
+        pressures in `batches` are overwritten.
 
         Args:
             bulk_ratio: largest K / mu0, 1.
@@ -194,7 +202,10 @@ class Tissue:
         self.batches.update_pressures(motion, self.bulk_moduli)
 
     def correct_forces_for_old_volume_rates(self, forces: np.ndarray) -> None:
-        """See `ElementBatches.correct_forces_for_old_volume_rates`."""
+        """Correct forces, N, shape (freedoms,), in place for a matrix that was assembled at an earlier state.
+
+        The pressures were eliminated from the matrix with the volume derivatives of that state.
+        """
         self.batches.correct_forces_for_old_volume_rates(forces, self.bulk_moduli)
 
     def prepare_step(self, dt: float) -> None:
@@ -251,7 +262,7 @@ def group_elements_by_region(mesh: SolidMesh) -> dict[str, np.ndarray]:
 
 
 def require_mesh_regions(material: Material, mesh: SolidMesh) -> None:
-    """Check that the mesh has all regions of a material.
+    """Require that a mesh has all regions that a material names; further regions of the mesh are allowed.
 
     Raises:
         InputError: the mesh lacks a region.
@@ -263,18 +274,27 @@ def require_mesh_regions(material: Material, mesh: SolidMesh) -> None:
 
 
 def element_layers(mesh: SolidMesh, layers: tuple[Layer, ...]) -> np.ndarray:
-    """Return the index of the layer that contains the centre of each element; the number of layers: in no layer."""
+    """Return for each element the index of the layer that contains its centre, shape (elements,).
+
+    The index of an element below all layers is the number of layers.
+    """
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), mesh.element_depths)
 
 
 def layer_modulus_ratios(material: Material, layers: np.ndarray) -> np.ndarray:
-    """Return the factors of layers on the moduli of their material, 1, for layer indices, shape of `layers`."""
+    """Return for each layer index the factor on the moduli of the material, 1, shape of `layers`.
+
+    The factor is 1 for the index after the last layer, which means no layer.
+    """
     ratios = np.array([*(layer.ratio for layer in material.layers), 1.0])
     return ratios[np.minimum(layers, ratios.size - 1)]
 
 
 def node_shear_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -> np.ndarray:
-    """Return the shear modulus mu0 at each node, Pa, (nodes,), mean over its elements; layers: `element_layers`."""
+    """Return the shear modulus mu0 at each node, the mean over the elements of the node, Pa, shape (nodes,).
+
+    The argument `layers` is the result of `element_layers`.
+    """
     moduli = layer_modulus_ratios(material, layers)
     for name, elements in group_elements_by_region(mesh).items():
         moduli[elements] *= material.regions.get(name, material).mu0

@@ -41,7 +41,7 @@ class ToolConstraint(NamedTuple):
         return np.einsum("nik,ni->k", rates, forces)
 
     def condense_stiffness(self, matrix: Any, factor: Factor, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Condense the stiffness of the tissue onto the pose of the tool (Schur complement).
+        """Condense the stiffness onto the pose of the tool (Schur complement), and differentiate the displacements.
 
         Args:
             matrix: stiffness matrix of all degrees of freedom, contact included.

@@ -64,11 +64,13 @@ class FirstTouch:
     normal: np.ndarray | None = None
 
     def differentiate_height(self, mesh: SolidMesh, ways: np.ndarray) -> float:
-        """Differentiate `height` with respect to a parameter, m per unit. Requires a touched face.
+        """Return the derivative of `height` with respect to one parameter of the mesh, m per unit of the parameter.
+
+        The touch must be on a face of the mesh.
 
         Args:
             mesh: mesh of the solid.
-            ways: derivatives of the nodal positions, m per unit, shape (nodes, 3).
+            ways: derivatives of the nodal positions with respect to the parameter, m per unit, shape (nodes, 3).
         """
         assert self.place is not None and self.normal is not None
         side = mesh.faces["top"][[self.side]]
@@ -141,7 +143,7 @@ class _ConvexTool:
         self._bodies, self._start, self.scale = list(whole.values()), start, scale
 
     def find_nearest_on_parts(self, points: np.ndarray, datum: float) -> list[NearestSurfacePoints]:
-        """Return the surface points of each part of the tool that are nearest to given points, m, shape (n, 3)."""
+        """Return one entry for each part of the tool: its surface points nearest to given points, m, shape (n, 3)."""
         at = ToolFrame(self._start, datum).transform_to_tool(points)
         return [find_nearest_surface_points(body, at, pressed_in=False) for body in self._bodies]
 
@@ -248,7 +250,7 @@ class _NearestFacePoint:
 
 def _minimise_gaps(sides: FaceInterpolation, numbers: np.ndarray, tool: _ConvexTool,
                    datum: float) -> tuple[np.ndarray, np.ndarray]:
-    """Find the point of each face that is nearest to the tool.
+    """Find on each face the point that is nearest to the tool.
 
     The minimum along lines of one direction is a convex function of the line, so that both directions are searched in
     the same way.
@@ -257,11 +259,13 @@ def _minimise_gaps(sides: FaceInterpolation, numbers: np.ndarray, tool: _ConvexT
         Distances, m, shape (k,), and local coordinates of the points, shape (k, 2).
     """
     def compute_distances(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return signed distances from the tool, m, shape of `v`, at the local coordinates (u, v) of each face."""
         squares = np.stack([np.broadcast_to(u[..., None], v.shape), v], axis=-1)
         positions = sides.interpolate_positions(numbers, squares.reshape(len(numbers), -1, 2))
         return tool.compute_gaps(positions, datum).reshape(v.shape)
 
     def minimise_along_line(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return for each u the smallest distance over v, m, and the v of this distance, shape of `u` each."""
         return _minimise_convex(lambda v: compute_distances(u, v), u.shape, end)
 
     end = _SETTINGS.slack * tool.scale
@@ -272,7 +276,7 @@ def _minimise_gaps(sides: FaceInterpolation, numbers: np.ndarray, tool: _ConvexT
 
 def _minimise_convex(values: Callable[[np.ndarray], np.ndarray], shape: tuple[int, ...], end: float
                      ) -> tuple[np.ndarray, np.ndarray]:
-    """Minimise convex functions on [0, 1] by repeated refinement.
+    """Minimise convex functions of one variable, one for each entry of `shape`, on [0, 1] by repeated refinement.
 
     Args:
         values: functions of shape `shape`, evaluated at q points each, shape (*shape, q).

@@ -59,7 +59,7 @@ class BoundKernel(KernelOwner):
 
     @classmethod
     def bind_by_name(cls, kernel, arrays: Mapping[str, np.ndarray]) -> BoundKernel:
-        """Return the kernel bound to those of the arrays whose names are names of its arguments."""
+        """Return the kernel bound to the arrays that are named like its arguments; further arrays are ignored."""
         return cls(kernel, {name: arrays[name] for name in _describe_arguments(kernel) if name in arrays})
 
     def is_bound_to(self, kernel, arrays: Mapping[str, np.ndarray]) -> bool:
@@ -77,7 +77,7 @@ class BoundKernel(KernelOwner):
 
 @cache
 def _describe_arguments(kernel) -> dict[str, tuple[int, int, np.dtype]]:
-    """Return rank, vector length and type of each argument of a kernel, by name."""
+    """Return argument name -> (rank, length of vectors or 0, type) for the array arguments of a kernel."""
     try:
         return {argument.name: _parse_annotation(argument.annotation) for argument in kernel._primal.arguments}
     except AttributeError as error:

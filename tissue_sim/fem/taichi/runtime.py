@@ -40,6 +40,7 @@ def initialise():
 
 @cache
 def _import_and_initialise():
+    """Import Taichi, initialise it for one CPU thread and 64-bit floats, and return the module `taichi`."""
     # Taichi prints its version at import and its backend at start to stdout, where --json must be alone.
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
     try:
@@ -85,6 +86,7 @@ def _fast_module_lookup() -> Iterator[None]:
     search, importer = inspect.getmodule, threading.get_ident()
 
     def get_defining_module(thing: object, _filename: str | None = None) -> ModuleType | None:
+        """Return the module that defines a function or runs a frame; other objects are searched by `inspect`."""
         if threading.get_ident() != importer:
             return search(thing, _filename)
         known = getattr(thing, "f_globals", None) or getattr(thing, "__globals__", None) or {}

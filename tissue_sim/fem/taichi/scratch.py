@@ -49,6 +49,6 @@ def get_scratch_field(lanes: int, size: int):
 
 @cache
 def _create_scratch_field():
-    """Create the scratch field of `VECTORS` vectors, once per process."""
+    """Return the only scratch field, of `VECTORS` vectors; the first call in a process creates the field."""
     ti = initialise()
     return ti.Vector.field(LANES, ti.f64, shape=VECTORS)

@@ -123,7 +123,7 @@ class TracedNumber(NDArrayOperatorsMixin):
 
 
 def trace_values(values: Sequence[Any], lanes: bool) -> list[TracedNumber]:
-    """Return Taichi expressions wrapped as traced numbers; `lanes`: whether the expressions are vectors."""
+    """Wrap each Taichi expression in a `TracedNumber`; `lanes`: whether the expressions are vectors."""
     return [TracedNumber(value, lanes) for value in values]
 
 
@@ -135,7 +135,7 @@ def extract_expressions(values: Sequence[Any], like: Any) -> list[Any]:
 
 
 def _simplify_operation(ufunc: np.ufunc, left: Any, right: Any) -> Any:
-    """Simplify an operation with a constant 0 or 1, or an integer power; return None if neither applies."""
+    """Return the simplified result of an operation with a constant 0 or 1 or of a small integer power, else None."""
     if ufunc is np.power and isinstance(right, int) and 1 <= right <= _PRODUCTS:
         return reduce(operator.mul, [left] * right)
     if (ufunc is np.multiply and (_is_constant(left, 0) or _is_constant(right, 0))) or (
@@ -155,7 +155,7 @@ def _is_constant(value: Any, number: int) -> bool:
 
 
 def _trace_operation(function: Callable, *operands: Any) -> TracedNumber:
-    """Return the traced result of a Taichi function of numbers; nothing is computed for `TRIED` operands."""
+    """Apply a Taichi function to operands and return the traced result; `TRIED` operands give a `TRIED` result."""
     lanes = any(isinstance(x, TracedNumber) and x.lanes for x in operands)
     if any(isinstance(x, TracedNumber) and x.value is TRIED for x in operands):
         return TracedNumber(TRIED, lanes)
@@ -163,7 +163,7 @@ def _trace_operation(function: Callable, *operands: Any) -> TracedNumber:
 
 
 def _spread_over_lanes(value: Any, vector: TracedNumber) -> TracedNumber:
-    """Return a number as a traced vector with the number in every lane, like the traced vector `vector`."""
+    """Return a traced vector with the value in every lane, of the length of the traced vector `vector`."""
     if isinstance(value, TracedNumber) and value.lanes:
         return value
     if vector.value is TRIED:

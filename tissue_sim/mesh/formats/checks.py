@@ -36,7 +36,7 @@ LIMITS = MeshLimits()
 
 
 def select_volume_cells(content: MeshContent) -> CellBlock:
-    """Return the volume elements of a file, all of one kind.
+    """Return all volume elements of a file as one block, after checking that they are of one supported kind.
 
     Raises:
         InputError: there are no elements, too many elements, several kinds or an unsupported kind; a coordinate is not
@@ -120,6 +120,7 @@ def require_valid_mesh(cells: CellBlock, points: np.ndarray, point_numbers: np.n
 
 
 def _require_distinct_elements(points: np.ndarray, point_numbers: np.ndarray) -> None:
+    """Require that no two nodes have the same position; `point_numbers` are their numbers in the file."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(points)
@@ -156,6 +157,7 @@ def _require_positive_volumes(cells: CellBlock, points: np.ndarray) -> None:
 
 
 def _require_connected_body(cells: CellBlock) -> None:
+    """Require that elements are connected through sides, and that their surface is closed and meets itself nowhere."""
     from scipy import sparse
     from scipy.sparse.csgraph import connected_components
 

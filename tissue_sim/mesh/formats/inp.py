@@ -127,6 +127,7 @@ class _InpReader:
         self._surfaces: dict[str, list[tuple[np.ndarray, int]]] = {}
 
     def read_node(self, keyword: _KeywordBlock) -> None:
+        """Store the numbers and coordinates of ``*NODE``, and its node set if it names one."""
         try:
             rows = [(int(row[0]), *(float(word or 0.0) for word in (row[1:4] + ["0"] * 3)[:3])) for row in keyword.rows]
         except (ValueError, IndexError, OverflowError):
@@ -138,6 +139,7 @@ class _InpReader:
             self._extend_set(self._node_sets, keyword.options["NSET"], self._numbers[-1])
 
     def read_element(self, keyword: _KeywordBlock) -> None:
+        """Store the elements of ``*ELEMENT``, and its element set if it names one; other types are ignored."""
         name = keyword.options.get("TYPE", "").upper()
         solid, face = _SOLID.match(name), _FACE.match(name)
         kind = (_SOLID_KINDS.get(int(solid[1])) if solid else _FACE_KINDS.get(int(face[1])) if face else None)
@@ -158,12 +160,15 @@ class _InpReader:
             self._extend_set(self._element_sets, keyword.options["ELSET"], table[:, 0])
 
     def read_nset(self, keyword: _KeywordBlock) -> None:
+        """Add the nodes of ``*NSET`` to the node set that it names."""
         self._read_set(keyword, self._node_sets, "NSET")
 
     def read_elset(self, keyword: _KeywordBlock) -> None:
+        """Add the elements of ``*ELSET`` to the element set that it names."""
         self._read_set(keyword, self._element_sets, "ELSET")
 
     def read_surface(self, keyword: _KeywordBlock) -> None:
+        """Store the element faces of ``*SURFACE``, or the nodes of a surface of the type ``NODE`` as a node set."""
         name, kind = keyword.options.get("NAME", ""), keyword.options.get("TYPE", "ELEMENT").upper()
         sides = self._surfaces.setdefault(name.upper(), [])
         for row in keyword.rows if kind == "ELEMENT" else []:
@@ -177,6 +182,7 @@ class _InpReader:
             self._extend_set(self._node_sets, name, numbers)
 
     def _read_set(self, keyword: _KeywordBlock, sets: dict[str, np.ndarray], option: str) -> None:
+        """Add the numbers, generated numbers and earlier sets of a keyword to the set that its option names."""
         name = keyword.options.get(option, "")
         if "GENERATE" in keyword.options:
             for row in keyword.rows:
@@ -197,6 +203,7 @@ class _InpReader:
 
     @staticmethod
     def _require_known_set(sets: dict[str, np.ndarray], name: str, keyword: _KeywordBlock) -> np.ndarray:
+        """Return the numbers in a named set; an `InputError` for a set that is not defined yet."""
         if name.upper() not in sets:
             raise InputError(f"*{keyword.name} names the set {name!r}, which is not defined before this line",
                              line=keyword.line)
@@ -204,6 +211,7 @@ class _InpReader:
 
     @staticmethod
     def _extend_set(sets: dict[str, np.ndarray], name: str, numbers: np.ndarray) -> None:
+        """Append numbers to a set, which is created if it does not exist; names are stored in upper case."""
         sets[name.upper()] = np.concatenate([sets.get(name.upper(), np.zeros(0, dtype=np.int64)), numbers])
 
     def build_content(self) -> MeshContent:
@@ -216,6 +224,7 @@ class _InpReader:
         starts = np.cumsum([0, *(len(block.numbers) for block in cells)])
 
         def split_by_block(numbers: np.ndarray) -> list[np.ndarray]:
+            """Return for each block of `cells` the sorted indices in the block of the elements with these numbers."""
             indices = np.sort(elements.find_known_indices(np.unique(numbers)))
             return [indices[(indices >= first) & (indices < last)] - first
                     for first, last in pairwise(starts.tolist())]
@@ -249,18 +258,19 @@ class _NumberToIndexMap:
             raise InputError(f"{noun} {twice[0]} is stated twice; numbers must be unique")
 
     def _look_up_index(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the index of each number, and whether the number exists; the index is meaningless if it does not."""
         if not self._sorted.size:
             return np.zeros(numbers.shape, dtype=np.intp), np.zeros(numbers.shape, dtype=bool)
         at = np.minimum(np.searchsorted(self._sorted, numbers), self._sorted.size - 1)
         return self._order[at], self._sorted[at] == numbers
 
     def find_known_indices(self, numbers: np.ndarray) -> np.ndarray:
-        """Return the indices of the numbers that exist in the file."""
+        """Return the indices of those numbers that exist in the file; other numbers are left out."""
         indices, exists = self._look_up_index(numbers)
         return indices[exists]
 
     def find_indices(self, numbers: np.ndarray, owners: np.ndarray) -> np.ndarray:
-        """Return the indices of all numbers.
+        """Return the index of each number, with the shape of `numbers`.
 
         Args:
             numbers: numbers of the nodes of elements, shape (m, nodes).

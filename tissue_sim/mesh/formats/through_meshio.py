@@ -60,6 +60,7 @@ def read_through_meshio(path: Path, largest: int) -> MeshContent:
 
 
 def _convert_mesh(mesh: Any, first: int, known: dict[str, np.ndarray], point_numbers: np.ndarray | None) -> MeshContent:
+    """Return the content of a mesh of meshio; nodes and elements without known numbers count from `first`."""
     points = np.asarray(mesh.points, dtype=float)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise InputError(f"points must have three coordinates each; got an array of shape {points.shape}")
@@ -84,6 +85,7 @@ def _convert_mesh(mesh: Any, first: int, known: dict[str, np.ndarray], point_num
 
 
 def _collect_point_sets(mesh: Any) -> dict[str, np.ndarray]:
+    """Return name -> sorted point indices of the sets that a mesh of meshio defines by point sets or integer arrays."""
     sets = {str(name): np.asarray(members, dtype=np.intp).ravel() for name, members in (mesh.point_sets or {}).items()}
     for name, values in (mesh.point_data or {}).items():
         values = np.asarray(values)
@@ -93,6 +95,7 @@ def _collect_point_sets(mesh: Any) -> dict[str, np.ndarray]:
 
 
 def _collect_cell_sets(mesh: Any, cells: list[CellBlock]) -> dict[str, list[np.ndarray]]:
+    """Return name -> element indices in each block of the sets that cell sets, integer arrays or groups define."""
     sets: dict[str, list[np.ndarray]] = {}
     for name, blocks in (mesh.cell_sets or {}).items():
         if name not in _IGNORED and len(blocks) == len(cells):
@@ -112,7 +115,7 @@ def _collect_cell_sets(mesh: Any, cells: list[CellBlock]) -> dict[str, list[np.n
 
 
 def _find_set_values(name: str, values: np.ndarray) -> list[tuple[str, float]]:
-    """Return the names of the sets that an integer array defines, and the value of the members of each.
+    """Return the sets that an integer array defines: for each set its name, and the array value of its members.
 
     An array of zeros and ones defines one set with the name of the array; other arrays define sets ``name:value``. An
     array that is not integer or has more than 100 values defines no set.

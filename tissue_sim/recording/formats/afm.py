@@ -84,7 +84,7 @@ def read_afm(path: str | Path, *, curve: int | None = None, spring_constant: flo
 
 @contextmanager
 def _extract_curve_files(path: Path, suffixes: list[str]) -> Iterator[list[Path]]:
-    """Yield the paths of the files with curves: the file itself, or the files of a zip in a temporary folder."""
+    """Context manager: paths of the files with curves. The files of a zip are in a temporary folder until the end."""
     if path.suffix.lower() != ".zip":
         yield [path]
         return
@@ -138,7 +138,7 @@ def _load_curves(afmformats: Any, member: Path, path: Path, overrides: Mapping[s
 
 @contextmanager
 def _convert_to_input_errors(path: Path, member_name: str) -> Iterator[None]:
-    """Convert every error of afmformats to an `InputError` of one sentence; suppress its warnings and its log."""
+    """Context manager: raise errors of afmformats as `InputError`; suppress the warnings and log of afmformats."""
     logger = logging.getLogger("afmformats")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)

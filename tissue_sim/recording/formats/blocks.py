@@ -51,7 +51,7 @@ class NumberBlock:
         units: row of units below the names; None: no such row.
         rows: rows of numbers.
         places: positions of the requested columns, from 0, in the order of the request.
-        below: whether the block is below another block in the same columns.
+        below: whether another block with the same columns is above this block.
     """
 
     header: TableRow
@@ -214,7 +214,7 @@ def is_unit_row(row: TableRow, places: Sequence[int]) -> bool:
 
 
 def is_mostly_units(row: TableRow, places: Sequence[int]) -> bool:
-    """Return whether at least two cells at the places, and half of them, hold units, and the others a short word."""
+    """Return whether at least two cells and half of the cells in the given columns are units, others short words."""
     cells = [row.cells[place] for place in places if place < len(row.cells) and row.cells[place]]
     known = sum(find_known_unit(cell) is not None for cell in cells)
     return known >= max(2, 0.5 * len(cells)) and all(_SHORT.match(cell) and not is_number(cell) for cell in cells)

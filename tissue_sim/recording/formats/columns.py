@@ -49,7 +49,7 @@ Curves = int | Sequence[int]
 
 @dataclass(frozen=True)
 class MarkedRecording:
-    """Recording of a table with the spelling of its numbers.
+    """Recording of a table, with the decimal mark and the thousands separators that its numbers have in the file.
 
     Attributes:
         recording: recording in SI.
@@ -248,12 +248,13 @@ def _read_recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path
 
 def _find_common_marks(blocks: Sequence[NumberBlock], chosen: Sequence[Sequence[ChannelColumn]], delimiter: str | None,
            decimal: str | None) -> NumberMarks:
-    """Return the common marks of the numbers of all blocks; columns that are read have precedence."""
+    """Return decimal mark and thousands separators of all blocks; the columns that are read have precedence."""
     used = [cells for block, columns in zip(blocks, chosen, strict=True)
             for cells in collect_column_cells(block.rows, columns)]
     places = {column.index for columns in chosen for column in columns}
 
     def list_other_marks() -> Iterator[list[str]]:
+        """Yield the cells of each column of numbers that is not read."""
         for block in blocks:
             for place in range(len(block.header.cells)):
                 if place not in places:
@@ -271,7 +272,7 @@ def _continues_recording(first: Recording, second: Recording) -> bool:
 
 
 def _join_recordings(first: Recording, second: Recording) -> Recording:
-    """Return the samples of both recordings as one recording."""
+    """Return one recording: samples of the first, then of the second recording, and the metadata of the first."""
     return Recording({name: np.concatenate([first.channel(name), second.channel(name)]) for name in first.channels},
                      {name: np.concatenate([first.labels[name], second.labels[name]]) for name in first.labels},
                      first.metadata)
@@ -319,7 +320,10 @@ def _map_channels_to_columns(wanted: Mapping[str, Mapping[str, Any]], places: Ma
 
 def _crop_to_chosen_columns(rows: Sequence[TableRow], chosen: Sequence[ChannelColumn]) -> tuple[list[TableRow],
                                                                                                 list[ChannelColumn]]:
-    """Select the chosen columns, and the rows with content in them; a sheet may have other content around a table."""
+    """Return the rows reduced to the chosen columns, without blank rows, and these columns with positions 0, 1, 2, ...
+
+    A sheet may have other content around a table.
+    """
     return (select_cells(rows, [column.index for column in chosen]),
             [ChannelColumn(column.channel, i, column.header, column.factor, column.offset)
              for i, column in enumerate(chosen)])

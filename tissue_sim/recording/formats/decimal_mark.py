@@ -61,7 +61,7 @@ _QUANTITY = re.compile(r"(?<![\d.,])\d+(?P<mark>[.,])(?!\d{3}\b)\d+\s*[\[(]?(mm|
 
 @dataclass(frozen=True)
 class NumberMarks:
-    """Spelling of the numbers of a table.
+    """Decimal mark and thousands separators of the numbers of a table.
 
     Attributes:
         decimal: decimal mark, ``"."`` or ``","``.
@@ -175,7 +175,7 @@ def resolve_marks_by_text(marks: NumberMarks, text: str) -> NumberMarks:
 
 
 def _resolve_contradictory_columns(votes: Sequence[_DecimalMarkEvidence], example: str) -> NumberMarks:
-    """Return the marks of columns with contradictory votes: a question, unless both marks are certain.
+    """Return the decimal mark of the most certain vote; both marks remain possible unless both are certain.
 
     If both marks are certain, reading the cells raises an error with the line of the cell.
     """
@@ -188,7 +188,7 @@ def _resolve_contradictory_columns(votes: Sequence[_DecimalMarkEvidence], exampl
 
 
 def _add_thousands_separators(marks: NumberMarks, columns: Iterable[Sequence[str]]) -> NumberMarks:
-    """Add the thousands separators that occur in the columns to the marks."""
+    """Return the marks with the thousands separators that occur in the columns."""
     seen: dict[str, str] = {}
     for cells in columns:
         text = "\n".join(cells)
@@ -334,7 +334,7 @@ def _compute_roughness(values: np.ndarray) -> float:
 
 
 def _describe_largest_jump(cells: Sequence[str], readings: dict[str, np.ndarray], smoother: str) -> str:
-    """Return the largest jump of the other interpretation, in the spelling of the cells."""
+    """Return a clause about the largest jump between two cells if they are read with the mark other than `smoother`."""
     rough = readings[_get_other_decimal_mark(smoother)]
     steps = np.abs(np.diff(rough))
     jump = int(np.nanargmax(steps)) if np.isfinite(steps).any() else 0

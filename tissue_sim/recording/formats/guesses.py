@@ -144,7 +144,7 @@ class FileInterpretation:
         format: name of the machine, ``native``, ``afm``, or ``table`` for an unknown machine.
         kind_of_file: ``text``, ``workbook``, ``container`` or ``afm``.
         delimiter, decimal_mark, encoding: properties of a text; else None.
-        readings: readings of the tables, at least one.
+        readings: groups of tables that are read with the same options, at least one group.
         warnings: sentences for the user.
         assumptions: assumptions about the complete file: format, separators.
     """

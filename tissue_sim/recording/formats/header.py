@@ -95,6 +95,7 @@ def find_repeated_column_positions(row: TableRow, names: Sequence[str], *, file:
 def find_matching_cells(cells: Sequence[str], name: str) -> list[int]:
     """Return the positions of the cells that equal `name`, or else of those that are `name` followed by a unit."""
     def normalize_cell(text: str) -> str:
+        """Return a text in lower case with single blanks."""
         return " ".join(text.casefold().split())
 
     wanted = normalize_cell(name)
@@ -117,7 +118,7 @@ def _remove_comment_rows(rows: Sequence[TableRow]) -> list[TableRow]:
 
 
 def _is_numeric_row(row: TableRow) -> bool:
-    """Return whether all cells with content are numbers."""
+    """Return whether all cells with content are numbers; True for a row without content."""
     return all(is_number(cell) for cell in row.cells if cell)
 
 

@@ -59,7 +59,7 @@ _TURNED = {"displacement": "falls under load", "force": "against the motion", "n
 
 
 def get_channel_flag_name(channel: str) -> str:
-    """Return the name of a channel on the command line."""
+    """Return the name of a channel in options of the command line: ``stress`` for the nominal stress."""
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
 
@@ -132,7 +132,8 @@ def compare_columns_of_same_quantity(read: Read, columns: tuple[ColumnGuess, ...
         rivals: other columns of the same quantities.
 
     Returns:
-        Columns, recordings, assumptions with the difference, and sentences.
+        Columns and recordings (with replaced constant columns), assumptions about differences, and sentences for the
+        user.
     """
     assumptions: list[Assumption] = []
     remarks: list[str] = []
@@ -186,7 +187,7 @@ def _make_flags_of_all_columns(columns: Sequence[ColumnGuess]) -> str:
 
 
 def _quote_for_command_line(text: str) -> str:
-    """Return a text with quotation marks for the command line if necessary."""
+    """Return a text in quotation marks, unless the text consists of letters and digits only."""
     return f'"{text}"' if not text.isalnum() else text
 
 

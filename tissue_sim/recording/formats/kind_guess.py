@@ -25,7 +25,7 @@ KIND_OF_TEST = "kind of test"
 
 def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], hints: Sequence[KindHint],
                machine: MachineFormat | None, stated: str | None = None) -> KindGuess:
-    """Find the kind of test of a table.
+    """Return the most probable kind of test of a table, with the evidence.
 
     A word for a test without a registered kind (`UNKNOWN_TESTS`) has precedence over all other evidence. Exception: a
     kind that the file names by two words, such as "uniaxial tension", has precedence over the name of the file.

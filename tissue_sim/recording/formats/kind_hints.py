@@ -30,13 +30,13 @@ _SETTINGS = KindHintSettings()
 
 
 def collect_title_hints(numbers: NumberTable) -> list[KindHint]:
-    """Return the text above a table, and the name of its sheet."""
+    """Return two texts that may name the test: the text above a table, and the name of its sheet."""
     above = "\n".join(" ".join(row.cells) for row in numbers.above[-_SETTINGS.title_rows:])
     return [KindHint(above, "above the numbers"), KindHint(numbers.table.name, "in the name of the sheet")]
 
 
 def collect_file_hints(source: FileContent, found: Sequence[NumberTable]) -> list[KindHint]:
-    """Return the text at the top of the file, and in sheets without numbers."""
+    """Return texts that may name the test: the top of a file without sheets, and each sheet without numbers."""
     first = found[0]
     top = "\n".join(" ".join(row.cells) for row in first.above[:_SETTINGS.title_rows])
     hints = [KindHint(top, "at the top of the file")] if not first.table.name else []
@@ -47,7 +47,7 @@ def collect_file_hints(source: FileContent, found: Sequence[NumberTable]) -> lis
 
 
 def make_header_hint(own: Sequence[str], others: Sequence[str]) -> KindHint:
-    """Return the headers of the columns that are read, and headers of other columns that name no unknown test.
+    """Return one hint: headers of the columns that are read, and other headers that name no test without a kind.
 
     A header of a column that is not read is omitted if it names a test without a kind, such as a bending strain.
     """

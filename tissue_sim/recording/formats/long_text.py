@@ -135,10 +135,10 @@ def split_off_trailing_numbers(text: str, skipped: int = 0) -> tuple[str, Traili
 
 
 def _parse_trailing_lines(text: str, start: int, delimiter: str) -> TrailingNumberLines:
-    """Return the end of a text from a position on.
+    """Return the lines of a text from position `start` on, after a check that all cells are numbers.
 
     Raises:
-        NotPlainError: a cell that is not a number, or lines with different numbers of cells.
+        NotPlainNumbersError: a cell that is not a number, or lines with different numbers of cells.
     """
     found: set[str] = set()
     suffixes: tuple[bytes, ...] = ()
@@ -171,7 +171,7 @@ def _find_cell_ends(piece: bytes, cells: int) -> np.ndarray:
     """Return the positions of the delimiters and line ends of a piece, shape (lines, cells).
 
     Raises:
-        NotPlainError: a line with another number of cells.
+        NotPlainNumbersError: a line with another number of cells.
     """
     letters = np.frombuffer(piece, dtype=np.uint8)
     ends = np.flatnonzero((letters == _CELL_END[0]) | (letters == ord("\n")))
@@ -185,7 +185,7 @@ def _remove_unit_suffixes(piece: bytes, suffixes: Sequence[bytes]) -> bytes:
     """Remove the text after the numbers of each column from a piece.
 
     Raises:
-        NotPlainError: a cell without the text of its column, or a line with another number of cells.
+        NotPlainNumbersError: a cell without the text of its column, or a line with another number of cells.
     """
     if not any(suffixes):
         return piece
@@ -238,8 +238,8 @@ def _remove_quotation_marks(piece: bytes, delimiter: str) -> bytes:
     """Replace the delimiters of a piece by tabs, and remove the quotation marks of quoted cells.
 
     Raises:
-        NotPlainError: a quotation mark inside a cell, a quoted cell that continues in the next line, or a tab that is
-            not a delimiter.
+        NotPlainNumbersError: a quotation mark inside a cell, a quoted cell that continues in the next line, or a tab
+            that is not a delimiter.
     """
     sign = delimiter.encode()
     if sign != _CELL_END and _CELL_END in piece:
@@ -270,7 +270,7 @@ def _iterate_line_chunks(text: str, start: int, delimiter: str) -> Iterator[byte
     other character outside of Latin-1 is a question mark.
 
     Raises:
-        NotPlainError: an invalid quotation mark or tab; see `_remove_quotation_marks`.
+        NotPlainNumbersError: an invalid quotation mark or tab; see `_remove_quotation_marks`.
     """
     while start < len(text):
         end = text.find("\n", start + _SETTINGS.chunk_characters) + 1 or len(text)

@@ -19,16 +19,16 @@ _SUBJECT = "titles of the tables"
 
 def split_by_material(reading: TableGroup, groups: Sequence[RecordingColumns], places: Sequence[tuple[str, int]],
                 hints: ColumnHints) -> list[TableGroup]:
-    """Split a reading into one reading for each pair of material and specimen size.
+    """Split a group of tables into one group for each pair of material (by title) and specimen size.
 
     Args:
-        reading: reading of all tables.
+        reading: group of all tables.
         groups: tables in the order of the file.
         places: (sheet, line of the header) of each recording.
         hints: hints of the user; `ColumnHints.one_material` disables the split by titles.
 
     Returns:
-        The readings; several materials are a question to the user.
+        The groups, or the one unchanged group. Several materials add a question to the user to each group.
     """
     tables = _match_tables_to_recordings(groups, places)
     # A recording may continue below a repeated header, and its size may be stated below any of its parts. Statements
@@ -61,7 +61,7 @@ def split_by_material(reading: TableGroup, groups: Sequence[RecordingColumns], p
 def add_material_question(readings: Sequence[TableGroup], tables: Sequence[Sequence[RecordingColumns]],
                           hints: ColumnHints
                           ) -> tuple[TableGroup, ...]:
-    """Add a question if tables of one kind of test have different columns or units and titles of different materials.
+    """Add a question to groups of tables of one kind of test with different columns and titles of different materials.
 
     Args:
         readings: readings of all tables.
@@ -97,7 +97,7 @@ def _merge_table_statements(groups: Sequence[RecordingColumns]) -> dict[str, str
 def _make_material_question(different: Sequence[str], titles: Sequence[str], materials: Sequence[str],
                             numbers: Sequence[int]
               ) -> tuple[Assumption, ...]:
-    """Return the assumption that different names are different materials, with the alternative of one material."""
+    """Return a tuple of one assumption: different names are different materials; alternatively, one material."""
     flags = {each: " ".join(f"--curve {number}" for number, material in zip(numbers, materials, strict=True)
                             if material == each) for each in different}
     listed = ", ".join(f"{titles[materials.index(each)]!r} ({flags[each]})" for each in different)

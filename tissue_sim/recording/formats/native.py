@@ -74,7 +74,7 @@ def read_native_rows(rows: Sequence[TableRow], path: Path, end: TrailingNumberLi
 
     Raises:
         InputError: see `read_native`.
-        NotPlainError: `end` cannot be read like the rows.
+        NotPlainNumbersError: `end` cannot be read like the rows.
     """
     if not rows:
         raise InputError(f"holds only comments, expected the header {EXAMPLE!r}", file=path)
@@ -83,19 +83,20 @@ def read_native_rows(rows: Sequence[TableRow], path: Path, end: TrailingNumberLi
 
 
 def _split_native_rows(text: str, path: Path) -> list[TableRow]:
-    """Split a text at commas, and omit the comments."""
+    """Split the lines of a text into cells at commas; lines that begin with ``#`` are omitted."""
     # Comments become empty lines, so that the line numbers remain those of the file.
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     return split_rows("\n".join("" if line.lstrip().startswith("#") else line for line in lines), ",", file=path)
 
 
 def _identify_columns(header: TableRow, path: Path) -> list[ChannelColumn]:
-    """Return the columns in the order of the header.
+    """Return the channel, position and conversion to SI of each column, in the order of the header.
 
     Raises:
         InputError: an invalid header; with file and line.
     """
     def make_header_error(problem: str) -> InputError:
+        """Return an error with the file and the line of the header."""
         return InputError(problem, file=path, line=header.line)
 
     for delimiter, word in ((";", "semicolons"), ("\t", "tabs")):

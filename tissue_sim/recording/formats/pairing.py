@@ -344,7 +344,7 @@ def _is_bracket_remark(text: str, role: str) -> bool:
 
 
 def apply_measure_conversion(column: ColumnGuess, stated_measure: str | None = None) -> ColumnGuess:
-    """Return the column with the conversion of its measure of strain or stress.
+    """Return the column with the conversion of its measure to stretch (strain + 1 if engineering) or nominal stress.
 
     Args:
         column: column without offset and measure.

@@ -94,7 +94,7 @@ def find_sizes(statements: Mapping[str, str], kind: str | None) -> dict[str, Siz
 
 
 def find_distinct_sizes(statements: Mapping[str, str], kind: str | None) -> dict[str, tuple[SizeOrSpeed, ...]]:
-    """Return all contradictory statements of the radius or cross-section and of the height.
+    """Return the stated radius or cross-section and the height, each with the statements that contradict it.
 
     Args:
         statements: key -> value; see `tissue_sim.recording.formats.statements.find_table_statements`.

@@ -140,7 +140,7 @@ def _split_text_to_table(text: str, delimiter: str | None, skip_lines: int, path
 
 
 def _split_lines_to_rows(lines: list[str], delimiter: str, path: Path) -> Table:
-    """Split the lines at the delimiter, and remove units after the numbers."""
+    """Return the table of lines split at the delimiter; units after the numbers are moved to a row of units."""
     text = "\n".join(lines)
     return Table(extract_cell_units(split_rows(text, delimiter, file=path), text), delimiter)
 

@@ -47,7 +47,7 @@ class TableRow:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows with content.
+    """Rows with content of a text or of a sheet.
 
     Attributes:
         rows: rows that are not blank.
@@ -93,6 +93,7 @@ def split_rows(text: str, delimiter: str, *, file: Path) -> list[TableRow]:
     line = 0
 
     def iterate_lines():
+        """Yield the lines with their ends, and count them in `line`; a blank delimiter may be several blanks."""
         nonlocal line
         for content in io.StringIO(text, newline=None):
             line += 1
@@ -142,7 +143,7 @@ def read_recording_table(header: TableRow, rows: Sequence[TableRow], columns: Se
     Raises:
         InputError: the length of a row differs from the header, a cell is not a finite number, the decimal mark is
             ambiguous, the time decreases, or the table has fewer than `MIN_POINTS` rows; with file and line.
-        NotPlainError: `end` cannot be read with the marks of the rows; all lines must be read as rows.
+        NotPlainNumbersError: `end` cannot be read with the marks of the rows; all lines must be read as rows.
     """
     width = len(header.cells)
     for row in rows:
@@ -198,7 +199,7 @@ def _parse_trailing_numbers(end: TrailingNumberLines, columns: Sequence[ChannelC
     """Return the numbers of the trailing lines in the units of the file, shape (rows, columns).
 
     Raises:
-        NotPlainError: labels, another delimiter or width, or marks that differ from those of the rows.
+        NotPlainNumbersError: labels, another delimiter or width, or marks that differ from those of the rows.
     """
     if any(column.channel in LABELS for column in columns) or (end.delimiter, end.cell_count) != (delimiter, width):
         raise NotPlainNumbersError

@@ -59,7 +59,7 @@ class TableReader:
         return marked
 
     def _add_displacement_from_speed(self, marked: MarkedRecording) -> MarkedRecording:
-        """Add the displacement of a test at constant speed, if a speed is stated."""
+        """Return the recording with a displacement of speed times time; unchanged if `speed` is None."""
         if self.speed is None:
             return marked
         return replace(marked, recording=complete_motion_from_speed(marked.recording, self.speed, self.path))

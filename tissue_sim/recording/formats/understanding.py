@@ -103,7 +103,7 @@ def interpret_file(path: str | Path, hints: ColumnHints | None = None) -> FileIn
 
 
 def _remove_sweeps(found: Sequence[NumberTable], path: Path) -> tuple[list[NumberTable], tuple[str, ...]]:
-    """Remove the tables of moduli over frequency or amplitude, and return a sentence about them.
+    """Return the tables that do not have moduli over frequency or amplitude, and a sentence about the omitted tables.
 
     Raises:
         InputError: all tables hold moduli.
@@ -119,7 +119,7 @@ def _remove_sweeps(found: Sequence[NumberTable], path: Path) -> tuple[list[Numbe
 
 def _remove_unknown_tests(readings: Sequence[TableGroup], hints: ColumnHints
                           ) -> tuple[tuple[TableGroup, ...], tuple[str, ...]]:
-    """Remove the readings of tests without a registered kind, and return a sentence about each of them.
+    """Return the readings of tests with a registered kind, and a sentence about each omitted reading.
 
     Raises:
         InputError: all readings are of tests without a registered kind.
@@ -210,9 +210,9 @@ def _find_decimal_mark(numbers: NumberTable, positions: Sequence[int]) -> str | 
 def _read_tables(source: FileContent, groups: Sequence[RecordingColumns], hints: ColumnHints,
                  machine: MachineFormat | None,
              titles: Sequence[KindHint], unused: tuple[str, ...]) -> tuple[list[TableGroup], NumberMarks]:
-    """Read tables with equal columns, and return their readings and the marks of the numbers.
+    """Read tables with equal columns; return one group for each material and size, and the decimal mark of the numbers.
 
-    The signs are chosen so that the load is positive. Each material that the titles name is a separate reading.
+    The signs are chosen so that the load is positive. Each material that the titles name is a separate group.
 
     Args:
         source: content of the file.
@@ -321,7 +321,7 @@ def _was_recorded_as_strain(column: ColumnGuess) -> bool:
 
 
 def _check_shear_measures(columns: tuple[ColumnGuess, ...]) -> tuple[ColumnGuess, ...]:
-    """Return the columns after a check of the measure of a shear strain.
+    """Return the columns unchanged, after a check that no shear strain has a measure that requires a conversion.
 
     Raises:
         InputError: the measure is neither an angle nor displacement over height.

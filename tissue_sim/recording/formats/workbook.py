@@ -39,7 +39,7 @@ class Sheet:
     rows: tuple[TableRow, ...]
 
     def build_table(self, skip_rows: int = 0) -> Table:
-        """Return the rows below the first `skip_rows` rows, without units after the numbers."""
+        """Return the rows below the first `skip_rows` rows; units after the numbers are moved to a row of units."""
         return Table(extract_cell_units([row for row in self.rows if row.line > skip_rows]), name=self.name)
 
     def add_location_to_errors(self) -> AbstractContextManager[None]:
@@ -104,7 +104,7 @@ def read_sheet(path: Path, sheet: str | int | None = None) -> Sheet:
 
 
 def _read_xlsx_or_ods(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
-    """Read the sheets of an xlsx or ods file."""
+    """Yield the requested sheets of an xlsx or ods file; all sheets without a request."""
     _check_extent(data, path)
     with calamine.load_workbook(io.BytesIO(data)) as book:
         for name in _select_sheet_names(path, wanted, book.sheet_names):
@@ -113,7 +113,7 @@ def _read_xlsx_or_ods(data: bytes, path: Path, wanted: Sequence[str | int]) -> I
 
 
 def _read_xls(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
-    """Read the sheets of an xls file."""
+    """Yield the requested sheets of an xls file; all sheets without a request."""
     try:
         book = xlrd.open_workbook(file_contents=data, logfile=io.StringIO(), ragged_rows=True)
     except xlrd.XLRDError as error:
