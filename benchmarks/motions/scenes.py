@@ -21,7 +21,7 @@ from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import SolidMesh, create_needle_mesh
 
 #: Version of the cached reduced models; raise it when their scenes or their training change.
-REDUCED_VERSION = 3
+REDUCED_VERSION = 4
 #: Radius and height of the specimen of spatial scenes, m.
 SPATIAL_SPECIMEN = (0.030, 0.020)
 #: Radius of the tool of spatial scenes, m.

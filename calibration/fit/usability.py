@@ -305,14 +305,39 @@ def _evaluate_bound_dependence_clause(evidence: UsabilityEvidence) -> UsabilityC
 def _evaluate_determination_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Return the clause on the standard error of the shear modulus; single parameters may be undetermined."""
     found = evidence.determination
-    if found is None or found.is_precise_enough:
+    if found is None:
         return _build_clause("determined", "not_determined", "")
+    if found.is_precise_enough:
+        return _build_clause("determined", "not_determined", _describe_fast_relaxation(evidence),
+                             "fit the law without viscoelastic terms, record with a shorter sampling interval, or "
+                             "state the relaxation time in fit.fixed")
     error = f"its standard error is {found.relative_error:.0%} of its value" if np.isfinite(found.relative_error) else \
         "the samples contain no information on it"
     return _build_clause("determined", "not_determined",
                          f"the tests do not determine the shear modulus mu0: {error}, and the limit is "
                          f"{DETERMINATION.relative_error:.0%}",
                          "add a test or a longer recording, fix a parameter in fit.fixed, or use a law with fewer")
+
+
+def _describe_fast_relaxation(evidence: UsabilityEvidence) -> str:
+    """Describe the fitted Prony terms that relax between two samples; empty if there are none.
+
+    The samples contain no information on the modulus before such a relaxation. Its standard error does not show this
+    where the relaxation time is on its bound, because parameters on bounds count as fixed.
+    """
+    space, measured = evidence.estimate.problem.space, evidence.estimate.problem.measured
+    material = space.build_material(space.values(evidence.estimate.theta[: len(space.free)]))
+    steps = [step for curve in measured if curve.time is not None and (step := np.diff(curve.time)).size]
+    if material.viscoelastic is None or not steps:
+        return ""
+    joined = np.concatenate(steps)
+    interval = float(np.median(joined[joined > 0])) if (joined > 0).any() else 0.0
+    found = [f"{evidence.symbols[name]} = {term.tau:.3g} s (g = {term.g:.2g})"
+             for index, term in enumerate(material.viscoelastic.terms)
+             if (name := f"viscoelastic.terms[{index}].tau") in space.free
+             and term.tau < interval and term.g > DETERMINATION.change]
+    return (f"the tests do not determine the shear modulus mu0 before relaxation: the fitted relaxation time "
+            f"{', '.join(found)} is shorter than the sampling interval, {interval:.3g} s") if found else ""
 
 
 def _evaluate_uniqueness_clause(evidence: UsabilityEvidence) -> UsabilityClause:

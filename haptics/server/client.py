@@ -95,7 +95,7 @@ class TissueClient:
         self._sequence += 1
         self._socket.send(encode_request(request))
         end = time.monotonic() + self._timeout
-        while True:
+        while time.monotonic() <= end:
             try:
                 reply = decode_reply(self._receive_datagram())
             except OtherVersionError as error:
@@ -109,8 +109,8 @@ class TissueClient:
                                  f"{self._version}; create the client with version={reply.version}")
             if (reply.sequence, reply.session) == (request.sequence, request.session):
                 return reply
-            if time.monotonic() > end:  # only replies to earlier requests arrived
-                raise TimeoutError(f"no reply within {self._timeout:g} s")
+        # Only replies to earlier requests, or datagrams that are no replies, arrived.
+        raise TimeoutError(f"no reply within {self._timeout:g} s")
 
     def _receive_datagram(self) -> bytes:
         """Return the next datagram: poll first, then wait up to the timeout, after which TimeoutError is raised."""

@@ -30,4 +30,4 @@ def run_checks(*, clock_seconds: float = 2.0) -> Iterator[CheckResult]:
     yield platform_services.check_viewer_port()
 
 
-__all__ = ["Check", "run_checks"]
+__all__ = ["CheckResult", "run_checks"]

@@ -97,7 +97,7 @@ def describe_network_access(host: str, port: int) -> str:
     """Describe who can access a server on `host`, in one sentence without a full stop.
 
     Raises:
-        InputError: `host` is not an address.
+        InputError: `host` is neither an address nor ``localhost``.
     """
     if _is_loopback(host):
         return f"only programs of this computer can reach {host}"
@@ -316,7 +316,9 @@ def _delete_header(headers, name: str) -> None:
 
 
 def _is_loopback(host: str) -> bool:
-    """Return whether an IP address is a loopback address; raise an `InputError` for any other text."""
+    """Return whether only this computer can reach an IP address or ``localhost``; raise an `InputError` for other text."""
+    if host == "localhost":
+        return True
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

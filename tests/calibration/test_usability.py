@@ -184,6 +184,17 @@ def test_noise_is_no_misfit_and_a_precise_wrong_law_is(tmp_path):
     assert fit.status == "misfit" and "explained" in failing(fit) and "limit is 0.95" in fit.unusable
 
 
+def test_a_relaxation_between_two_samples_does_not_determine_the_modulus(tmp_path):
+    """An elastic recording fitted with a Prony term: the force before the relaxation is in no sample."""
+    recording = compression(points=81)
+    recording = ts.Recording({"time": 0.1 * np.arange(81.0), **{name: recording.channel(name)
+                                                              for name in ("displacement", "force")}})
+    start = 'start = { "viscoelastic.terms[0].g" = 0.4, "viscoelastic.terms[0].tau_s" = 0.01 }\n'
+    bounds = 'bounds = { "viscoelastic.terms[0].g" = [0.3, 0.5], "viscoelastic.terms[0].tau_s" = [0.009, 0.011] }'
+    fit = calibrate(tmp_path, [recording], ["neo_hooke"], fit=start + bounds).neo_hooke
+    assert "determined" in failing(fit) and "is shorter than the sampling interval, 0.1 s" in fit.unusable
+
+
 @pytest.fixture
 def curve(tmp_path):
     """A recording as it is fitted."""

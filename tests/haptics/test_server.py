@@ -207,6 +207,28 @@ def test_the_client_ignores_replies_after_a_timeout(server):
     client.close()
 
 
+def test_datagrams_that_are_no_replies_do_not_extend_the_timeout():
+    """A socket that sends damaged replies without end."""
+    ended = threading.Event()
+
+    def send_damaged_replies(damaged):
+        _, address = damaged.recvfrom(1024)
+        while not ended.is_set():
+            damaged.sendto(b"no reply", address)
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as damaged:
+        damaged.bind(("127.0.0.1", 0))
+        sender = threading.Thread(target=send_damaged_replies, args=(damaged,))
+        sender.start()
+        try:
+            with TissueClient(damaged.getsockname()[1], timeout=0.2) as client, \
+                    pytest.raises(TimeoutError, match=r"no reply within 0\.2 s"):
+                client.step(0.001)
+        finally:
+            ended.set()
+            sender.join(300.0)
+
+
 def test_a_polling_client_waits_for_a_late_reply(server):
     tissue = server._service.tissue
     with TissueClient(server.address[1], timeout=60.0, polls=3) as client:

@@ -13,6 +13,7 @@ from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training_paths import make_training_path
+from tissue_sim.fem.reduced.verification import verify_and_calibrate
 from tissue_sim.fem.solid.tissue import Tissue, element_layers
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0
@@ -190,9 +191,9 @@ class TestLayers:
                                                           start))
         assert sum(sample.material is soft for sample in looked_at) >= 0.3 * len(looked_at)
         unseen = make_training_path(training.VERIFICATION.first_test_path, skinned.box, start, holds=True, reach=6e-3)
-        report, _ = training.verify_and_calibrate(skinned, solver, [unseen, unseen], materials=materials)
-        of_soft, _ = training.verify_and_calibrate(skinned, solver, [unseen], materials=[soft])
-        of_stiff, _ = training.verify_and_calibrate(skinned, solver, [unseen], materials=materials[:1])
+        report, _ = verify_and_calibrate(skinned, solver, [unseen, unseen], materials=materials)
+        of_soft, _ = verify_and_calibrate(skinned, solver, [unseen], materials=[soft])
+        of_stiff, _ = verify_and_calibrate(skinned, solver, [unseen], materials=materials[:1])
         assert of_soft["force_rms_N"] < 0.02 * of_stiff["force_rms_N"]
         errors = np.array([each["force_rms_error"] for each in (of_soft, of_stiff)])
         assert report["force_rms_error"] == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-3)

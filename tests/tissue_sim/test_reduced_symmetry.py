@@ -10,6 +10,7 @@ import tissue_sim as ts
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.symmetry import find_symmetries, split_symmetry_group
 from tissue_sim.fem.reduced.training_paths import make_training_path
+from tissue_sim.fem.reduced.verification import verify_and_calibrate
 from tissue_sim.pose import motion
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
@@ -155,7 +156,7 @@ def test_images_make_a_reduced_solid_better():
                                                softness=1e-3, bulk_ratio=300.0, group=own)
         assert reduced.report["symmetries"] == len(own)
         unseen = make_training_path(training.VERIFICATION.first_test_path, box, start, holds=True, reach=8e-3)
-        report, _ = training.verify_and_calibrate(reduced, solver, [unseen])
+        report, _ = verify_and_calibrate(reduced, solver, [unseen])
         assert report["not_converged"] == 0.0
         errors.append(report["force_rms_error"])
     assert errors[1] < 0.6 * errors[0] and errors[1] < 0.01

@@ -280,6 +280,31 @@ class TestFirstSample:
         way = np.concatenate([WAY[:40], np.full(30, WAY[39]), WAY[40:]])
         assert analyse_control_and_creep(way, np.round(force(way) / 0.4) * 0.4).creep == 0.0
 
+    def test_two_pauses_with_a_short_motion_between_are_no_creep(self):
+        """The force changes by 3 % of its range between the pauses, less than the band in which it counts as held."""
+        way = np.concatenate([WAY[:70], np.full(9, WAY[69]), WAY[70:72], np.full(9, WAY[71]), WAY[72:]])
+        load = force(way) + 0.3 * np.random.default_rng(2).normal(0.0, 0.01, way.size)
+        found = analyse_control_and_creep(way, load)
+        assert found.creep == 0.0 and found.quantity == "displacement"
+
+    def test_the_number_of_equal_loads_does_not_depend_on_the_thinning(self):
+        held = np.arange(1.0, 60.0, 0.002)
+        way = np.concatenate([np.linspace(0.0, 1e-3, 40), 1e-3 * (1 + 0.4 * (1 - np.exp(-held / 12)))])
+        load = np.concatenate([np.linspace(0.0, 2.0, 40), np.full(held.size, 2.0)])
+        load[:40] += 1e-3 * np.sin(np.arange(40.0))
+        found = analyse_control_and_creep(way, load)
+        assert found.pattern == "creep" and found.equal_samples == pytest.approx(held.size, rel=0.01)
+
+    def test_the_zero_of_a_staircase_after_a_wrong_first_displacement(self):
+        """The noise of the force hides the corner at the first step; the displacement shows it."""
+        rise = np.linspace(0.0, 0.5e-3, 6)
+        levels = [np.append(np.full(10, level), level + rise[1:]) for level in (0.5e-3, 1.0e-3, 1.5e-3)]
+        way = np.concatenate([rise, *levels, np.full(10, 2e-3)])
+        load = changed(force(way) + 15.0 * np.random.default_rng(13).normal(0.0, 0.01, way.size), 0, 0.0)
+        cleaned, _ = remove_outliers_and_saturation(recording(changed(way, 0, 9.999), load, 0.4 * np.arange(way.size)),
+                                                    zeroed=["displacement"])
+        assert cleaned.displacement[-1] == pytest.approx(2e-3, abs=1e-6)
+
     def test_a_step_away_from_a_single_first_sample_does_not_show_the_zero(self):
         way, load = self.CREPT - 8e-3 * (self.CREPT == 0), np.where(self.CREPT > 0, 2.0, 0.0)
         with pytest.raises(InputError, match="the zero of the displacement is not known"):

@@ -192,5 +192,7 @@ def _make_component(kind: type, place: str, numbers: Mapping[str, float]) -> Any
     except InputError as refused:
         raise InputError(refused.problem, field=f"{place}.{refused.field}") from None
     except TypeError:
-        missing = next(name for name in list_field_declarations(kind) if name not in numbers)
+        missing = next((name for name in list_field_declarations(kind) if name not in numbers), None)
+        if missing is None:
+            raise
         raise InputError("is missing; add it", field=f"{place}.{missing}") from None

@@ -68,7 +68,8 @@ def analyse_control_and_creep(motion: np.ndarray, load: np.ndarray, time: np.nda
         every = -(-motion.size // _SETTINGS.most_samples)
         clock = np.arange(motion.size, dtype=float) if time is None else time
         found = analyse_control_and_creep(motion[::every], load[::every], clock[::every])
-        return replace(found, loading=min(every * found.loading, motion.size))
+        return replace(found, loading=min(every * found.loading, motion.size),
+                       equal_samples=every * found.equal_samples)
     clock = np.arange(motion.size, dtype=float) if time is None else time
     if motion.size < 2 * _SETTINGS.fewest or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
         return ControlFindings(None, "ramp", loading=motion.size)
@@ -197,10 +198,24 @@ def _iterate_creeping_holds(motion: np.ndarray, load: np.ndarray,
             continue
         gain = float(np.median(motion[last - _SETTINGS.end_samples:last]) - motion[first])
         duration = clock[last - 1] - clock[first]
+        gain -= _compute_elastic_gain(motion, load, first, last)
         if gain <= 0 or not duration > 0 or gain < 6 * estimate_noise_deviation(motion) or motion[first] <= 0:
             continue
         if _is_motion_creeping(motion, clock, first, last, gain / duration):
             yield first, last, gain / float(motion[first])
+
+
+def _compute_elastic_gain(motion: np.ndarray, load: np.ndarray, first: int, last: int) -> float:
+    """Return the displacement that the increase of the load from sample `first` to `last` (not included) explains.
+
+    The increase is divided by the stiffness of the loading in the samples before. Without a loading before, or if the
+    load does not increase, the result is 0.
+    """
+    before = max(first - _SETTINGS.fewest, 0)
+    moved, loaded = motion[first] - motion[before], load[first] - load[before]
+    increase = float(np.median(load[max(last - _SETTINGS.end_samples, first):last])
+                     - np.median(load[first:first + _SETTINGS.end_samples]))
+    return max(increase, 0.0) * float(moved / loaded) if moved > 0 and loaded > 0 else 0.0
 
 
 def _is_motion_creeping(motion: np.ndarray, clock: np.ndarray, first: int, last: int, rate: float) -> bool:

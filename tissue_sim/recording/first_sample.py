@@ -51,11 +51,13 @@ class _ExtrapolatedStart(NamedTuple):
         start: value at time 0.
         change: change from time 0 to the first sample that is kept.
         error: standard error of `start`.
+        sample_count: number of samples that determine the curve.
     """
 
     start: float
     change: float
     error: float
+    sample_count: int
 
 
 def estimate_first_sample_value(recording: Recording, screening: Screening, name: str, partner: str) -> float | None:
@@ -86,8 +88,12 @@ def estimate_first_sample_value(recording: Recording, screening: Screening, name
         clock = usable.astype(float)
     digits = {each: _estimate_load_rounding(recording, usable, each, name if each == partner else partner)
               if each in LOADS else 0.0 for each in (name, partner)}
-    own, its = (_extrapolate_to_time_zero(clock, recording.channel(each)[usable], digits[each])
-                for each in (name, partner))
+    load, motion = (name, partner) if name in LOADS else (partner, name)
+    moved = _extrapolate_to_time_zero(clock, recording.channel(motion)[usable], digits[motion], _SETTINGS.most)
+    # A load after a corner of the motion is not on the curve of the first samples, which noise can hide.
+    loaded = None if moved is None else \
+        _extrapolate_to_time_zero(clock, recording.channel(load)[usable], digits[load], moved.sample_count)
+    own, its = (loaded, moved) if name == load else (moved, loaded)
     if own is None or its is None or own.error > _SETTINGS.known * float(np.ptp(values[usable])):
         return None
     gap = its.start - (0.0 if _is_first_sample_omitted(screening, partner) else float(other[0]))
@@ -108,20 +114,22 @@ def _is_first_sample_omitted(screening: Screening, name: str) -> bool:
     return any(1 in each.samples and each.channel == name for each in screening.left_out)
 
 
-def _extrapolate_to_time_zero(clock: np.ndarray, values: np.ndarray, rounding: float) -> _ExtrapolatedStart | None:
+def _extrapolate_to_time_zero(clock: np.ndarray, values: np.ndarray, rounding: float,
+                              most: int) -> _ExtrapolatedStart | None:
     """Extend a channel to time 0 by a line or a parabola through as many first samples as possible.
 
     Args:
         clock: time of the samples that are kept, from the first sample of the recording, s, shape (n,).
         values: values of the channel in these samples, shape (n,).
         rounding: standard deviation of the rounding of the values.
+        most: largest number of samples that determine the curve.
 
     Returns:
         None: neither a line nor a parabola describes the first samples.
     """
     noise = max(estimate_noise_deviation(values), rounding)
     limit = max(_SETTINGS.residual_range * float(np.ptp(values)), _SETTINGS.residual_noise * noise)
-    for count in range(min(_SETTINGS.most, values.size), _SETTINGS.fewest - 1, -1):
+    for count in range(min(most, values.size), _SETTINGS.fewest - 1, -1):
         for degree in (1, 2):
             design = np.vander(clock[:count] / clock[count - 1], degree + 1, increasing=True)
             coefficients = np.linalg.lstsq(design, values[:count], rcond=None)[0]
@@ -129,7 +137,8 @@ def _extrapolate_to_time_zero(clock: np.ndarray, values: np.ndarray, rounding: f
                 continue
             leverage = float(np.linalg.inv(design.T @ design)[0, 0])
             start = float(coefficients[0])
-            return _ExtrapolatedStart(start, float(design[0] @ coefficients) - start, noise * np.sqrt(1.0 + leverage))
+            return _ExtrapolatedStart(start, float(design[0] @ coefficients) - start, noise * np.sqrt(1.0 + leverage),
+                                      count)
     return None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import dataclass, field
@@ -81,6 +82,7 @@ class RecordRunSource(BenchSource):
     def __init__(self, folder: Path):
         self._folder = folder
         self._partial: Path | None = None
+        self._file_number = 0
         self._rows: list[tuple[float, float, float]] = []
         self._read = 0
 
@@ -121,6 +123,10 @@ class RecordRunSource(BenchSource):
             self._partial, self._rows, self._read = partial, [], 0
         if self._partial is not None and self._partial.exists():
             with self._partial.open("rb") as file:
+                state = os.fstat(file.fileno())
+                # A recording that starts again has the name of the stopped one.
+                if state.st_ino != self._file_number or state.st_size < self._read:
+                    self._rows, self._read, self._file_number = [], 0, state.st_ino
                 file.seek(self._read)
                 whole, newline, _ = file.read().rpartition(b"\n")
             self._read += len(whole) + len(newline)

@@ -36,6 +36,11 @@ def test_the_folder_of_a_running_recorder_is_read(tmp_path):
         with partial.path.open("a", encoding="utf-8") as file:
             file.write("0.05,0.5,0.1,ramp\n0.06,0.6,0.1")  # half a row is none yet
         assert source.read().time.size == 6
+        partial.path.unlink()
+        again = folder.open_partial("needle_2", HEADER)
+        again.queue_rows([(0.01 * row, 0.2, 1.0, "ramp") for row in range(20)])
+        again.close()
+        np.testing.assert_allclose(source.read().forces, np.ones(20))
         (tmp_path / "run" / LIVE_FILE).unlink()
         folder.update_state(state="stopped", stops=[{"message": "the force was 9 N"}])
         assert source.read().message == "the force was 9 N"

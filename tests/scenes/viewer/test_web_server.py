@@ -276,7 +276,8 @@ def test_exposure_describes_who_has_access():
     everywhere = describe_network_access("0.0.0.0", 8080)
     assert everywhere.startswith("anyone who can reach any address of this computer at port 8080 can ")
     assert describe_network_access("10.0.0.7", 0).startswith("anyone who can reach 10.0.0.7 at the chosen port can ")
-    assert describe_network_access("127.0.0.1", 8080) == "only programs of this computer can reach 127.0.0.1"
+    for host in ("127.0.0.1", "localhost"):
+        assert describe_network_access(host, 8080) == f"only programs of this computer can reach {host}"
 
 
 def test_an_exposed_server_checks_its_names():

@@ -11,6 +11,7 @@ from tissue_sim.fem.reduced.path_steps import iterate_reduced_steps
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.training import simulate_snapshots
+from tissue_sim.fem.reduced.verification import find_covering_factor
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.material import Material
@@ -27,8 +28,8 @@ def calibrate_lateral_factor(reduced: ReducedModel, solver: SolidSolver, paths: 
     with the error on such paths. An indentation along the axis has almost no lateral force, so that its estimate hardly
     changes.
 
-    For the fraction `VerificationSettings.coverage` of the states on the paths, the lateral error is at most this
-    factor times the largest lateral force. The product is added to the estimate at the present contact forces.
+    The product of the factor and the largest lateral force, plus the negligible error, covers the lateral errors on
+    the paths as `find_covering_factor` states. It is added to the estimate at the present contact forces.
 
     Args:
         reduced: the reduced solid.
@@ -43,16 +44,20 @@ def calibrate_lateral_factor(reduced: ReducedModel, solver: SolidSolver, paths: 
     small = ReducedSolver(reduced, reduced.model.material)
     if reduced.lifting or not small.contact.has_friction or not reduced.box.sideways:
         return 0.0
-    axis, ratios = np.array(reduced.model.experiment.tool_pose(0.0).rotation)[:, 2], []
+    axis = np.array(reduced.model.experiment.tool_pose(0.0).rotation)[:, 2]
+    largest, errors, substantial = [], [], []
     for number, path in enumerate(paths):
         for each in (solver, small):
             if each.material is not (material := materials[number % len(materials)]):
                 each.set_material(material)
         forces = simulate_snapshots(solver, path, memory=memory).wrenches[:, :3]
-        negligible = VERIFICATION.negligible_error * np.sqrt(np.mean(np.sum(forces**2, axis=1)))
+        norms = np.linalg.norm(forces, axis=1)
+        rms = np.sqrt(np.mean(norms**2))
         for step, force in zip(iterate_reduced_steps(small, path), forces, strict=True):
             error = np.subtract(step.wrench[:3], force)
-            largest = float(small.contact.largest_lateral[0])
-            if step.status is StepStatus.CONVERGED and largest > negligible:
-                ratios.append((float(np.linalg.norm(error - (error @ axis) * axis)) - negligible) / largest)
-    return max(0.0, float(np.quantile(ratios, VERIFICATION.coverage))) if ratios else 0.0
+            lateral = float(small.contact.largest_lateral[0])
+            if step.status is StepStatus.CONVERGED and lateral > VERIFICATION.negligible_error * rms:
+                largest.append(lateral / rms)
+                errors.append(float(np.linalg.norm(error - (error @ axis) * axis)) / rms)
+                substantial.append(VERIFICATION.substantial_error * norms.max() / rms)
+    return find_covering_factor(np.array(largest), np.array(errors), np.array(substantial))

@@ -19,8 +19,10 @@ from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.acceptance import add_calibrated_compliance
 from tissue_sim.fem.reduced.lateral import calibrate_lateral_factor
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible, require_same_layers_and_regions
+from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training_paths import make_boundary_training_paths, make_reversing_paths, make_training_path
+from tissue_sim.fem.reduced.verification import verify_and_calibrate
 from tissue_sim.files import read_text
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
@@ -49,7 +51,7 @@ class ReductionProgressCallback(Protocol):
 def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", strokes: int | None = None,
                  modes: int | None = None, sampling: float = training.TRAINING.sampling_error,
                  bulk_ratio: float | None = None, softness: float = training.TRAINING.softness,
-                 also: Sequence[Material] = (), tried: int = training.VERIFICATION.test_paths,
+                 also: Sequence[Material] = (), tried: int = VERIFICATION.test_paths,
                  folder: Path | None = None,
                  progress: ReductionProgressCallback | None = None) -> ReducedModel:
     """Reduce a solid for real-time simulation of a tool that stays in a box of poses.
@@ -138,15 +140,15 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
                                               note=f"error {100 * error:.2g} %"))
     solver.set_material(model.material)
     reduced = add_calibrated_compliance(reduced, solver, poses, taken, of_stroke)
-    first = training.VERIFICATION.first_test_path
+    first = VERIFICATION.first_test_path
     unseen = [make_training_path(first + number, box, start, holds=holds, reach=reach) for number in range(tried)]
     along = make_boundary_training_paths(box, start, holds=holds, reach=reach, images=images,
-                                         fraction=training.VERIFICATION.boundary_fraction)
+                                         fraction=VERIFICATION.boundary_fraction)
     unseen += along[:: max(1, len(along) // 2)]  # a corner and an edge
-    report, factors = training.verify_and_calibrate(reduced, solver, unseen, lambda done, of: tell("trial", done, of),
+    report, factors = verify_and_calibrate(reduced, solver, unseen, lambda done, of: tell("trial", done, of),
                                                     materials=materials, memory=memory)
     back = make_reversing_paths(box, start, reach=reach, images=images,
-                                fraction=training.VERIFICATION.boundary_fraction)
+                                fraction=VERIFICATION.boundary_fraction)
     lateral = calibrate_lateral_factor(reduced, solver, back[:: max(1, len(back) // 2)], materials, memory=memory)
     return training.with_report_and_error_factors(reduced, (*factors, lateral), strokes=strokes,
                                                   boundary_strokes=count - strokes, materials=len(materials),

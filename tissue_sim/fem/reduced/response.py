@@ -55,7 +55,7 @@ class ToolResponse:
 
         The error by missing modes is c_1 |dF| + c_2 |F|. dF is the change of the force F if the error modes were
         unknowns, too (hierarchical error estimate: Bank and Weiser, Math. Comp. 44 (1985) 283).
-        `training.verify_and_calibrate` calibrates the factors. The lateral error is c_3 times the largest lateral
+        `verification.verify_and_calibrate` calibrates the factors. The lateral error is c_3 times the largest lateral
         force, see `calibrate_lateral_factor`.
 
         Args:

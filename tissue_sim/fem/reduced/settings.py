@@ -118,8 +118,10 @@ class VerificationSettings:
             coarser solid supplies larger errors for the calibration of the error estimate.
         coverage: fraction of the test states whose error must be within the estimate.
         negligible_error: error of the force over the rms force that the estimate need not cover.
+        substantial_error: error of the force over the largest force with the same material; the estimate must cover
+            all test states with a larger error. A larger value makes the estimate smaller and less safe.
         absent_lateral_factor: lateral factor (`calibrate_lateral_factor`) that is used for files of older versions,
-            which do not contain the factor. A ball of friction 0.3 has the factor 0.34 with 12 modes and 0.15 with 24
+            which do not contain the factor. A ball of friction 0.3 has the factor 0.60 with 12 modes and 0.24 with 24
             modes.
     """
 
@@ -130,7 +132,8 @@ class VerificationSettings:
     modes_per_omitted_mode: int = 4
     coverage: float = 0.95
     negligible_error: float = 0.01
-    absent_lateral_factor: float = 0.4
+    substantial_error: float = 0.02
+    absent_lateral_factor: float = 0.7
 
 
 #: Relative residual of the modal forces at which a step has converged. The error of the reduction is far larger.

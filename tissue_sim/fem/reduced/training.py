@@ -1,4 +1,4 @@
-"""Training of a reduced solid: full-order snapshots, modes, sampled elements and verification.
+"""Training of a reduced solid: full-order snapshots, modes and sampled elements.
 
 The modes are the leading left singular vectors of the snapshot matrix (proper orthogonal decomposition; Sirovich,
 Quart. Appl. Math. 45 (1987) 561). For a bonded tool, twelve linear elastic solutions extend the motions of the bonded
@@ -18,8 +18,7 @@ import numpy as np
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.reduced.model import ErrorFactors, PoseBox, ReducedModel, RestState, TrainingSnapshots
 from tissue_sim.fem.reduced.sampling import compute_sparse_weights
-from tissue_sim.fem.reduced.settings import TRAINING, VERIFICATION
-from tissue_sim.fem.reduced.solver import ReducedSolver
+from tissue_sim.fem.reduced.settings import TRAINING
 from tissue_sim.fem.reduced.symmetry import Symmetry, find_symmetries, split_symmetry_group
 from tissue_sim.fem.solid import elastic
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
@@ -231,94 +230,6 @@ def choose_sampled_elements(solver: SolidSolver, basis: np.ndarray, lifting: int
     weights = compute_sparse_weights(np.concatenate(contributions), tolerance, progress=progress)
     elements = np.flatnonzero(weights)
     return elements, weights[elements]
-
-
-def verify_and_calibrate(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequence[Pose]],
-                         progress: Callable[[int, int], None] | None = None, *, materials: Sequence[Material] = (),
-                         memory: Sequence[np.ndarray] = ()) -> tuple[dict[str, Any], tuple[float, float]]:
-    """Compare the reduced with the full-order solid on test paths, and calibrate the error estimate.
-
-    Non-negative least squares fit the error factors to the error beyond the estimate by missing compliance. The factors
-    are then enlarged until the estimate covers enough states (`VerificationSettings.coverage`).
-
-    Args:
-        reduced: the reduced solid.
-        solver: the full-order solver.
-        strokes: poses of each test path.
-        progress: called with the number of finished paths and the number of all paths.
-        materials: materials that are used in turn; none: the present material.
-        memory: material history at rest, see `copy_settled_history`.
-
-    Returns:
-        The report and the first two error factors of `ReducedModel`. The report contains ``force_rms_error`` and
-        ``force_largest_error`` over the rms force with the same material, ``force_rms_N``, the rms force over all
-        paths, ``not_converged``, the fraction of failed steps, and ``warnings`` of the full-order solver if any.
-    """
-    from scipy.optimize import nnls
-
-    # A second solid with fewer modes adds states whose error is caused by modes rather than by sampled elements.
-    more = (reduced.basis.shape[1] - reduced.lifting - reduced.watched) // VERIFICATION.modes_per_omitted_mode
-    table = reduced.compliance
-    plain = replace(reduced, error_factors=(1.0, 0.0, 0.0),
-                    compliance=None if table is None else table.with_unlimited_acceptance)
-    small, fewer = (ReducedSolver(replace(plain, watched=reduced.watched + each), reduced.model.material)
-                    for each in (0, more if reduced.watched else 0))
-    missed, forces, estimates, explained, kinds, lost, steps = [], [], [], [], [], 0, 0
-    others: list[tuple[float, float, float]] = []
-    doubts: Sequence[str] = ()
-    for done, poses in enumerate(strokes):
-        for each in (solver, small, fewer) if materials else ():
-            if each.material is not (material := materials[done % len(materials)]):
-                each.set_material(material)
-        whole = simulate_snapshots(solver, poses, memory=memory)
-        true, doubts = whole.wrenches, whole.doubts or doubts
-        for each in (small, fewer):
-            each.reset_to_rest()
-        here = poses[0]
-        for pose, wrench in zip(poses, true, strict=True):
-            for k in range(VERIFICATION.substeps):
-                there = between(here, pose, (k + 1) / VERIFICATION.substeps)
-                step, coarse = small.step(there), fewer.step(there)
-                steps += 1
-                lost += step.status is not StepStatus.CONVERGED
-            here = pose
-            missed.append(np.subtract(step.wrench[:3], wrench[:3]))
-            forces.append(wrench[:3])
-            kinds.append(done % max(1, len(materials)))
-            estimates.append(step.force_error or 0.0)
-            explained.append(0.0 if table is None or small.missing_force is None else max(
-                0.0, small.missing_force.compute_missing_force()
-                - table.accepted_missing_force_at(float(np.linalg.norm(step.wrench[:3])))))
-            others.append((coarse.force_error or 0.0, float(np.linalg.norm(wrench[:3])),
-                           float(np.linalg.norm(np.subtract(coarse.wrench[:3], wrench[:3])))))
-        if progress:
-            progress(done + 1, len(strokes))
-    error, force = (np.linalg.norm(np.array(each), axis=1) for each in (missed, forces))
-    # Relative to the rms force with the same material, so that soft and stiff materials have equal weight.
-    of_kind = [np.sqrt(np.mean(force[np.array(kinds) == kind] ** 2)) for kind in range(max(kinds) + 1)]
-    rms = np.array(of_kind)[kinds]
-    left = np.maximum(0.0, error - explained)
-    known = np.concatenate([np.column_stack([estimates, force, left]), others]) / np.tile(rms, 2)[:, None]
-    factors, _ = nnls(known[:, :2], known[:, 2])
-    factors *= _find_coverage_factor(known[: len(error), :2] @ factors, left / rms)
-    return {"force_rms_error": float(np.sqrt(np.mean((error / rms) ** 2))),
-            "force_largest_error": float((error / rms).max()), "force_rms_N": float(np.sqrt(np.mean(force**2))),
-            "not_converged": lost / steps, **({"warnings": list(doubts)} if doubts else {})}, (
-        float(factors[0]), float(factors[1]))
-
-
-def _find_coverage_factor(estimates: np.ndarray, errors: np.ndarray) -> float:
-    """Return the smallest factor c >= 1 for which enough states satisfy error <= c estimate + negligible error.
-
-    Args:
-        estimates: estimated errors over the rms force, shape (states,).
-        errors: true errors over the rms force, shape (states,).
-    """
-    known = estimates > 0.0
-    if not known.any():
-        return 1.0
-    return max(1.0, float(np.quantile((errors[known] - VERIFICATION.negligible_error) / estimates[known],
-                                     VERIFICATION.coverage)))
 
 
 def build_reduced_model(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[TrainingSnapshots],
