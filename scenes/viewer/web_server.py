@@ -316,7 +316,7 @@ def _delete_header(headers, name: str) -> None:
 
 
 def _is_loopback(host: str) -> bool:
-    """Return whether only this computer can reach an IP address or ``localhost``; raise an `InputError` for other text."""
+    """Return whether only this computer can reach an IP address or ``localhost``; other text is an `InputError`."""
     if host == "localhost":
         return True
     try:
