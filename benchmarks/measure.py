@@ -25,7 +25,7 @@ import tissue_sim as ts
 from benchmarks import MARKDOWN, ROOT
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.linear.cholesky import make_cholesky_functions
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
 def cpu_seconds(work: Callable[[], object], repeats: int) -> list[float]:
@@ -45,7 +45,7 @@ def summary(spent: list[float]) -> dict:
 @functools.cache
 def band_kernels() -> tuple[Callable, Callable]:
     """Return kernels that factorise a band matrix and solve with the factor, a number of times each."""
-    ti = initialise()
+    ti = get_initialised_taichi()
     init, solve = make_cholesky_functions()
     block = ti.types.vector(band.BLOCK, ti.f64)
     one, three = ti.types.ndarray(dtype=block, ndim=1), ti.types.ndarray(dtype=block, ndim=3)
@@ -79,7 +79,7 @@ def against_lapack(name: str, lower: np.ndarray, repeats: int, *, solve: bool) -
     factor, substitute = band_kernels()
     lower = np.asfortranarray(lower)
     half_band, size = lower.shape[0] - 1, lower.shape[1]
-    blocks, right = band.pack_band_blocks(lower), np.random.default_rng(0).normal(size=size)
+    blocks, right = band.pack_lapack_band_to_blocks(lower), np.random.default_rng(0).normal(size=size)
     shape = blocks.shape[:2]
     inverse, padded = np.zeros(shape[0] * band.BLOCK), np.zeros((shape[0], band.BLOCK))
     padded.ravel()[:size] = right

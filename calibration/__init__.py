@@ -3,7 +3,7 @@
 Public names are listed in `__init__.pyi` and imported on first use, so that ``import calibration`` is fast.
 """
 
-from tissue_sim.public_names import import_on_use as _import_on_use
+from tissue_sim.public_names import make_lazy_package_members as _import_on_use
 
 #: Old public names -> new names.
 _RENAMED = {"Wishes": "ImportOptions", "Stated": "ColumnHints", "Imported": "ImportResult",

@@ -15,24 +15,29 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.digest import compute_input_digest
-from calibration.campaign.measured import MeasuredCurve, read_measured_curves, scale_offset_defaults
+from calibration.campaign.digest import compute_input_and_version_digest
+from calibration.campaign.measured import MeasuredCurve, make_campaign_with_scaled_offset_defaults, read_measured_curves
 from calibration.diagnosis.confirmation import (
     compare_segment_misfits,
-    compute_smooth_misfit,
-    predict_held_out_tests,
-    predict_left_out_recordings,
+    compute_smooth_misfit_rms_newton,
+    predict_held_out_tests_from_fits,
+    predict_last_recordings_from_others,
 )
 from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.diagnosis.diagnosis import Diagnosis, DiagnosisStage
-from calibration.diagnosis.duration import describe_expected_duration, estimate_simulation_seconds
-from calibration.diagnosis.evidence import FitEvidence, Measured, fit_without_effects, make_whole_recording_campaign
+from calibration.diagnosis.duration import describe_expected_duration_or_empty, measure_solid_simulation_cpu_seconds
+from calibration.diagnosis.evidence import (
+    FitEvidence,
+    Measured,
+    fit_without_effects,
+    make_one_law_whole_recording_campaign,
+)
 from calibration.diagnosis.next_experiment import suggest_experiments
-from calibration.diagnosis.offsets import refit_from_fitted_contacts
+from calibration.diagnosis.offsets import refit_from_far_contacts_and_describe_them
 from calibration.diagnosis.proposals import CatalogueScores, score_effects
 from calibration.diagnosis.result import DiagnosisResult
 from calibration.diagnosis.statements import list_candidate_statements, list_found_effects
-from calibration.diagnosis.verdict import decide_verdict
+from calibration.diagnosis.verdict import fit_effects_and_decide_verdict
 from calibration.diagnosis.words import summarise_diagnosis
 from calibration.effects.catalogue import CATALOGUE
 from calibration.fit.assess import build_fit_record
@@ -42,16 +47,16 @@ from calibration.fit.run_context import RunContext
 from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.simulation_cache import SimulationCache, hash_content
 from calibration.output_folder import SOLVES
-from calibration.report.diagnosis_outputs import write_diagnosis
+from calibration.report.diagnosis_outputs import write_diagnosis_and_get_result
 from calibration.tasks.executors import Workers, open_tasks
-from tissue_sim.settings import list_changed_settings
+from tissue_sim.settings import get_changed_settings_by_name
 
 if TYPE_CHECKING:
     from calibration.fit.run_context import Progress
 
 
 @dataclass(frozen=True, eq=False)
-class DiagnosisOutcome:
+class DiagnosisWithFits:
     """A diagnosis with the fits and scores on which it is based.
 
     Attributes:
@@ -82,12 +87,12 @@ class _StageClock:
     @contextmanager
     def measure_stage(self, name: str) -> Iterator[None]:
         """Append duration and number of simulations of the block to `stages`."""
-        began, before = time.monotonic(), self._count_simulations()
+        began, before = time.monotonic(), self._count_simulations_of_all_processes()
         yield
         self.stages.append(DiagnosisStage(name=name, wall_s=time.monotonic() - began,
-                                          simulations=self._count_simulations() - before))
+                                          simulations=self._count_simulations_of_all_processes() - before))
 
-    def _count_simulations(self) -> int:
+    def _count_simulations_of_all_processes(self) -> int:
         """Return the number of simulations that all processes have finished so far."""
         # Worker processes have separate counters; the folder contains the simulations of all processes.
         folder = self.solves.folder
@@ -95,11 +100,11 @@ class _StageClock:
 
 
 def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
-                      solves: SimulationCache | None = None, limits: DecisionLimits = LIMITS) -> DiagnosisOutcome:
+                      solves: SimulationCache | None = None, limits: DecisionLimits = LIMITS) -> DiagnosisWithFits:
     """Diagnose a campaign without writing files.
 
     Args:
-        campaign: campaign with one law, see `calibration.diagnosis.evidence.make_whole_recording_campaign`.
+        campaign: campaign with one law, see `calibration.diagnosis.evidence.make_one_law_whole_recording_campaign`.
         measured: all recordings of each test, see `read_measured_curves`.
         steps: task executor and progress reports.
         solves: store of finished simulations; None: an empty store.
@@ -109,30 +114,31 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
         ConvergenceError: no start converges.
     """
     solves = solves or SimulationCache()
-    campaign = scale_offset_defaults(campaign, measured)
+    campaign = make_campaign_with_scaled_offset_defaults(campaign, measured)
     clock = _StageClock(solves)
     with clock.measure_stage("fit without any effect"):
         plain = fit_without_effects(campaign, measured, solves, steps, limits)
-        before, offsets = refit_from_fitted_contacts(plain, steps)
+        before, offsets = refit_from_far_contacts_and_describe_them(plain, steps)
     with clock.measure_stage("scores of the catalogue"):
         proposals = score_effects(before, steps)
     with clock.measure_stage("fits with the likeliest"):
-        judgement = decide_verdict(before, proposals, steps)
+        judgement = fit_effects_and_decide_verdict(before, proposals, steps)
     after: FitEvidence | None = None
     with clock.measure_stage("last fit and unseen data"):
         steps.report_progress("final fit and prediction of data that were not fitted")
         if judgement.added:
             after = judgement.evidence
-        held_out = [*predict_left_out_recordings(before, after), *predict_held_out_tests(before, after)]
-        fit_before = _convert_to_fit(before)
-        fit_after = None if after is None else _convert_to_fit(after)
+        held_out = [*predict_last_recordings_from_others(before, after),
+                    *predict_held_out_tests_from_fits(before, after)]
+        fit_before = _convert_evidence_to_fit_record(before)
+        fit_after = None if after is None else _convert_evidence_to_fit_record(after)
         candidates = list_candidate_statements(proposals, judgement, before)
         effects = [] if after is None else list_found_effects(judgement, before, after)
         regions = compare_segment_misfits(before, after)
     with clock.measure_stage("the next experiment"):
         steps.report_progress("choosing the next experiment")
         further = suggest_experiments(before, proposals, judgement)
-    gaps = compute_smooth_misfit(before), None if after is None else compute_smooth_misfit(after)
+    gaps = compute_smooth_misfit_rms_newton(before), None if after is None else compute_smooth_misfit_rms_newton(after)
     noises = [curve.noise for curve in before.problem.measured]
     noise = float(np.sqrt(np.mean([one.deviation**2 for one in noises])))
     titles = {row.name: row.title for row in candidates}
@@ -151,11 +157,11 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
         contact_jitter_mm=1e3 * jitter.contact, zero_jitter_N=jitter.zero,
         mesh_percent=100.0 * max(before.problem.mesh_error, default=0.0), held_out=held_out,
         next_experiment=further, fit_before=fit_before, fit_after=fit_after, stages=clock.stages,
-        decision_limits=list_changed_settings(limits))
-    return DiagnosisOutcome(diagnosis, before, after, proposals)
+        decision_limits=get_changed_settings_by_name(limits))
+    return DiagnosisWithFits(diagnosis, before, after, proposals)
 
 
-def _convert_to_fit(evidence: FitEvidence) -> Fit:
+def _convert_evidence_to_fit_record(evidence: FitEvidence) -> Fit:
     """Return the `Fit` record of the estimate of the evidence, without profile likelihoods."""
     estimate = evidence.estimate
     estimator = GeneralisedLeastSquaresEstimator(evidence.campaign, evidence.measured, evidence.problem.solves)
@@ -163,8 +169,8 @@ def _convert_to_fit(evidence: FitEvidence) -> Fit:
     return build_fit_record(estimator, estimate, spread, [estimate], [], evidence.campaign)
 
 
-def read_campaign_for_diagnosis(path: str | Path, law: str | None = None
-                                ) -> tuple[Campaign, dict[str, tuple[MeasuredCurve, ...]]]:
+def read_campaign_and_curves_for_diagnosis(path: str | Path, law: str | None = None
+                                           ) -> tuple[Campaign, dict[str, tuple[MeasuredCurve, ...]]]:
     """Read a campaign with one law and its recordings, including holds and unloading.
 
     Args:
@@ -177,12 +183,12 @@ def read_campaign_for_diagnosis(path: str | Path, law: str | None = None
     Raises:
         InputError: the campaign or a recording is invalid, the campaign is analytical, or it does not list the law.
     """
-    campaign = make_whole_recording_campaign(load_campaign(path), law)
+    campaign = make_one_law_whole_recording_campaign(load_campaign(path), law)
     return campaign, read_measured_curves(campaign)
 
 
-def diagnose_file(path: str | Path, *, law: str | None = None, workers: Workers | None = None,
-                  progress: Progress | None = None) -> DiagnosisOutcome:
+def diagnose_campaign_file_without_writing(path: str | Path, *, law: str | None = None, workers: Workers | None = None,
+                                           progress: Progress | None = None) -> DiagnosisWithFits:
     """Diagnose a campaign file without writing files.
 
     Args:
@@ -195,7 +201,7 @@ def diagnose_file(path: str | Path, *, law: str | None = None, workers: Workers 
         InputError: the campaign or a recording is invalid.
         ConvergenceError: no start converges.
     """
-    campaign, measured = read_campaign_for_diagnosis(path, law)
+    campaign, measured = read_campaign_and_curves_for_diagnosis(path, law)
     with open_tasks(workers or Workers()) as tasks:
         return diagnose_campaign(campaign, measured, RunContext(campaign.name, tasks, progress))
 
@@ -204,8 +210,8 @@ class CampaignDiagnosis:
     """Diagnose one campaign and write the results to a folder.
 
     Args:
-        campaign: campaign with one law, see `read_campaign_for_diagnosis`.
-        measured: recordings of each test, see `read_campaign_for_diagnosis`.
+        campaign: campaign with one law, see `read_campaign_and_curves_for_diagnosis`.
+        measured: recordings of each test, see `read_campaign_and_curves_for_diagnosis`.
         folder: folder of the results.
         steps: task executor and progress reports.
         limits: decision limits.
@@ -221,27 +227,28 @@ class CampaignDiagnosis:
         self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
         self.limits = limits
         self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = hash_content("diagnosis", compute_input_digest(
-            campaign, self.recordings, list_changed_settings(limits)), campaign.fit.laws[0],
-                                   sorted(CATALOGUE), _hash_diagnosis_source())
+        self.digest = hash_content("diagnosis", compute_input_and_version_digest(
+            campaign, self.recordings, get_changed_settings_by_name(limits)), campaign.fit.laws[0],
+                                   sorted(CATALOGUE), _hash_calibration_source_code())
         self.solves = SimulationCache()
         self._clock = _StageClock(self.solves)
 
-    def check_fittable(self) -> None:
+    def check_start_values_before_writing(self) -> None:
         """Check that the campaign can be fitted, before any file is written.
 
         Raises:
             InputError: the campaign cannot be fitted; the error states file and field.
         """
-        self.solves.add_read_folder(self.folder / SOLVES)
+        self.solves.set_read_folder(self.folder / SOLVES)
         self.steps.report_progress("checking the start values")
-        campaign = scale_offset_defaults(self.campaign, self.measured)
+        campaign = make_campaign_with_scaled_offset_defaults(self.campaign, self.measured)
         with self._clock.measure_stage("check of the start values"):
             estimator, law = GeneralisedLeastSquaresEstimator(campaign, self.measured,
                                                               self.solves), campaign.fit.laws[0]
-            estimator.check_law(law, 0)
+            estimator.require_fittable_law(law, 0)
             if self.steps.announce is not None and (
-                    words := describe_expected_duration(estimate_simulation_seconds(estimator.build_law_problem(law)))):
+                    words := describe_expected_duration_or_empty(
+                        measure_solid_simulation_cpu_seconds(estimator.build_law_problem(law)))):
                 self.steps.announce(f"{campaign.name}: {words}")
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> DiagnosisResult:
@@ -254,17 +261,18 @@ class CampaignDiagnosis:
         Raises:
             ConvergenceError: no start converges.
         """
-        self.solves.move_to_folder(self.folder / SOLVES)
+        self.solves.write_curves_and_use_folder(self.folder / SOLVES)
         found = diagnose_campaign(self.campaign, self.measured, self.steps, self.solves, self.limits)
         self.steps.report_progress("writing the report")
         diagnosis = replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages])
-        return write_diagnosis(DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest), found.before,
-                               found.after, found.proposals.effects, self.measured, figures=figures,
-                               figures_format=figures_format)
+        return write_diagnosis_and_get_result(DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest),
+                                              found.before,
+                                              found.after, found.proposals.effects, self.measured, figures=figures,
+                                              figures_format=figures_format)
 
 
 @cache
-def _hash_diagnosis_source() -> str:
+def _hash_calibration_source_code() -> str:
     """Return the SHA-256 digest of the source code of the package `calibration`, which affects the result."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):

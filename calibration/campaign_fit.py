@@ -11,35 +11,35 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.digest import compute_input_digest
-from calibration.campaign.measured import MeasuredCurve, scale_offset_defaults
-from calibration.campaign.segmented import summarise_notes
+from calibration.campaign.digest import compute_input_and_version_digest
+from calibration.campaign.measured import MeasuredCurve, make_campaign_with_scaled_offset_defaults
+from calibration.campaign.segmented import format_notes_summary_by_test_and_subject
 from calibration.fit.assess import build_fit_record
 from calibration.fit.curves import compute_test_curves
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator
-from calibration.fit.failure import CalibrationFailure, call_and_catch_law_errors
+from calibration.fit.failure import CalibrationFailureRecord, call_and_catch_law_errors
 from calibration.fit.fit import SensorNoiseStatement
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
 from calibration.fit.influence import add_influence_to_fit
 from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator
-from calibration.fit.predictor import ForcePredictor, make_held_out_predictor
-from calibration.fit.preload_cover import list_recording_notes_after_fit
+from calibration.fit.predictor import PredictionParameters, make_held_out_predictor_or_none
+from calibration.fit.preload_cover import get_notes_with_preload_covered_by_fit
 from calibration.fit.profiles import ProfileSide, compute_profile_side
-from calibration.fit.ranking import Fitted, explain_ranking, rank_laws
+from calibration.fit.ranking import Fitted, explain_ranking, rank_laws_and_split_results
 from calibration.fit.replicates import find_replicate_disagreements
 from calibration.fit.result import CalibrationResult
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import DescentResult
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
-from calibration.fit.validation import LeftOutPrediction, predict_held_out_test, predict_left_out_test
-from calibration.forward.geometry import check_test_geometries
+from calibration.fit.validation import LeftOutPredictionWithCost, predict_held_out_test, predict_left_out_test
+from calibration.forward.geometry import check_solvers_accept_test_geometries
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.output_folder import SOLVES
 from calibration.report.outputs import write_calibration_files, write_failure_report
 from calibration.statistics.uncertainty import ParameterUncertainty
 from tissue_sim.errors import ConvergenceError
-from tissue_sim.settings import list_changed_settings
+from tissue_sim.settings import get_changed_settings_by_name
 
 #: Method of a campaign -> estimator.
 ESTIMATORS: dict[str, type[Estimator]] = {"analytical": OrdinaryLeastSquaresEstimator,
@@ -64,17 +64,17 @@ class CampaignFit:
 
     def __init__(self, campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], folder: Path,
                  steps: RunContext, limits: UsabilitySettings = USABILITY):
-        self.campaign = campaign = scale_offset_defaults(campaign, measured)
+        self.campaign = campaign = make_campaign_with_scaled_offset_defaults(campaign, measured)
         self.measured, self.folder, self.steps = measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
         self.limits = limits
-        self.digest = compute_input_digest(campaign, self.recordings, list_changed_settings(limits))
+        self.digest = compute_input_and_version_digest(campaign, self.recordings, get_changed_settings_by_name(limits))
         self.solves = SimulationCache()
         self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)
         #: Law -> number of simulations in the check of its start values.
         self.checked: dict[str, int] = {}
 
-    def check_fittable(self) -> None:
+    def check_start_values_before_writing(self) -> None:
         """Check that the campaign can be fitted, before any file is written.
 
         Stored simulations of an earlier run of the same campaign are used.
@@ -82,14 +82,14 @@ class CampaignFit:
         Raises:
             InputError: the campaign cannot be fitted; the error states file and field.
         """
-        self.solves.add_read_folder(self.folder / SOLVES)
+        self.solves.set_read_folder(self.folder / SOLVES)
         if self.estimator.explores:
-            check_test_geometries(self.campaign)
+            check_solvers_accept_test_geometries(self.campaign)
         for number, law in enumerate(self.campaign.fit.laws):
             if self.estimator.explores:
                 self.steps.report_progress(f"checking the start values of {law}")
             before = self.solves.counts.total()
-            self.estimator.check_law(law, number)
+            self.estimator.require_fittable_law(law, number)
             self.checked[law] = self.solves.counts.total() - before
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> CalibrationResult:
@@ -103,15 +103,15 @@ class CampaignFit:
             ConvergenceError: no law could be fitted.
         """
         if self.estimator.explores:
-            self.solves.move_to_folder(self.folder / SOLVES)
-        disagreements = self._describe_disagreements()
-        found, failures = self._fit_all_laws()
+            self.solves.write_curves_and_use_folder(self.folder / SOLVES)
+        disagreements = self._announce_and_describe_disagreements()
+        found, failures = self._compute_results_and_failures_of_laws()
         if not found:
             write_failure_report(self.campaign, failures, self.folder)
             raise ConvergenceError(f"{self.campaign.path}: no start of any law converges "
                                    f"({next(iter(failures.values()), '')}); state other values in fit.start, or use a "
                                    "smaller max_strain")
-        fits, predictions, curves = rank_laws(found)
+        fits, predictions, curves = rank_laws_and_split_results(found)
         fitted = [curve for test in self.campaign.tests if not test.hold_out for curve in self.measured[test.name]]
         message = explain_ranking(fits, predictions, fitted)
         for disagreement in disagreements:
@@ -120,9 +120,9 @@ class CampaignFit:
             message += f" {law} has no fit: {failure}."
         message_before_notes = message
         # A material with memory describes relaxation and creep, so these need no note.
-        left_out = {"control"} if self.campaign.fit.placeholder_material.remembers else set()
-        message += summarise_notes((curve.test.name, curve.name, {
-            subject: note for subject, note in list_recording_notes_after_fit(curve, fits[0]).items()
+        left_out = {"control"} if self.campaign.fit.neo_hookean_material_with_effects.remembers else set()
+        message += format_notes_summary_by_test_and_subject((curve.test.name, curve.name, {
+            subject: note for subject, note in get_notes_with_preload_covered_by_fit(curve, fits[0]).items()
             if note not in message_before_notes and subject not in left_out})
             for curve in self.recordings)
         noises = {name: several[0].noise for name, several in self.measured.items()}
@@ -132,16 +132,16 @@ class CampaignFit:
         sources = {curve.noise.source for curve in fitted}
         result = CalibrationResult(
             self.campaign, tuple(fits), tuple(predictions), message, self.folder, self.digest,
-            self.estimator.pooled_stress_noise, sources.pop() if len(sources) == 1 else "mixed",
+            self.estimator.pooled_sensor_stress_noise_or_none, sources.pop() if len(sources) == 1 else "mixed",
             noise if self.estimator.explores else (), failures=failures,
-            usability_settings=list_changed_settings(self.limits))
+            usability_settings=get_changed_settings_by_name(self.limits))
         if self.estimator.explores:
             self.steps.report_progress("writing the report")
         write_calibration_files(result, curves, self.measured, self.estimator.words, figures=figures,
                                 figures_format=figures_format)
         return result
 
-    def _fit_all_laws(self) -> tuple[list[Fitted], dict[str, str]]:
+    def _compute_results_and_failures_of_laws(self) -> tuple[list[Fitted], dict[str, str]]:
         """Return (fit, predictions, curves) of each fitted law, and law -> reason of failure of the other laws."""
         laws = self.campaign.fit.laws
         ends = self.estimator.fit_laws(laws, self.steps)
@@ -150,38 +150,39 @@ class CampaignFit:
         spreads: dict[str, ParameterUncertainty] = {}
         for law, estimate in list(estimates.items()):
             spread = call_and_catch_law_errors(_compute_estimate_uncertainty, self.estimator, estimate)
-            if isinstance(spread, CalibrationFailure):
+            if isinstance(spread, CalibrationFailureRecord):
                 failures[law] = spread.reason
                 del estimates[law]
             else:
                 spreads[law] = spread
-        sides_of, left_of = self._compute_profiles_and_validation(estimates, spreads)
+        sides_of, left_of = self._compute_profiles_and_left_out_of_all_laws(estimates, spreads)
         answers: list[Fitted] = []
         for law, estimate in estimates.items():
             if self.estimator.explores:
                 self.steps.report_progress(f"uncertainty and predictions of {law}")
-            answer = call_and_catch_law_errors(self._compute_law_results, estimate, spreads[law], ends[law][0],
+            answer = call_and_catch_law_errors(self._compute_results_of_one_law, estimate, spreads[law], ends[law][0],
                                                sides_of[law], left_of[law])
-            if isinstance(answer, CalibrationFailure):
+            if isinstance(answer, CalibrationFailureRecord):
                 failures[law] = answer.reason
             else:
                 answers.append(answer)
         return answers, failures
 
-    def _compute_law_results(self, estimate: Estimate, spread: ParameterUncertainty, descents: Sequence[DescentResult],
-                             sides: Sequence[ProfileSide], left: Sequence[LeftOutPrediction]) -> Fitted:
+    def _compute_results_of_one_law(self, estimate: Estimate, spread: ParameterUncertainty,
+                                    descents: Sequence[DescentResult],
+                                    sides: Sequence[ProfileSide], left: Sequence[LeftOutPredictionWithCost]) -> Fitted:
         """Return the `Fit` record, the predictions of other tests, and the curves of one law."""
         campaign, law = self.campaign, estimate.problem.space.law
-        spent = self.solves.start_effort_meter()
+        spent = self.solves.make_effort_since_now_function()
         fit = build_fit_record(self.estimator, estimate, spread, descents, sides, campaign, self.limits)
         fit = add_influence_to_fit(fit, estimate.problem, estimate.evaluation)
         fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
-        own = ForcePredictor.from_estimate(estimate.problem.space, estimate.theta, spread)
-        predictors = {test.name: make_held_out_predictor(test, own, fit.population)
+        own = PredictionParameters.from_minimum_and_uncertainty(estimate.problem.space, estimate.theta, spread)
+        predictors = {test.name: make_held_out_predictor_or_none(test, own, fit.population)
                       for test in campaign.tests if test.hold_out}
-        tests = [self.estimator.build_held_out_test(test, estimate, predictors[test.name] or own) if test.hold_out
-                 else next(fitted) for test in campaign.tests]
-        scatter = self.estimator.get_replicate_jitter(estimate)
+        tests = [self.estimator.build_held_out_test_and_mesh_error(test, estimate, predictors[test.name] or own)
+                 if test.hold_out else next(fitted) for test in campaign.tests]
+        scatter = self.estimator.get_replicate_jitter_or_none(estimate)
         held_out = [predict_held_out_test(estimate.problem, test, predictors[test.name], scatter)
                     for test, _ in tests if test.name in predictors]
         curves = compute_test_curves(estimate, spread, tests, scatter, {name: predictor for name, predictor
@@ -194,15 +195,17 @@ class CampaignFit:
                       estimate_cpu_s=best.cpu_s + estimate.cpu_s if self.estimator.explores else 0.0)
         return fit, [*(one.prediction for one in left), *held_out], curves
 
-    def _compute_profiles_and_validation(self, estimates: dict[str, Estimate], spreads: dict[str, ParameterUncertainty]
-                                         ) -> tuple[dict[str, list[ProfileSide]], dict[str, list[LeftOutPrediction]]]:
+    def _compute_profiles_and_left_out_of_all_laws(self, estimates: dict[str, Estimate],
+                                                   spreads: dict[str, ParameterUncertainty]
+                                                   ) -> tuple[dict[str, list[ProfileSide]],
+                                                              dict[str, list[LeftOutPredictionWithCost]]]:
         """Compute the profiles of all parameters with a standard error, and the fits with one test left out.
 
         Returns:
             The sides of the profiles by law, and the left-out results by law.
         """
         sides_of: dict[str, list[ProfileSide]] = {law: [] for law in estimates}
-        left_of: dict[str, list[LeftOutPrediction]] = {law: [] for law in estimates}
+        left_of: dict[str, list[LeftOutPredictionWithCost]] = {law: [] for law in estimates}
         sides, left = [], []
         for law, estimate in estimates.items():
             known = [i for i, error in enumerate(spreads[law].standard_errors) if np.isfinite(error) and error > 0
@@ -210,8 +213,8 @@ class CampaignFit:
             sides += [(law, (estimate.problem, estimate.theta, estimate.error, spreads[law], i, side)) for i in known
                       for side in (-1, 1)]
             if len(estimate.problem.tests) > 1:
-                left += [(law, (estimate.problem, estimate.theta, number, self.estimator.uncertainty_function,
-                                self.estimator.get_replicate_jitter(estimate)))
+                left += [(law, (estimate.problem, estimate.theta, number, self.estimator.problem_uncertainty_function,
+                                self.estimator.get_replicate_jitter_or_none(estimate)))
                          for number in range(len(estimate.problem.tests))]
         for function, tasks, words, found in ((compute_profile_side, sides, "profiles", sides_of),
                                               (predict_left_out_test, left, "tests left out, one at a time", left_of)):
@@ -219,11 +222,11 @@ class CampaignFit:
                                                   [arguments for _, arguments in tasks], words) if tasks else []
             for (law, _), answer in zip(tasks, answers, strict=True):
                 # A failed profile or left-out test does not invalidate the fit.
-                if not isinstance(answer, CalibrationFailure):
+                if not isinstance(answer, CalibrationFailureRecord):
                     found[law].append(answer)
         return sides_of, left_of
 
-    def _describe_disagreements(self) -> list[str]:
+    def _announce_and_describe_disagreements(self) -> list[str]:
         """Return a sentence for each test whose recordings disagree, and send each sentence as a progress message."""
         found = [each.describe() for each in find_replicate_disagreements(self.measured)]
         for sentence in found:
@@ -233,4 +236,4 @@ class CampaignFit:
 
 def _compute_estimate_uncertainty(estimator: Estimator, estimate: Estimate) -> ParameterUncertainty:
     """Return the uncertainty (covariance, standard errors) of the unknowns at the estimate."""
-    return estimator.uncertainty_function(estimate.problem, estimate.evaluation)
+    return estimator.problem_uncertainty_function(estimate.problem, estimate.evaluation)

@@ -12,7 +12,7 @@ from typing import Any
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
 from tissue_sim.atomic_write import write_text
-from tissue_sim.decode import read_json
+from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
 
 #: File that lists the campaigns of a folder and the files written for them.
@@ -41,7 +41,7 @@ PICTURES_OF_LAW = ("profiles", "windows", "correlation", "population")
 CLAIM_SCHEMA = "tissue_sim/calibration/2"
 
 
-def list_calibration_files(campaign: Campaign, folder: Path) -> list[Path]:
+def list_calibration_file_paths(campaign: Campaign, folder: Path) -> list[Path]:
     """Return the paths of all files that the calibration of a campaign may write."""
     return [*(folder / f"{law}.material.json" for law in campaign.fit.laws), *(folder / name for name in TABLES),
             *(folder / make_figure_file_name(name, kind) for name in _list_figure_names(campaign)
@@ -49,9 +49,9 @@ def list_calibration_files(campaign: Campaign, folder: Path) -> list[Path]:
             folder / FIT_FILE]
 
 
-def list_diagnosis_result_files(campaign: Campaign, folder: Path) -> list[Path]:
+def list_diagnosis_result_file_paths(campaign: Campaign, folder: Path) -> list[Path]:
     """Return the paths of report, tables, figures and result file of the diagnosis of a campaign."""
-    pictures = [*(make_test_figure_name(campaign, number) for number in range(len(campaign.tests))),
+    pictures = [*(make_numbered_test_figure_name(campaign, number) for number in range(len(campaign.tests))),
                 *PICTURES_OF_DIAGNOSIS]
     return [*(folder / name for name in TABLES_OF_DIAGNOSIS),
             *(folder / make_figure_file_name(name, kind) for name in pictures for kind in PICTURE_FORMATS),
@@ -60,7 +60,7 @@ def list_diagnosis_result_files(campaign: Campaign, folder: Path) -> list[Path]:
 
 def claim_output_folder(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign],
                         recordings: Sequence[MeasuredCurve], digests: Mapping[str, str], overwrite: bool,
-                        files_of: Callable[[Campaign, Path], list[Path]] = list_calibration_files) -> None:
+                        files_of: Callable[[Campaign, Path], list[Path]] = list_calibration_file_paths) -> None:
     """Prepare the output folder for these campaigns: check it, remove earlier results, and write ``work.json``.
 
     Results of the same campaigns stay. Files of an earlier calibration are removed if ``work.json`` lists them; other
@@ -88,7 +88,7 @@ def claim_output_folder(output: Path, folders: Mapping[str, Path], campaigns: Se
             raise InputError("the path of the folder for simulations must not be a file; move or rename this file",
                              file=folder / SOLVES)
     _require_inputs_not_replaced(planned, campaigns, recordings)
-    found = _read_earlier_claim(output)
+    found = _read_valid_claim_or_empty(output)
     if not overwrite and output.exists() and any(output.iterdir()):
         if found.get("campaigns") != digests:
             content = "results of other campaigns" if found else "other files"
@@ -107,7 +107,7 @@ def claim_output_folder(output: Path, folders: Mapping[str, Path], campaigns: Se
     write_text(output / CLAIM_FILE, json.dumps(claimed, indent=2) + "\n")
 
 
-def make_test_figure_name(campaign: Campaign, number: int, what: str = "test") -> str:
+def make_numbered_test_figure_name(campaign: Campaign, number: int, what: str = "test") -> str:
     """Return the name of the figure of a test, such as ``test 1 NAME``; `number` is the index of the test from 0."""
     return f"{what} {number + 1} {campaign.tests[number].name}"
 
@@ -117,15 +117,15 @@ def make_figure_file_name(name: str, kind: str) -> str:
     return f"report_{re.sub(r'[^0-9A-Za-z]+', '_', name).strip('_')}.{kind}"
 
 
-def has_all_figure_files(campaign: Campaign, folder: Path, kind: str) -> bool:
+def has_figure_files_of_all_tests(campaign: Campaign, folder: Path, kind: str) -> bool:
     """Return whether the figure files of all tests of a finished campaign exist in this format."""
-    return all((folder / make_figure_file_name(make_test_figure_name(campaign, number), kind)).is_file()
+    return all((folder / make_figure_file_name(make_numbered_test_figure_name(campaign, number), kind)).is_file()
                for number in range(len(campaign.tests)))
 
 
 def _list_figure_names(campaign: Campaign) -> list[str]:
     """Return the names of all figures that the report of a campaign may have."""
-    return [*(make_test_figure_name(campaign, number, what) for number in range(len(campaign.tests))
+    return [*(make_numbered_test_figure_name(campaign, number, what) for number in range(len(campaign.tests))
               for what in ("test", "segments")), *PICTURES,
             *(f"{name} {law}" for name in PICTURES_OF_LAW for law in campaign.fit.laws)]
 
@@ -142,10 +142,10 @@ def _require_inputs_not_replaced(planned: Sequence[Path], campaigns: Sequence[Ca
             raise InputError("a result would replace this input file; choose another folder", file=path)
 
 
-def _read_earlier_claim(output: Path) -> dict[str, Any]:
+def _read_valid_claim_or_empty(output: Path) -> dict[str, Any]:
     """Return the content of ``work.json`` of an earlier run; an empty dictionary if the file is missing or invalid."""
     try:
-        found = read_json(output / CLAIM_FILE, "the list of files of an earlier run")
+        found = read_json_value(output / CLAIM_FILE, "the list of files of an earlier run")
         if found["schema"] != CLAIM_SCHEMA:
             return {}
         paths = [PurePosixPath(name) for name in found["files"]]

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured_curves
-from calibration.campaign.planned import PLANNED, read_or_plan_curves
+from calibration.campaign.planned import PLANNED, read_or_plan_curves_of_all_tests
 from calibration.output_folder import (
     PICTURE_FORMATS,
     SUMMARY_FILE,
     claim_output_folder,
-    has_all_figure_files,
-    list_calibration_files,
+    has_figure_files_of_all_tests,
+    list_calibration_file_paths,
 )
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
@@ -101,7 +101,8 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         fits = [CampaignFit(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
                             RunContext(campaign.name, tasks, progress, listen), usability or USABILITY)
                 for campaign, curves in zip(campaigns, measured, strict=True)]
-        results, failures = _run_campaigns(fits, output, read_earlier_result, overwrite, figures, figures_format)
+        results, failures = _run_campaigns_and_collect_failures(fits, output, read_earlier_result, overwrite, figures,
+                                                                figures_format)
     if len(campaigns) > 1:
         write_summary_table(results, output / SUMMARY_FILE)
     if failures:
@@ -142,30 +143,33 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     """
     output = Path(output)
     _require_known_figure_format(figures_format)
-    from calibration.diagnosis.evidence import make_whole_recording_campaign
+    from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
 
-    campaigns = _require_distinct_names([make_whole_recording_campaign(load_campaign(path), law) for path in paths])
+    campaigns = _require_distinct_names([make_one_law_whole_recording_campaign(load_campaign(path), law)
+                                         for path in paths])
     measured = [read_measured_curves(campaign) for campaign in campaigns]
     from calibration.campaign_diagnosis import CampaignDiagnosis
     from calibration.diagnosis.decision_limits import LIMITS
-    from calibration.diagnosis.result import read_diagnosis
+    from calibration.diagnosis.result import read_matching_diagnosis_or_none
     from calibration.fit.run_context import RunContext
-    from calibration.report.diagnosis_outputs import list_diagnosis_files
+    from calibration.report.diagnosis_outputs import list_all_diagnosis_file_paths
 
     with open_tasks(workers or Workers()) as tasks:
         parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
                                    RunContext(campaign.name, tasks, progress, announce=announce), limits or LIMITS)
                  for campaign, curves in zip(campaigns, measured, strict=True)]
-        results, failures = _run_campaigns(parts, output, read_diagnosis, overwrite, figures, figures_format,
-                                           list_diagnosis_files)
+        results, failures = _run_campaigns_and_collect_failures(parts, output, read_matching_diagnosis_or_none,
+                                                                overwrite, figures, figures_format,
+                                                                list_all_diagnosis_file_paths)
     if failures:
         raise ConvergenceError("; ".join(failures))
     return results
 
 
-def _run_campaigns(parts: Sequence[Any], output: Path, read_result: Callable[..., Any], overwrite: bool, figures: bool,
-                   figures_format: str | None,
-                   files_of: Callable[..., list[Path]] = list_calibration_files) -> tuple[list[Any], list[str]]:
+def _run_campaigns_and_collect_failures(parts: Sequence[Any], output: Path, read_result: Callable[..., Any],
+                                        overwrite: bool, figures: bool, figures_format: str | None,
+                                        files_of: Callable[..., list[Path]] = list_calibration_file_paths) -> tuple[
+                                            list[Any], list[str]]:
     """Run several campaigns, except finished ones, whose results are read; collect the messages of failed campaigns.
 
     Args:
@@ -180,12 +184,12 @@ def _run_campaigns(parts: Sequence[Any], output: Path, read_result: Callable[...
     Returns:
         The results, and the messages of campaigns that failed.
     """
-    finished = [None if overwrite or not (figures_format is None or has_all_figure_files(
+    finished = [None if overwrite or not (figures_format is None or has_figure_files_of_all_tests(
         part.campaign, part.folder, figures_format)) else read_result(part.campaign, part.folder, part.digest)
         for part in parts]
     for part, result in zip(parts, finished, strict=True):
         if result is None:
-            part.check_fittable()
+            part.check_start_values_before_writing()
     claim_output_folder(output, {part.campaign.name: part.folder for part in parts}, [part.campaign for part in parts],
                         [recording for part in parts for recording in part.recordings],
                         {part.campaign.name: part.digest for part in parts}, overwrite, files_of)
@@ -220,10 +224,10 @@ def design_experiments(path: str | Path, *, law: str | None = None, replicates: 
             are missing, or there are too few replicates or samples.
         WorkerError: a worker process ends each time it works on a part.
     """
-    from calibration.diagnosis.evidence import make_whole_recording_campaign
+    from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
 
-    campaign = make_whole_recording_campaign(load_campaign(path, planned=True), law)
-    measured = read_or_plan_curves(campaign, replicates, samples)
+    campaign = make_one_law_whole_recording_campaign(load_campaign(path, planned=True), law)
+    measured = read_or_plan_curves_of_all_tests(campaign, replicates, samples)
     from calibration.diagnosis.design import compute_experiment_design
     from calibration.fit.run_context import RunContext
 

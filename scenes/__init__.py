@@ -4,7 +4,7 @@ Public names are listed once, in `__init__.pyi`, and imported on first use, so t
 once.
 """
 
-from tissue_sim.public_names import import_on_use as _import_on_use
+from tissue_sim.public_names import make_lazy_package_members as _import_on_use
 
 _names, __getattr__, __dir__ = _import_on_use(__name__)
 __all__ = _names

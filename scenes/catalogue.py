@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 
 
-class _SceneCatalogue(Mapping[str, TestKind]):
+class _MappingOfTestKindsWithTool(Mapping[str, TestKind]):
     """Read-only mapping, name -> kind of test, of all `KINDS` with a tool; kinds of installed packages are included."""
 
     def __getitem__(self, name: str) -> TestKind:
@@ -22,4 +22,4 @@ class _SceneCatalogue(Mapping[str, TestKind]):
 
 
 #: Scenes by name.
-SCENES: Mapping[str, TestKind] = _SceneCatalogue()
+SCENES: Mapping[str, TestKind] = _MappingOfTestKindsWithTool()

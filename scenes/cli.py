@@ -29,14 +29,14 @@ from scenes.commands import (
     view,
 )
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import CommandParser, describe_planned_feature
+from scenes.commands.shared.parsing import InputErrorArgumentParser, describe_planned_feature
 from tissue_sim import __version__
 from tissue_sim.errors import (
     ConvergenceError,
     InputError,
     MissingBackendError,
-    format_error_message,
-    suggest_known_word,
+    join_location_and_problem,
+    make_hint_with_similar_or_known_words,
 )
 
 #: Module of each command, in the order of the help.
@@ -69,14 +69,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     arguments = None
     try:
-        arguments = _parse_command_line(words)
+        arguments = _parse_command_line_or_none(words)
         code = ExitCode.DONE if arguments is None else arguments.run(arguments)
         sys.stdout.flush()  # raises BrokenPipeError inside this block instead of at exit
         return code
     except InputError as error:
-        return _report_error(str(error), ExitCode.BAD_INPUT)
+        return _print_error_and_return_code(str(error), ExitCode.BAD_INPUT)
     except (ConvergenceError, MissingBackendError, WorkerError) as error:
-        return _report_error(str(error), ExitCode.GOAL_MISSED)
+        return _print_error_and_return_code(str(error), ExitCode.GOAL_MISSED)
     except BrokenPipeError:
         # A program such as head closed the pipe early, which is no error. The buffered rest goes to the null device,
         # so that the interpreter does not fail when it flushes stdout at exit.
@@ -84,19 +84,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         return ExitCode.DONE
     except OSError as error:
         text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-        return _report_error(text, ExitCode.BAD_INPUT)
+        return _print_error_and_return_code(text, ExitCode.BAD_INPUT)
     except KeyboardInterrupt:
         hint = getattr(arguments, "resume_hint", "nothing was written")
-        return _report_error(f"stopped by Ctrl-C; {hint}", ExitCode.INTERRUPTED)
+        return _print_error_and_return_code(f"stopped by Ctrl-C; {hint}", ExitCode.INTERRUPTED)
 
 
-def _parse_command_line(words: list[str]) -> Namespace | None:
+def _parse_command_line_or_none(words: list[str]) -> Namespace | None:
     """Parse the arguments; return None after argparse printed the help or the version.
 
     Raises:
         InputError: unknown command, action or option, or a bad value.
     """
-    _require_known_command(words)
+    _require_known_command_and_action(words)
     parser = make_command_line_parser()
     if not words:
         parser.print_help()
@@ -107,22 +107,22 @@ def _parse_command_line(words: list[str]) -> Namespace | None:
         return None
     if rest:
         options = list(arguments.parser.list_option_names())
-        hint = suggest_known_word(rest[0].split("=")[0], options) if rest[0].startswith("-") else ""
+        hint = make_hint_with_similar_or_known_words(rest[0].split("=")[0], options) if rest[0].startswith("-") else ""
         command = arguments.parser.prog.removeprefix("tissue-sim ")
         raise InputError(f"{command}: unexpected argument {rest[0]!r}{hint}")
     return arguments
 
 
-def make_command_line_parser() -> CommandParser:
+def make_command_line_parser() -> InputErrorArgumentParser:
     """Return the parser of all commands.
 
     It imports no numerical package, so that ``--help`` answers at once.
     """
-    parser = CommandParser(prog="tissue-sim",
-                           description="Calibrate soft-tissue finite-element models from measured force curves, and "
-                                       "simulate tests with them, also in real time.",
-                           epilog="first steps:\n  tissue-sim doctor\n  tissue-sim demo\n\n"
-                                  "tissue-sim COMMAND --help explains a command")
+    parser = InputErrorArgumentParser(prog="tissue-sim",
+                                      description="Calibrate soft-tissue finite-element models from measured force "
+                                      "curves, and simulate tests with them, also in real time.",
+                                      epilog="first steps:\n  tissue-sim doctor\n  tissue-sim demo\n\n"
+                                      "tissue-sim COMMAND --help explains a command")
     parser.add_argument("--version", action="version", version=f"tissue-sim {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, command in COMMANDS.items():
@@ -131,7 +131,7 @@ def make_command_line_parser() -> CommandParser:
     return parser
 
 
-def _require_known_command(words: list[str]) -> None:
+def _require_known_command_and_action(words: list[str]) -> None:
     """Raise an error for an unknown command or action; the message names the nearest one, unlike that of argparse.
 
     Raises:
@@ -141,13 +141,14 @@ def _require_known_command(words: list[str]) -> None:
         return
     name = words[0]
     if name not in COMMANDS:
-        raise InputError(f"unknown command {name!r}{suggest_known_word(name, COMMANDS)}")
+        raise InputError(f"unknown command {name!r}{make_hint_with_similar_or_known_words(name, COMMANDS)}")
     actions = getattr(COMMANDS[name], "ACTIONS", ())
     if actions and len(words) > 1 and not words[1].startswith("-"):
         if words[1] in COMMANDS[name].LATER:
             raise InputError(describe_planned_feature(f"command {f'{name} {words[1]}'!r}"))
         if words[1] not in actions:
-            raise InputError(f"unknown command {f'{name} {words[1]}'!r}{suggest_known_word(words[1], actions)}")
+            raise InputError(
+                f"unknown command {f'{name} {words[1]}'!r}{make_hint_with_similar_or_known_words(words[1], actions)}")
 
 
 def _set_utf8_output() -> None:
@@ -161,9 +162,9 @@ def _set_utf8_output() -> None:
             stream.reconfigure(encoding="utf-8", errors="backslashreplace")
 
 
-def _report_error(text: str, code: int) -> int:
+def _print_error_and_return_code(text: str, code: int) -> int:
     """Print an error on stderr and return `code`, the exit code of the process."""
-    print(f"tissue-sim: {format_error_message(text)}", file=sys.stderr)
+    print(f"tissue-sim: {join_location_and_problem(text)}", file=sys.stderr)
     return code
 
 

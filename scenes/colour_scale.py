@@ -13,7 +13,7 @@ from tissue_sim.fem.fields import FIELD_UNITS
 _ROUNDING = 1e-6
 
 
-class ColourScale(NamedTuple):
+class LabelledColourScale(NamedTuple):
     """Label and ends of a colour scale, in the unit of the label.
 
     Attributes:
@@ -34,7 +34,7 @@ class ColourScale(NamedTuple):
         return "neither" if self.uniform else "both"
 
 
-def choose_colour_scale(fields: Any, name: str, sample: int = -1) -> ColourScale:
+def choose_colour_scale(fields: Any, name: str, sample: int = -1) -> LabelledColourScale:
     """Return the colour scale of a field: from its 1 % quantile to its 99 % quantile by volume.
 
     Stresses are singular at edges, so that the full range would show the edges only.
@@ -46,7 +46,7 @@ def choose_colour_scale(fields: Any, name: str, sample: int = -1) -> ColourScale
         sample: index of the sample.
     """
     label, factor = LABELS[name]
-    low, high = compute_volume_quantiles(fields.at_points(name, sample) * factor, fields.weights)
+    low, high = compute_low_and_high_volume_quantile(fields.at_points(name, sample) * factor, fields.weights)
     least = _ROUNDING * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
     uniform = high - low <= max(_ROUNDING * max(abs(low), abs(high)), least)
     if uniform:
@@ -54,10 +54,11 @@ def choose_colour_scale(fields: Any, name: str, sample: int = -1) -> ColourScale
         value = 0.5 * (low + high) if max(abs(low), abs(high)) > least else 0.0
         label = f"{label}, uniform {value:.5g}"
         low, high = sorted((0.0, 2.0 * value)) if value else (-1.0, 1.0)
-    return ColourScale(label, low, high, uniform)
+    return LabelledColourScale(label, low, high, uniform)
 
 
-def compute_volume_quantiles(values: np.ndarray, weights: np.ndarray, left_out: float = 0.01) -> tuple[float, float]:
+def compute_low_and_high_volume_quantile(values: np.ndarray, weights: np.ndarray,
+                                         left_out: float = 0.01) -> tuple[float, float]:
     """Return the lower and the upper quantile of a field, weighted by volume.
 
     Args:

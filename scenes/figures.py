@@ -15,8 +15,8 @@ from scenes.field_labels import LABELS
 from scenes.solid_figures import (
     RIGID,
     choose_drawn_tool_pose,
-    draw_deformed_section,
     draw_deformed_surface,
+    draw_section_through_tool_axis,
     set_axis_scales_and_labels,
 )
 from tissue_sim.atomic_write import write_bytes
@@ -58,15 +58,15 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
         raise InputError(f"unknown field {field!r}; known: {', '.join(LABELS)}", field="field")
     if recording.fields is None:
         raise InputError("the recording has no fields. Simulate with fields=True", field="fields")
-    sample = _find_sample_to_draw(recording, segment)
+    sample = _find_segment_end_or_deepest_sample(recording, segment)
     tool, fields = model.experiment.tool, recording.fields
     figure = Figure(layout="constrained")
     if fields.mesh.nodes.shape[1] == 3:
-        axes = _draw_solid_section_and_surface(figure, fields, field, sample,
+        axes = _draw_solid_panels_and_get_axes(figure, fields, field, sample,
                                                model.experiment.tool_pose(recording.displacement[sample]),
                                                tool)
     else:
-        axes = _draw_section_and_fold(figure, fields, field, sample, tool)
+        axes = _draw_axisymmetric_panels_and_get_axes(figure, fields, field, sample, tool)
     curve = axes["curve"]
     if reference is not None:
         curve.plot(reference.displacement * 1e3, reference.force, color="0.25", linewidth=1, label=reference.name)
@@ -92,7 +92,7 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
     write_figure_file(figure, path)
 
 
-def _draw_solid_section_and_surface(figure, fields: SolidFields, field: str, sample: int, pose: Pose,
+def _draw_solid_panels_and_get_axes(figure, fields: SolidFields, field: str, sample: int, pose: Pose,
                                     tool: Tool) -> dict[str, Any]:
     """Draw section and surface of a three-dimensional simulation.
 
@@ -102,12 +102,13 @@ def _draw_solid_section_and_surface(figure, fields: SolidFields, field: str, sam
     pose = choose_drawn_tool_pose(fields, sample, pose, tool)
     figure.set_size_inches(14.5, 4.8)
     axes = figure.subplot_mosaic([["cut", "surface", "curve"]], width_ratios=[1.25, 1.1, 0.85])
-    draw_deformed_section(axes["cut"], fields, field, sample, pose, tool)
+    draw_section_through_tool_axis(axes["cut"], fields, field, sample, pose, tool)
     draw_deformed_surface(axes["surface"], fields, field, sample, pose, tool)
     return axes
 
 
-def _draw_section_and_fold(figure, fields: Fields, field: str, sample: int, tool: Tool) -> dict[str, Any]:
+def _draw_axisymmetric_panels_and_get_axes(figure, fields: Fields, field: str,
+                                           sample: int, tool: Tool) -> dict[str, Any]:
     """Draw the section of an axisymmetric simulation and, for an indentation, the fold at the tool's edge.
 
     Returns:
@@ -124,11 +125,11 @@ def _draw_section_and_fold(figure, fields: Fields, field: str, sample: int, tool
         axes = figure.subplot_mosaic([list(panels)], width_ratios=list(panels.values()))
     draw_section(axes["section"], fields, field, sample, tool=tool)
     if "fold" in axes:
-        draw_fold(axes["fold"], fields, field, tool, sample)
+        draw_tool_edge_closeup(axes["fold"], fields, field, tool, sample)
     return axes
 
 
-def _find_sample_to_draw(recording: Recording, segment: str | None) -> int:
+def _find_segment_end_or_deepest_sample(recording: Recording, segment: str | None) -> int:
     """Return the index of the last sample of the named segment; None as the name gives the deepest sample."""
     if segment is None:
         return int(np.argmax(recording.displacement))
@@ -154,7 +155,7 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
     """
     mesh = fields.mesh
     nodes = (mesh.nodes + fields.displacement(sample)) * 1e3
-    picture, scale = _draw_field_in_colour(axes, fields, name, sample, (1, -1))
+    picture, scale = _draw_field_and_get_colour_scale(axes, fields, name, sample, (1, -1))
     radius, height = mesh.nodes[:, 0].max() * 1e3, -mesh.nodes[:, 1].min() * 1e3
     axes.plot(radius * np.array([-1, 1, 1, -1, -1]), height * np.array([-1, -1, 0, 0, -1]), color="0.4", linewidth=0.9,
               linestyle=(0, (4, 3)))
@@ -162,15 +163,15 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
     base, plate = nodes[:, 1][mesh.sets["base"]].min(), 0.05 * max(height, 0.5 * radius)
     axes.fill_between([-width, width], base, base - plate, color=RIGID, linewidth=0)
     if tool.is_plate:
-        tip = _find_flat_face_height(mesh, nodes, tool)
+        tip = _find_tool_face_height_mm(mesh, nodes, tool)
         axes.fill_between([-width, width], tip, tip + plate, color=RIGID, linewidth=0)
     else:
-        _draw_needle_outline(axes, mesh, nodes, tool, max(nodes[:, 1].max(), 0.0) + plate)
+        _draw_needle_outline_above_contact(axes, mesh, nodes, tool, max(nodes[:, 1].max(), 0.0) + plate)
     set_axis_scales_and_labels(axes, "r [mm]")
     axes.figure.colorbar(picture, ax=axes, label=scale.label, extend=scale.colour_bar_extension, shrink=0.85)
 
 
-def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> None:
+def draw_tool_edge_closeup(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> None:
     """Draw the tissue near the edge of a needle, where the free surface folds onto the shaft.
 
     For a needle without a flat face, the panel shows the tip. The colours are those of `draw_section`.
@@ -184,10 +185,10 @@ def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> 
     """
     mesh = fields.mesh
     nodes = (mesh.nodes + fields.displacement(sample)) * 1e3
-    _draw_field_in_colour(axes, fields, name, sample, (1,))
-    radius, tip = tool.require_radius() * 1e3, _find_flat_face_height(mesh, nodes, tool)
+    _draw_field_and_get_colour_scale(axes, fields, name, sample, (1,))
+    radius, tip = tool.require_radius() * 1e3, _find_tool_face_height_mm(mesh, nodes, tool)
     top = max(nodes[mesh.sets["top"], 1].max(), tip) + 0.3 * radius
-    _draw_needle_outline(axes, mesh, nodes, tool, top + radius)
+    _draw_needle_outline_above_contact(axes, mesh, nodes, tool, top + radius)
     top_nodes = mesh.sets["top"][np.argsort(mesh.nodes[mesh.sets["top"], 0])]
     axes.plot(*nodes[top_nodes].T, color="0.15", linewidth=1.1)
     part, left, below = ("edge", 0.45, 0.7) if tool.face_radius else ("tip", 0.0, 0.4)
@@ -197,7 +198,7 @@ def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> 
     axes.set_title(f"{part} of the tool", loc="left", fontsize=10)
 
 
-def _draw_field_in_colour(axes, fields: Fields, name: str, sample: int, sides: tuple[int, ...]):
+def _draw_field_and_get_colour_scale(axes, fields: Fields, name: str, sample: int, sides: tuple[int, ...]):
     """Colour the section on the given sides of the axis (1: right, -1: left).
 
     Returns:
@@ -223,15 +224,15 @@ def _draw_field_in_colour(axes, fields: Fields, name: str, sample: int, sides: t
     return picture, scale
 
 
-def _draw_needle_outline(axes, mesh: Mesh, nodes: np.ndarray, tool: Tool, top: float) -> None:
+def _draw_needle_outline_above_contact(axes, mesh: Mesh, nodes: np.ndarray, tool: Tool, top: float) -> None:
     """Draw the outline of a needle from its contact with the tissue up to the height `top`, mm."""
-    tip = _find_flat_face_height(mesh, nodes, tool)
-    r, z = (tool.profile.sample_outline((top - tip) * 1e-3) * 1e3).T
+    tip = _find_tool_face_height_mm(mesh, nodes, tool)
+    r, z = (tool.profile.sample_outline_up_to_height((top - tip) * 1e-3) * 1e3).T
     axes.fill(np.concatenate([r, -r[::-1]]), tip + np.concatenate([z, z[::-1]]), color=RIGID, edgecolor="0.4",
               linewidth=0.6)
 
 
-def _find_flat_face_height(mesh: Mesh, nodes: np.ndarray, tool: Tool) -> float:
+def _find_tool_face_height_mm(mesh: Mesh, nodes: np.ndarray, tool: Tool) -> float:
     """Return the height of the tool's flat face, mm: the highest deformed surface node below the face.
 
     Args:

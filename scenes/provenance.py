@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from tissue_sim.experiment.experiment import Experiment
 
 
-def describe_provenance(kind: str, experiment: Experiment) -> dict[str, Any]:
+def make_kind_specimen_tool_metadata(kind: str, experiment: Experiment) -> dict[str, Any]:
     """Describe test kind, specimen and tool for the sidecar of a recording.
 
     With these entries a reader can tell, for example, the indentation with a cone from one with a flat punch.

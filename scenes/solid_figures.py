@@ -11,7 +11,7 @@ from scenes.field_labels import LABELS
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.sections import cut_tetrahedra, intersect_triangles
-from tissue_sim.mesh.subdivision import find_face_edges, subdivide_into_tetrahedra, triangulate_surface_faces
+from tissue_sim.mesh.subdivision import find_outline_edges_of_face, subdivide_into_tetrahedra, triangulate_surface_faces
 from tissue_sim.pose import Pose
 
 #: Grey of rigid bodies, a colour of matplotlib.
@@ -45,7 +45,7 @@ class SurfaceViewSettings:
 _VIEW = SurfaceViewSettings()
 
 
-def draw_deformed_section(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool: Tool) -> None:
+def draw_section_through_tool_axis(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool: Tool) -> None:
     """Draw the deformed section in the plane through the tool's axis and the x axis.
 
     The panel also shows the element edges, the undeformed outline (dashed), the base, the tool and the colour bar.
@@ -62,7 +62,7 @@ def draw_deformed_section(axes, fields: SolidFields, name: str, sample: int, pos
     from matplotlib.tri import Triangulation
 
     mesh, scale = fields.mesh, choose_colour_scale(fields, name, sample)
-    nodes = compute_deformed_nodes(fields, sample)
+    nodes = compute_deformed_nodes_in_scene_frame(fields, sample)
     heights = compute_distance_from_plane(nodes, pose)
     crossings, triangles = cut_tetrahedra(mesh.connectivity[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4),
                                           heights)
@@ -72,17 +72,17 @@ def draw_deformed_section(axes, fields: SolidFields, name: str, sample: int, pos
     picture = axes.tripcolor(Triangulation(1e3 * points[:, 0], 1e3 * points[:, 2], triangles[:, ::-1]), values,
                              shading="gouraud", cmap="viridis", vmin=scale.low, vmax=scale.high)
     picture.set_in_layout(False)  # faster: the layout would measure each triangle
-    sides = triangulate_surface_faces(mesh.element, mesh.connectivity[:, mesh.element.face_nodes].reshape(
-        -1, mesh.element.face_nodes.shape[1]))
-    edges = _project_lines_to_xz_plane(intersect_triangles(sides, heights).interpolate_nodal_values(nodes))
+    sides = triangulate_surface_faces(mesh.element, mesh.connectivity[:, mesh.element.local_face_node_indices].reshape(
+        -1, mesh.element.local_face_node_indices.shape[1]))
+    edges = _project_line_ends_to_xz_mm(intersect_triangles(sides, heights).interpolate_nodal_values(nodes))
     axes.add_collection(LineCollection(edges, colors="white", linewidths=0.3, alpha=0.4))
     outside = triangulate_surface_faces(mesh.element, np.concatenate(list(mesh.faces.values())))
-    edges = _project_lines_to_xz_plane(intersect_triangles(outside, heights).interpolate_nodal_values(nodes))
+    edges = _project_line_ends_to_xz_mm(intersect_triangles(outside, heights).interpolate_nodal_values(nodes))
     axes.add_collection(LineCollection(edges, colors="0.15", linewidths=1.0))
     undeformed = mesh.nodes - [0.0, 0.0, fields.datum]
     outline = intersect_triangles(outside,
                                   compute_distance_from_plane(undeformed, pose)).interpolate_nodal_values(undeformed)
-    axes.add_collection(LineCollection(_project_lines_to_xz_plane(outline), colors="0.4", linewidths=0.9,
+    axes.add_collection(LineCollection(_project_line_ends_to_xz_mm(outline), colors="0.4", linewidths=0.9,
                                        linestyles=[_DASHED]))
     low, high = 1e3 * nodes.min(axis=0), 1e3 * np.maximum(nodes.max(axis=0), undeformed.max(axis=0))
     width, plate = 0.59 * np.ptp(1e3 * nodes[:, 0]), 0.04 * (high - low).max()
@@ -104,15 +104,15 @@ def draw_deformed_section(axes, fields: SolidFields, name: str, sample: int, pos
 def draw_deformed_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool: Tool) -> None:
     """Draw the deformed surface with its element edges, and the tool, in an oblique view from above.
 
-    Arguments and colours are those of `draw_deformed_section`.
+    Arguments and colours are those of `draw_section_through_tool_axis`.
     """
     from matplotlib import colormaps
     from matplotlib.collections import LineCollection
 
     mesh, scale = fields.mesh, choose_colour_scale(fields, name, sample)
-    nodes = compute_deformed_nodes(fields, sample)
+    nodes = compute_deformed_nodes_in_scene_frame(fields, sample)
     sides = np.concatenate(list(mesh.faces.values()))
-    points, triangles = _split_at_sharp_edges(nodes, triangulate_surface_faces(mesh.element, sides))
+    points, triangles = _split_vertex_numbers_at_sharp_edges(nodes, triangulate_surface_faces(mesh.element, sides))
     values = fields.at_nodes(name, sample)[points] * LABELS[name][1]
     colour = (values - scale.low) / (scale.high - scale.low) if scale.high > scale.low else np.zeros_like(values)
     bodies = [(nodes[points], triangles, colormaps["viridis"](np.clip(colour, 0.0, 1.0))[:, :3])]
@@ -120,13 +120,13 @@ def draw_deformed_surface(axes, fields: SolidFields, name: str, sample: int, pos
         outline = compute_needle_profile(tool, nodes, pose)
         vertices, faces = make_surface_of_revolution(outline)
         vertices = np.array(pose.position) + vertices @ np.array(pose.rotation).T
-        split, faces = _split_at_sharp_edges(vertices, faces)
+        split, faces = _split_vertex_numbers_at_sharp_edges(vertices, faces)
         bodies.append((vertices[split], faces, np.full((len(split), 3), float(RIGID))))
     _draw_shaded_bodies(axes, bodies)
     # Only edges of element faces that are turned towards the viewer are drawn.
-    lines = nodes[sides[:, find_face_edges(mesh.element)].reshape(-1, 2)]
+    lines = nodes[sides[:, find_outline_edges_of_face(mesh.element)].reshape(-1, 2)]
     normals = _sum_vertex_normals(nodes, triangulate_surface_faces(mesh.element, sides), len(nodes))
-    ends = normals[sides[:, find_face_edges(mesh.element)].reshape(-1, 2)]
+    ends = normals[sides[:, find_outline_edges_of_face(mesh.element)].reshape(-1, 2)]
     lines = lines[(ends @ _compute_view_direction() > 0.0).all(axis=1)]
     if not tool.is_plate:
         lines = lines[~_find_hidden_points(lines.mean(axis=1), *bodies[1][:2])]
@@ -139,7 +139,7 @@ def draw_deformed_surface(axes, fields: SolidFields, name: str, sample: int, pos
     axes.set_title("surface from above", loc="left", fontsize=10)
 
 
-def compute_deformed_nodes(fields: SolidFields, sample: int) -> np.ndarray:
+def compute_deformed_nodes_in_scene_frame(fields: SolidFields, sample: int) -> np.ndarray:
     """Return the deformed coordinates of the nodes in the frame of the scene, m, shape (nodes, 3)."""
     return fields.mesh.nodes + fields.displacement(sample) - [0.0, 0.0, fields.datum]
 
@@ -167,8 +167,9 @@ def choose_drawn_tool_pose(fields: SolidFields, sample: int, pose: Pose, tool: T
         tool: tool of the experiment.
     """
     if tool.is_plate:
-        return Pose((0.0, 0.0, float(compute_deformed_nodes(fields, sample)[fields.mesh.sets["top"], 2].max())))
-    surface = compute_deformed_nodes(fields, sample)[fields.mesh.sets["top"]]
+        return Pose(
+            (0.0, 0.0, float(compute_deformed_nodes_in_scene_frame(fields, sample)[fields.mesh.sets["top"], 2].max())))
+    surface = compute_deformed_nodes_in_scene_frame(fields, sample)[fields.mesh.sets["top"]]
     rotation = np.array(pose.rotation)
     local = (surface - np.array(pose.position)) @ rotation
     gap = float(tool.profile.gap(np.column_stack([np.hypot(local[:, 0], local[:, 1]), local[:, 2]])).min())
@@ -190,7 +191,7 @@ def compute_needle_profile(tool: Tool, nodes: np.ndarray, pose: Pose) -> np.ndar
         Points (r, z) relative to the tip, m, shape (n, 2).
     """
     top = nodes[:, 2].max() - pose.position[2] + 0.35 * np.ptp(nodes[:, 2])
-    outline = tool.profile.sample_outline(top / max(pose.rotation[2][2], 0.2))
+    outline = tool.profile.sample_outline_up_to_height(top / max(pose.rotation[2][2], 0.2))
     return np.concatenate([outline, [[0.0, outline[-1, 1]]]])
 
 
@@ -225,7 +226,7 @@ def set_axis_scales_and_labels(axes, across: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _project_lines_to_xz_plane(points: np.ndarray) -> list[np.ndarray]:
+def _project_line_ends_to_xz_mm(points: np.ndarray) -> list[np.ndarray]:
     """Project end points (x, y, z) of k lines, m, shape (2 k, 3), to k arrays of (x, z), mm, shape (2, 2)."""
     return list(1e3 * points[:, [0, 2]].reshape(-1, 2, 2))
 
@@ -303,7 +304,7 @@ def _sum_vertex_normals(vertices: np.ndarray, faces: np.ndarray, count: int) -> 
     return np.column_stack([np.bincount(faces.ravel(), normals[:, axis], count) for axis in range(3)])
 
 
-def _split_at_sharp_edges(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _split_vertex_numbers_at_sharp_edges(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Duplicate the vertices along sharp edges, so that smooth shading stops there.
 
     Connected components of triangles that meet at less than `SurfaceViewSettings.edge_angle_deg` share vertices.

@@ -3,11 +3,11 @@
 import meshio
 import numpy as np
 
-from tissue_sim.mesh.element_conversion import merge_shared_nodes, split_hexahedra
+from tissue_sim.mesh.element_conversion import number_nodes_by_shared_corners, split_hexahedra
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.solid import (
-    add_tool_node_sets,
-    create_block_mesh,
+    add_face_and_free_node_sets,
+    create_block_mesh_from_boundaries,
     create_mesh_with_surface_sets,
     create_needle_mesh,
 )
@@ -16,13 +16,13 @@ from tissue_sim.mesh.tetrahedra import TET15P1
 
 def block(x, y, z, element, move=None):
     """A block of hexahedra, or of tetrahedra in their place; `move` takes the corners, (n, 3), elsewhere."""
-    mesh = create_block_mesh(x, y, z, HEX8P0)
+    mesh = create_block_mesh_from_boundaries(x, y, z, HEX8P0)
     if move is not None:
         mesh.nodes[:] = move(mesh.nodes)
     if not isinstance(element, Hexahedron):
         return split_hexahedra(mesh, element)
-    places = np.einsum("nc,eci->eni", element.corner_function_values, mesh.nodes[mesh.connectivity])
-    return create_mesh_with_surface_sets(element, *merge_shared_nodes(element, mesh.connectivity, places))
+    places = np.einsum("nc,eci->eni", element.corner_functions_at_nodes, mesh.nodes[mesh.connectivity])
+    return create_mesh_with_surface_sets(element, *number_nodes_by_shared_corners(element, mesh.connectivity, places))
 
 
 def punched_cylinder(element, radius=8e-3, centre=(0.0, 0.0), **sizes):
@@ -31,7 +31,7 @@ def punched_cylinder(element, radius=8e-3, centre=(0.0, 0.0), **sizes):
     mesh = create_needle_mesh(0.04, 0.07, radius, made_of, centre=centre, **sizes)
     if made_of is element:
         return mesh
-    return add_tool_node_sets(split_hexahedra(mesh, element), radius, centre)
+    return add_face_and_free_node_sets(split_hexahedra(mesh, element), radius, centre)
 
 
 #: Corners of a cell of VTK.

@@ -24,6 +24,7 @@ def test_an_unknown_name_is_refused_with_the_names(root):
     assert "got neddle" in done.stderr and "needle" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_former_file_of_the_realtime_benchmark_runs(root):
     done = run(root, "benchmarks/realtime.py", "--help")
     assert done.returncode == 0 and "--quick" in done.stdout

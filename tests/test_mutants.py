@@ -10,6 +10,8 @@ import pytest
 from benchmarks.mutants.drawing import KINDS, PACKAGES, draw, is_valid, mutants_of
 from benchmarks.mutants.related_tests import ImportGraph, related_tests
 
+pytestmark = pytest.mark.slow
+
 #: Number of mutants: two of each kind in each package.
 COUNT = 2 * len(PACKAGES) * len(KINDS)
 

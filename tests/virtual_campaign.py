@@ -6,9 +6,9 @@ import numpy as np
 
 import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.measured import read_measured_curves, scale_offset_defaults
-from calibration.campaign_diagnosis import DiagnosisOutcome, diagnose_campaign, read_campaign_for_diagnosis
-from calibration.diagnosis.extended import simulate_force_change_of_effect
+from calibration.campaign.measured import make_campaign_with_scaled_offset_defaults, read_measured_curves
+from calibration.campaign_diagnosis import DiagnosisWithFits, diagnose_campaign, read_campaign_and_curves_for_diagnosis
+from calibration.diagnosis.extended import simulate_whitened_effect_change_or_reason
 from calibration.effects.effect import Candidate, Situation
 from calibration.fit.campaign_problem import build_generalised_problem
 from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
@@ -51,7 +51,7 @@ class Fitted:
 
     def change(self, candidate: Candidate) -> np.ndarray:
         """Return the change of the whitened forces by an effect of its trial size, (N, q)."""
-        column = simulate_force_change_of_effect(self.problem, self.evaluation, self.campaign, candidate)
+        column = simulate_whitened_effect_change_or_reason(self.problem, self.evaluation, self.campaign, candidate)
         assert isinstance(column, np.ndarray), (candidate.name, column)
         return column
 
@@ -60,9 +60,9 @@ class Fitted:
         residual, design = self.evaluation.full_residual_and_jacobian
         column = self.change(candidate)
         direction = EffectDirection.from_whitened_change(np.vstack([column, np.zeros((residual.size - len(column),
-                                                                                column.shape[1]))]),
-                                 compute_orthonormal_basis(design), positive=True)
-        return float(direction.compute_score(residual)[0]) if direction.degrees_of_freedom else 0.0
+                                                                                      column.shape[1]))]),
+                                                         compute_orthonormal_basis(design), positive=True)
+        return float(direction.compute_score_components(residual)[0]) if direction.degrees_of_freedom else 0.0
 
 
 def measured_campaign(folder, change=lambda name, model: model, *, tests=TESTS, specimens=("one",), fit="", seed=1):
@@ -90,7 +90,7 @@ def situation_of(path):
     campaign = load_campaign(path)
     campaign = replace(campaign, fit=replace(campaign.fit, whole=True))
     measured = read_measured_curves(campaign)
-    campaign = scale_offset_defaults(campaign, measured)
+    campaign = make_campaign_with_scaled_offset_defaults(campaign, measured)
     return Situation(campaign, measured, campaign.fit.laws[0])
 
 
@@ -119,7 +119,7 @@ start = { C10 = 1500.0 }
 
 
 def diagnosed_plates(folder, *, terms=(), rig=None, friction="frictionless", ripple=0.0, samples=121,
-                     seed=3) -> DiagnosisOutcome:
+                     seed=3) -> DiagnosisWithFits:
     """Three recordings of a ramp, a hold and a return with what is hidden in them, diagnosed."""
     time = np.linspace(0.0, 60.0, samples)
     depth = np.interp(time, [0, 15, 45, 60], [0, 3e-3, 3e-3, 0])
@@ -135,6 +135,6 @@ def diagnosed_plates(folder, *, terms=(), rig=None, friction="frictionless", rip
         ts.write_recording(ts.Recording({"time": time, "displacement": depth, "force": measured}),
                            folder / f"plates_{number}.csv")
     (folder / "study.toml").write_text(PLATES, encoding="utf-8")
-    campaign, recordings = read_campaign_for_diagnosis(folder / "study.toml")
+    campaign, recordings = read_campaign_and_curves_for_diagnosis(folder / "study.toml")
     with open_tasks(Workers()) as tasks:
         return diagnose_campaign(campaign, recordings, RunContext("study", tasks))

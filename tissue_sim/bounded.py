@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.errors import InputError, format_exception
+from tissue_sim.errors import InputError, format_foreign_exception_message
 from tissue_sim.files import require_small_archive
 from tissue_sim.packing import pack_task, run_packed_task
 
@@ -84,15 +84,15 @@ def run_in_sandbox(function: Callable[..., Any], *arguments: Any, file: str | Pa
     if _inside:
         return function(*arguments)
     try:
-        task = pack_task(_call_with_limits, (function, arguments, str(Path.cwd()), str(file), size))
+        task = pack_task(_call_reader_within_limits, (function, arguments, str(Path.cwd()), str(file), size))
     except Exception as error:
             raise InputError(f"the reader cannot be sent to the process in which files are read ({error}); define it "
                              "in a module, and pass plain options", file=file) from error
-    seconds = LIMITS.seconds + LIMITS.seconds_per_byte * (size if size is not None else _get_file_size(file))
+    seconds = LIMITS.seconds + LIMITS.seconds_per_byte * (size if size is not None else _file_size_or_zero(file))
     return _PROCESS.execute_task(task, LIMITS.wall_time + LIMITS.wall_time_per_second * seconds, file)
 
 
-def _get_file_size(file: str | Path) -> int:
+def _file_size_or_zero(file: str | Path) -> int:
     """Return the size of a file, bytes; 0 for a file that cannot be examined."""
     try:
         return Path(file).stat().st_size
@@ -126,13 +126,13 @@ class _SandboxProcess:
         """
         with self._lock:
             if self._child is None or self._owner != os.getpid():
-                self._child, self._owner = self._start_process(), os.getpid()
+                self._child, self._owner = self._start_and_return_process(), os.getpid()
             child = self._child
             late = threading.Timer(seconds, child.kill)
             late.daemon = True
             late.start()
             try:
-                answer = self._exchange_message(child, task)
+                answer = self._exchange_message_or_none(child, task)
             except BaseException:
                 self.close(kill=True)
                 raise
@@ -150,7 +150,7 @@ class _SandboxProcess:
         raise value
 
     @staticmethod
-    def _exchange_message(child: subprocess.Popen[bytes], task: bytes) -> bytes | None:
+    def _exchange_message_or_none(child: subprocess.Popen[bytes], task: bytes) -> bytes | None:
         """Send a pickled task to the child process and return its pickled result; None if the process has ended."""
         assert child.stdin is not None and child.stdout is not None
         try:
@@ -163,7 +163,7 @@ class _SandboxProcess:
         return answer or None
 
     @staticmethod
-    def _start_process() -> subprocess.Popen[bytes]:
+    def _start_and_return_process() -> subprocess.Popen[bytes]:
         """Start the child process; its messages are written to stdin and read from stdout."""
         # The same import path, without the working folder, in which an untrusted file may be named like a module.
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
@@ -208,7 +208,7 @@ def run_sandbox_loop() -> None:
     # Output of libraries to stdout is discarded, because stdout carries the answers.
     os.dup2(2, 1)
     sys.stdin = io.StringIO()
-    first = _read_data_memory()
+    first = _data_memory_or_zero()
     while len(head := tasks.read(_LENGTH.size)) == _LENGTH.size:
         answer = _execute_packed_task(tasks.read(*_LENGTH.unpack(head)), first)
         answers.write(_LENGTH.pack(len(answer)) + answer)
@@ -232,10 +232,11 @@ def _execute_packed_task(task: bytes, first: int) -> bytes:
         done, value = False, error
     except Exception as error:
         done, value = False, InputError(f"the reader cannot be used in the process in which files are read ({error})")
-    return pickle.dumps((done, value, _read_data_memory() > first + LIMITS.memory_growth))
+    return pickle.dumps((done, value, _data_memory_or_zero() > first + LIMITS.memory_growth))
 
 
-def _call_with_limits(function: Callable[..., Any], arguments: tuple, folder: str, file: str, size: int | None) -> Any:
+def _call_reader_within_limits(function: Callable[..., Any], arguments: tuple, folder: str, file: str,
+                               size: int | None) -> Any:
     """Call a reader in the sandbox process within the limits of CPU time and memory.
 
     Raises:
@@ -243,7 +244,7 @@ def _call_with_limits(function: Callable[..., Any], arguments: tuple, folder: st
     """
     os.chdir(folder)
     try:
-        with _limit_resources(_get_file_size(file) if size is None else size):
+        with _limited_cpu_time_and_memory(_file_size_or_zero(file) if size is None else size):
             if size is None:
                 require_small_archive(file)
             return function(*arguments)
@@ -257,18 +258,19 @@ def _call_with_limits(function: Callable[..., Any], arguments: tuple, folder: st
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # exceptions of some libraries do not derive from Exception
-        raise InputError(f"cannot be read ({type(error).__name__}: {format_exception(error)}); it is damaged, or its "
-                         "reader has an error", file=file) from error
+        raise InputError(
+            f"cannot be read ({type(error).__name__}: {format_foreign_exception_message(error)}); it is damaged, or "
+            "its reader has an error", file=file) from error
 
 
 @contextlib.contextmanager
-def _limit_resources(size: int) -> Iterator[None]:
+def _limited_cpu_time_and_memory(size: int) -> Iterator[None]:
     """Context manager: limits of CPU time and memory of this process for an input of `size` bytes."""
     if resource is None:
         yield
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    if used := _read_data_memory():
+    if used := _data_memory_or_zero():
         resource.setrlimit(resource.RLIMIT_DATA, (used + LIMITS.memory + LIMITS.memory_per_byte * size, hard))
     # The timer's signal ends the process also within a library.
     signal.setitimer(signal.ITIMER_PROF, LIMITS.seconds + LIMITS.seconds_per_byte * size)
@@ -279,7 +281,7 @@ def _limit_resources(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
-def _read_data_memory() -> int:
+def _data_memory_or_zero() -> int:
     """Return the data memory (``VmData``) of this process, bytes; 0 if unknown."""
     try:
         for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():

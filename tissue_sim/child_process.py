@@ -44,7 +44,7 @@ def limit_threads_of_child_processes() -> Iterator[None]:
         os.environ.pop(name, None)
 
 
-def exit_when_parent_ends(grace: float = 0.0, clean_up: Callable[[], None] | None = None) -> None:
+def ignore_ctrl_c_and_exit_with_parent(grace: float = 0.0, clean_up: Callable[[], None] | None = None) -> None:
     """In a child process: ignore Ctrl-C, and start a thread that ends the process when its parent process ends.
 
     Args:
@@ -56,8 +56,9 @@ def exit_when_parent_ends(grace: float = 0.0, clean_up: Callable[[], None] | Non
     """
     parent = multiprocessing.parent_process()
     if parent is None:
-        raise RuntimeError("exit_when_parent_ends must be called in a child process; this process has no parent. Start "
-                           "the process with multiprocessing.")
+        raise RuntimeError(
+            "ignore_ctrl_c_and_exit_with_parent must be called in a child process; this process has no parent. Start "
+            "the process with multiprocessing.")
 
     def wait_for_parent() -> None:
         # A parent that is killed cannot end its children. join() waits without using the interpreter.

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec.inspect import DictType, LiteralType, NoneType, StructType, UnionType, type_info
 
 from tissue_sim.bounded import run_in_sandbox
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.files import LIMITS, read_text
 
 #: Type in msgspec's messages -> words for users.
@@ -23,7 +23,7 @@ _WORDS = {"float": "a number", "int": "a whole number", "str": "text", "bool": "
           "object": "an object {...}", "array": "a list [...]"}
 
 
-def read_json(path: str | Path, expected: str) -> Any:
+def read_json_value(path: str | Path, expected: str) -> Any:
     """Read the JSON value of a file.
 
     Args:
@@ -36,7 +36,7 @@ def read_json(path: str | Path, expected: str) -> Any:
     path = Path(path)
     text = read_text(path, expected, LIMITS.json)
     try:
-        return parse_json(text)
+        return parse_json_without_duplicate_keys(text)
     except InputError as error:
         raise error.with_location(file=path) from None
     except json.JSONDecodeError as error:
@@ -46,7 +46,7 @@ def read_json(path: str | Path, expected: str) -> Any:
         raise InputError(f"damaged JSON ({error}), expected {expected}; repair or restore it", file=path) from None
 
 
-def parse_json(text: str) -> Any:
+def parse_json_without_duplicate_keys(text: str) -> Any:
     """Parse a JSON text.
 
     Raises:
@@ -62,8 +62,8 @@ def parse_json(text: str) -> Any:
         raise InputError("damaged JSON (nested too deep); repair or restore it") from None
 
 
-def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
-    """Read a TOML file; arguments as in `read_json`.
+def read_toml_dict(path: str | Path, expected: str) -> dict[str, Any]:
+    """Read a TOML file; arguments as in `read_json_value`.
 
     Raises:
         InputError: see `tissue_sim.files.read_text`; or not TOML (line).
@@ -108,13 +108,14 @@ def decode_struct(value: Any, kind: Any, field: str = "", words: Mapping[str, st
     place = place.rstrip("`").lstrip(".")
     path = ".".join(part for part in (field, place) if part)
     if unknown := re.search(r"unknown field `(.*)`$", message):
-        raise InputError(f"unknown key{suggest_known_word(unknown[1], _list_struct_keys(kind, place))}",
-                         field=f"{path}.{unknown[1]}".lstrip("."))
+        raise InputError(
+            f"unknown key{make_hint_with_similar_or_known_words(unknown[1], _list_struct_keys_at_path(kind, place))}",
+            field=f"{path}.{unknown[1]}".lstrip("."))
     if missing := re.search(r"missing required field `(.*)`$", message):
         hint = "; give a unit such as Pa, kPa or 1" if missing[1] == "unit" else "; add it"
         raise InputError(f"is missing{hint}", field=f"{path}.{missing[1]}".lstrip("."))
     if choice := re.match(r"Invalid enum value '(.*)'$", message):
-        hint = suggest_known_word(choice[1], _list_valid_choices(kind, place))
+        hint = make_hint_with_similar_or_known_words(choice[1], _list_valid_choices_at_path(kind, place))
         raise InputError(f"unknown value {choice[1]!r}{hint}", field=path)
     known = {**_WORDS, **(words or {})}
     sentence = re.sub(r"`([^`]*)`", lambda match: " or ".join(known.get(word, word) for word in match[1].split(" | ")),
@@ -122,7 +123,7 @@ def decode_struct(value: Any, kind: Any, field: str = "", words: Mapping[str, st
     raise InputError(sentence[0].lower() + sentence[1:], field=path or None)
 
 
-def require_file_schema(data: Any, kind: str, newest: int) -> None:
+def require_schema_kind_and_max_version(data: Any, kind: str, newest: int) -> None:
     """Raise an error unless decoded JSON has the ``schema`` of a kind of file, ``tissue_sim/KIND/VERSION``.
 
     Args:
@@ -214,12 +215,12 @@ def _make_dict_without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any
     return seen
 
 
-def _list_struct_keys(kind: Any, place: str) -> list[str]:
+def _list_struct_keys_at_path(kind: Any, place: str) -> list[str]:
     """Return the keys of the struct at a dotted path such as ``provenance.recordings[0]`` below the type `kind`."""
     return [field.encode_name for field in _unwrap_struct_type(_find_type_at_path(kind, place)).fields]
 
 
-def _list_valid_choices(kind: Any, place: str) -> list[str]:
+def _list_valid_choices_at_path(kind: Any, place: str) -> list[str]:
     """Return the valid values of the text at a dotted path below the type `kind`."""
     info = _find_type_at_path(kind, place)
     options = info.types if isinstance(info, UnionType) else (info,)

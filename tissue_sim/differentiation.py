@@ -14,7 +14,7 @@ from tissue_sim.fem.solver import ForceDerivatives, ForceVectorDerivatives, Solv
 from tissue_sim.material.effect import ReducedEffect, TissueEffect
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.model import Model
-from tissue_sim.parameters import Parameter, find_parameters, parameters, value, with_values
+from tissue_sim.parameters import Parameter, get_parameters_at_paths, parameters, value, with_values
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
 
@@ -92,14 +92,14 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     """
     of_material = parameters(model.material)
     names = tuple(of_material) if names is None else tuple(names)
-    asked = find_parameters(model, names)
+    asked = get_parameters_at_paths(model, names)
     model = replace(model, rig=model.rig.motion_only)
     own = {f"material.{path}" for path in of_material}
     exact = np.array([parameter.path in own and _has_exact_derivative(model, parameter) for parameter in asked],
                      dtype=bool)
     options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": topology or model,
                "estimate_error": False}
-    neighbours = [_make_materials_for_difference(model, parameter)
+    neighbours = [_make_perturbed_materials_and_width(model, parameter)
                   for parameter, one in zip(asked, exact, strict=True) if one]
     watch = _DerivativeObserver(neighbours, model.experiment.approach)
     recording = simulate(model, watch=watch, **options)
@@ -111,7 +111,8 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
         raise ConvergenceError("the tangent of a converged step is singular, so that the force has no derivative there",
                                recording=recording, depth=float(recording.displacement[-1]))
     for k in np.flatnonzero(~exact):
-        values[:, k] = _difference_simulations(model, asked[k], recording.force, options, one_sided=one_sided)
+        values[:, k] = _difference_force_by_one_parameter(model, asked[k], recording.force, options,
+                                                          one_sided=one_sided)
     return Sensitivities(recording, names, values, exact, np.array(watch.kinks, dtype=bool))
 
 
@@ -143,7 +144,7 @@ class _DerivativeObserver:
         if self._approach is not None and isinstance(derivatives, ForceVectorDerivatives):
             force = derivatives.vector @ self._approach.direction_against_motion
         self.rates.append(factor * force)
-        self.kinks.append(derivatives is not None and derivatives.pop_contact_change())
+        self.kinks.append(derivatives is not None and derivatives.pop_contact_changed_flag())
 
 
 def _has_exact_derivative(model: Model, parameter: Parameter) -> bool:
@@ -161,14 +162,14 @@ def _has_exact_derivative(model: Model, parameter: Parameter) -> bool:
     return not (issubclass(parameter.part, Poroelasticity) and value(model, phi) == 0.0)
 
 
-def _make_materials_for_difference(model: Model, parameter: Parameter):
+def _make_perturbed_materials_and_width(model: Model, parameter: Parameter):
     """Return the materials with a parameter increased and decreased, and the difference of the two parameter values."""
     half = 0.5 * DIFFERENCES.formula_width * (abs(parameter.value) or 1.0)
-    return _evaluate_for_difference(lambda new: with_values(model, {parameter.path: new}).material, parameter.value,
-                                    half)
+    return _evaluate_at_both_perturbed_values(lambda new: with_values(model, {parameter.path: new}).material,
+                                              parameter.value, half)
 
 
-def _evaluate_for_difference(change: Callable, value: float, half: float):
+def _evaluate_at_both_perturbed_values(change: Callable, value: float, half: float):
     """Evaluate a function at ``value + half`` and ``value - half`` for a central difference.
 
     The difference is one-sided at the end of the valid range.
@@ -189,8 +190,8 @@ def _evaluate_for_difference(change: Callable, value: float, half: float):
     return more, less, high - low
 
 
-def _difference_simulations(model: Model, parameter: Parameter, force: np.ndarray, options: dict, *,
-                            one_sided: bool) -> np.ndarray:
+def _difference_force_by_one_parameter(model: Model, parameter: Parameter, force: np.ndarray, options: dict, *,
+                                       one_sided: bool) -> np.ndarray:
     """Compute the derivative of the force by a central difference of two simulations, N per SI unit, shape (n,).
 
     Both simulations use one mesh, whose nodes move with the geometry.

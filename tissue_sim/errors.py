@@ -57,7 +57,7 @@ class InputError(ValueError):
             place.append(f"line {line}")
         if field is not None:
             place.append(field)
-        super().__init__(format_error_message(problem, place))
+        super().__init__(join_location_and_problem(problem, place))
 
     def __reduce__(self):
         return _remake_error, (type(self), self.problem, self.file, self.line, self.field)
@@ -82,22 +82,22 @@ def _remake_error(kind, problem, file, line, field):
     return kind(problem, file=file, line=line, field=field)
 
 
-def format_error_message(problem: str, place: Iterable[str] = ()) -> str:
+def join_location_and_problem(problem: str, place: Iterable[str] = ()) -> str:
     """Join locations and problem to one printable line of at most `MessageLimits.message` characters.
 
     A longer sentence is shortened in the middle: first its quotations, then the place, then the whole.
 
     Examples:
-        >>> format_error_message("must be positive; got -1.", ["study.toml", "test[0].radius_mm"])
+        >>> join_location_and_problem("must be positive; got -1.", ["study.toml", "test[0].radius_mm"])
         'study.toml: test[0].radius_mm: must be positive; got -1.'
     """
     parts = [_escape_unprintable(part) for part in (*place, problem)]
     if len(": ".join(parts)) > MESSAGE_LIMITS.message:
-        quoted = _QUOTATION.sub(lambda match: shorten_text(match[0], MESSAGE_LIMITS.quotation), parts.pop())
+        quoted = _QUOTATION.sub(lambda match: shorten_text_in_middle(match[0], MESSAGE_LIMITS.quotation), parts.pop())
         # The problem contains the remedy and keeps its length; the user knows the place.
         length = max(MESSAGE_LIMITS.place, (MESSAGE_LIMITS.message - len(quoted)) // max(len(parts), 1) - 2)
-        parts = [*(shorten_text(part, length) for part in parts), quoted]
-    return shorten_text(": ".join(parts), MESSAGE_LIMITS.message)
+        parts = [*(shorten_text_in_middle(part, length) for part in parts), quoted]
+    return shorten_text_in_middle(": ".join(parts), MESSAGE_LIMITS.message)
 
 
 def _escape_unprintable(text: str) -> str:
@@ -108,11 +108,11 @@ def _escape_unprintable(text: str) -> str:
                    for each in text)
 
 
-def shorten_text(text: str, longest: int) -> str:
+def shorten_text_in_middle(text: str, longest: int) -> str:
     """Return a text of at most `longest` characters; the middle of a longer text is left out.
 
     Examples:
-        >>> shorten_text("a text of thirty characters...", 20)
+        >>> shorten_text_in_middle("a text of thirty characters...", 20)
         'a text  ... cters...'
     """
     if len(text) <= longest:
@@ -121,15 +121,15 @@ def shorten_text(text: str, longest: int) -> str:
     return f"{text[:front]} ... {text[len(text) - (longest - 5 - front):]}"
 
 
-def format_exception(error: BaseException) -> str:
+def format_foreign_exception_message(error: BaseException) -> str:
     """Return the message of another library's exception in one line, shortened; without a message, its type."""
-    return shorten_text(_escape_unprintable(" ".join(str(error).split())),
-                        MESSAGE_LIMITS.reason) or type(error).__name__
+    return shorten_text_in_middle(_escape_unprintable(" ".join(str(error).split())),
+                                  MESSAGE_LIMITS.reason) or type(error).__name__
 
 
 @contextmanager
-def add_location_to_errors(*, file: str | Path | None = None, field: str | None = None,
-                           part: str = "") -> Iterator[None]:
+def located_and_converted_errors(*, file: str | Path | None = None, field: str | None = None,
+                                 part: str = "") -> Iterator[None]:
     """Context manager: add a location to input errors that are raised inside; see `InputError.with_location`.
 
     With a file, other exceptions that malformed files cause become input errors too.
@@ -141,8 +141,9 @@ def add_location_to_errors(*, file: str | Path | None = None, field: str | None 
     except _MALFORMED as error:
         if file is None:
             raise
-        raise InputError(f"cannot be used ({type(error).__name__}: {format_exception(error)}); look for odd names, "
-                         "numbers and nesting in it", file=file, field=field) from error
+        raise InputError(
+            f"cannot be used ({type(error).__name__}: {format_foreign_exception_message(error)}); look for odd names, "
+            "numbers and nesting in it", file=file, field=field) from error
 
 
 class ConvergenceError(RuntimeError):
@@ -162,11 +163,11 @@ class MissingBackendError(RuntimeError):
     """A required package is not available on this platform."""
 
 
-def suggest_known_word(word: str, known: Iterable[str]) -> str:
+def make_hint_with_similar_or_known_words(word: str, known: Iterable[str]) -> str:
     """Return a hint for an unknown word: ``; did you mean 'radius_mm'?``, or the known words if none is similar.
 
     Examples:
-        >>> suggest_known_word("radius", ["radius_mm", "height_mm"])
+        >>> make_hint_with_similar_or_known_words("radius", ["radius_mm", "height_mm"])
         "; did you mean 'radius_mm'?"
     """
     known = list(known)

@@ -62,7 +62,7 @@ class LightToolWarning(UserWarning):
     """A tool that is coupled explicitly is too light for the tissue that moves with it."""
 
 
-def warn_about_light_tool(least_mass: float) -> None:
+def issue_light_tool_warning(least_mass: float) -> None:
     """Warn that the tool reverses its motion in every step (`LightToolWarning`).
 
     The remedies in the warning are an implicit coupling with looks_ahead=True, inertia='off', or a heavier tool.
@@ -93,7 +93,7 @@ class ToolReversalDetector:
         self.quiet = float("inf")
         self._turns, self._x, self._y, self._z = 0, 0.0, 0.0, 0.0
 
-    def register_step(self, x: float, y: float, z: float, dt: float, is_fast: bool) -> None:
+    def register_translation_and_update_quiet(self, x: float, y: float, z: float, dt: float, is_fast: bool) -> None:
         """Register the motion of the tool in a step; set `quiet` to 0 after `MOST_TURNS` successive reversals.
 
         Args:

@@ -47,7 +47,7 @@ class FileLimits:
 LIMITS = FileLimits()
 
 
-def open_file(path: str | Path, expected: str, largest: int = LIMITS.recording) -> io.BufferedReader:
+def open_input_file(path: str | Path, expected: str, largest: int = LIMITS.recording) -> io.BufferedReader:
     """Open an input file for reading bytes. All input files are opened here; the caller closes the file.
 
     Args:
@@ -66,7 +66,7 @@ def open_file(path: str | Path, expected: str, largest: int = LIMITS.recording) 
         raise InputError(f"no such file, expected {expected}; check the name and the folder", file=path) from None
     except (OSError, ValueError) as error:
         if isinstance(error, IsADirectoryError) or _is_existing_folder(path):
-            raise _make_folder_error(path, expected) from None
+            raise _make_is_a_folder_error(path, expected) from None
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read ({reason}), expected {expected}; check the name and the permissions",
                          file=path) from error
@@ -75,7 +75,7 @@ def open_file(path: str | Path, expected: str, largest: int = LIMITS.recording) 
         return file
     file.close()
     if stat.S_ISDIR(found.st_mode):
-        raise _make_folder_error(path, expected)
+        raise _make_is_a_folder_error(path, expected)
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"is a pipe, socket or device, expected {expected} in a file; save it as one", file=path)
     raise InputError(f"has {found.st_size / 1e6:.3g} MB, expected {expected} of at most {largest / 1e6:g} MB; use a "
@@ -90,14 +90,14 @@ def _is_existing_folder(path: Path) -> bool:
         return False
 
 
-def _make_folder_error(path: Path, expected: str) -> InputError:
+def _make_is_a_folder_error(path: Path, expected: str) -> InputError:
     """Make the error that a path is a folder where a file is expected."""
     return InputError(f"is a folder, expected {expected}; name a file in it", file=path)
 
 
 def read_bytes(path: str | Path, expected: str, largest: int = LIMITS.recording) -> bytes:
-    """Read the bytes of a file; arguments and errors as in `open_file`."""
-    with open_file(path, expected, largest) as file:
+    """Read the bytes of a file; arguments and errors as in `open_input_file`."""
+    with open_input_file(path, expected, largest) as file:
         try:
             # At most one byte more than the stated size, because memory is reserved for the requested number.
             data = file.read(os.fstat(file.fileno()).st_size + 1)
@@ -108,16 +108,16 @@ def read_bytes(path: str | Path, expected: str, largest: int = LIMITS.recording)
     return data or b""
 
 
-def read_first_bytes(path: str | Path, count: int) -> bytes:
+def read_first_bytes_or_empty(path: str | Path, count: int) -> bytes:
     """Return at most `count` first bytes of a file; empty if the file cannot be read."""
     try:
-        with open_file(path, "") as file:
+        with open_input_file(path, "") as file:
             return file.read(count)
     except (InputError, OSError):
         return b""
 
 
-def path_exists(path: Path) -> bool:
+def is_valid_and_existing_path(path: Path) -> bool:
     """Return whether a file or folder exists; False for a name that the operating system refuses."""
     try:
         return path.exists()
@@ -146,10 +146,10 @@ def require_small_archive(path: str | Path) -> None:
     The archive is unpacked to count its bytes, because the sizes that it states may be wrong.
 
     Raises:
-        InputError: the archive is too large; or see `open_file`.
+        InputError: the archive is too large; or see `open_input_file`.
     """
     size = 0
-    with open_file(path, "a file") as file:
+    with open_input_file(path, "a file") as file:
         if not zipfile.is_zipfile(file):
             return
         try:
@@ -170,10 +170,10 @@ def require_small_archive(path: str | Path) -> None:
 
 
 def read_text(path: str | Path, expected: str, largest: int = LIMITS.recording) -> str:
-    """Read the UTF-8 text of a file, without its byte order mark; arguments as in `open_file`.
+    """Read the UTF-8 text of a file, without its byte order mark; arguments as in `open_input_file`.
 
     Raises:
-        InputError: see `open_file`; or the file is empty, binary, or not UTF-8.
+        InputError: see `open_input_file`; or the file is empty, binary, or not UTF-8.
     """
     path, data = Path(path), read_bytes(path, expected, largest)
     if data.startswith(ZIP_MAGIC):
@@ -192,7 +192,7 @@ def read_text(path: str | Path, expected: str, largest: int = LIMITS.recording) 
     return text
 
 
-def decode_text(data: bytes, path: str | Path, expected: str) -> tuple[str, str]:
+def decode_text_and_find_encoding(data: bytes, path: str | Path, expected: str) -> tuple[str, str]:
     """Decode the text of a file in one of the encodings that laboratory programs use.
 
     The encoding is that of the byte order mark; else UTF-16 if every other byte is NUL; else UTF-8; else cp1252

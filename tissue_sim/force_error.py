@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class ForceErrorSettings:
+class ForceErrorWarningSettings:
     """Settings of the warning of an inaccurate force.
 
     Attributes:
@@ -21,11 +21,11 @@ class ForceErrorSettings:
 
 
 #: Settings of all simulations.
-FORCE_ERROR = ForceErrorSettings()
+FORCE_ERROR = ForceErrorWarningSettings()
 
 
 @dataclass(frozen=True)
-class ForceError:
+class RelativeForceErrorEstimate:
     """Estimated error of the force of a simulated test, relative to the largest force, and where the error is large.
 
     Attributes:
@@ -54,7 +54,7 @@ class ForceError:
                 f"and {seen}; {remedy}")
 
 
-def select_comparison_samples(displacement: np.ndarray) -> np.ndarray:
+def select_samples_for_doubled_steps(displacement: np.ndarray) -> np.ndarray:
     """Select the samples of a motion at which a comparison test with longer steps is computed.
 
     These are every second sample, so that the steps are twice as long; the first and the last; those at which the
@@ -80,8 +80,8 @@ def select_comparison_samples(displacement: np.ndarray) -> np.ndarray:
     return np.array(kept)
 
 
-def estimate_force_error(force: np.ndarray, samples: np.ndarray, other: np.ndarray, fraction: float, *,
-                shorter: bool = False) -> ForceError | None:
+def estimate_error_from_two_forces_or_none(force: np.ndarray, samples: np.ndarray, other: np.ndarray, fraction: float,
+                                           *, shorter: bool = False) -> RelativeForceErrorEstimate | None:
     """Estimate the error of the force of a test from its difference to another simulation of the test.
 
     Args:
@@ -104,4 +104,4 @@ def estimate_force_error(force: np.ndarray, samples: np.ndarray, other: np.ndarr
         first -= 1
     while last + 1 < samples.size and is_large[last + 1]:
         last += 1
-    return ForceError(float(error[worst]), int(samples[first]), int(samples[last]), shorter)
+    return RelativeForceErrorEstimate(float(error[worst]), int(samples[first]), int(samples[last]), shorter)

@@ -35,13 +35,13 @@ class KernelOwner:
                         f"{self.copy_remedy}")
 
 
-def allow_one_thread(method: _Method) -> _Method:
+def make_single_thread_method(method: _Method) -> _Method:
     """Return a method that takes the reentrant lock `_guard` of its object, so that only one thread executes it.
 
     The returned method does not wait: it raises a `BusyError` while another thread holds the lock.
     """
     @wraps(method)
-    def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
+    def call_method_with_lock(self: Any, *args: Any, **kwargs: Any) -> Any:
         """Execute the method while holding the lock of its object; raise a `BusyError` if another thread holds it."""
         if not self._guard.acquire(blocking=False):
             raise make_busy_error(self)
@@ -49,7 +49,7 @@ def allow_one_thread(method: _Method) -> _Method:
             return method(self, *args, **kwargs)
         finally:
             self._guard.release()
-    return cast("_Method", guarded)
+    return cast("_Method", call_method_with_lock)
 
 
 def make_busy_error(owner: object) -> BusyError:

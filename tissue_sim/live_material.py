@@ -27,7 +27,7 @@ class ModulusRange:
 MODULI = ModulusRange()
 
 
-def require_realtime_experiment(experiment: Experiment) -> None:
+def require_no_tilt_or_partial_slip(experiment: Experiment) -> None:
     """Require an experiment without tilt and partial slip, which are corrections of whole recordings.
 
     Raises:

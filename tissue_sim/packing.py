@@ -15,13 +15,18 @@ from typing import Any
 
 import cloudpickle
 
-from tissue_sim.registry import list_modules_of_additions, list_registered_objects, register_objects_of_other_process
+from tissue_sim.registry import (
+    get_modules_of_additions_by_name,
+    list_registered_groups_names_objects,
+    register_objects_of_other_process,
+)
 
 
 def pack_task(function: Callable[..., Any], arguments: tuple) -> bytes:
     """Pickle a function call, with all objects added to registries, for `run_packed_task` in another process."""
-    things = list_registered_objects()
-    by_value = [module for name, module in list_modules_of_additions().items() if not _is_importable_by_workers(name)]
+    things = list_registered_groups_names_objects()
+    by_value = [module for name, module in get_modules_of_additions_by_name().items()
+                if not _is_importable_by_workers(name)]
     for module in by_value:
         cloudpickle.register_pickle_by_value(module)
     try:

@@ -16,7 +16,7 @@ from math import inf
 from numbers import Real
 from typing import Any, Protocol, TypeGuard, TypeVar, runtime_checkable
 
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.public_names import OldName
 
 #: Key of the declaration in the metadata of a field.
@@ -70,7 +70,7 @@ class Parameter:
     @property
     def symbol(self) -> str:
         """Symbol of the parameter, with a number if there are several parameters of this kind, such as ``g1``."""
-        return make_parameter_symbol(self.path, self.declaration)
+        return make_display_symbol_of_parameter(self.path, self.declaration)
 
     file_path = OldName("path_in_file")
 
@@ -81,9 +81,9 @@ class Parameter:
         return place + dot + self.declaration.key
 
 
-def make_parameter_symbol(path: str, declaration: Declaration) -> str:
+def make_display_symbol_of_parameter(path: str, declaration: Declaration) -> str:
     """Return the symbol of a declaration at a path, with the index in the path plus 1: ``terms[0].g`` gives ``g1``."""
-    return declaration.symbol + "".join(str(token + 1) for token in split_parameter_path(path)
+    return declaration.symbol + "".join(str(token + 1) for token in split_path_into_names_and_indices(path)
                                         if isinstance(token, int))
 
 
@@ -116,7 +116,7 @@ def list_field_declarations(kind: type) -> dict[str, Declaration]:
     return {entry.name: what for entry in fields(kind) if (what := get_field_declaration(entry)) is not None}
 
 
-def make_declared_class_check(base: type) -> Callable[[Any], bool]:
+def make_declared_class_predicate(base: type) -> Callable[[Any], bool]:
     """Return a predicate for registries: whether a class is a dataclass, derives from `base` and has parameters."""
     return lambda kind: (isinstance(kind, type) and issubclass(kind, base) and is_dataclass(kind)
                          and bool(list_field_declarations(kind)))
@@ -151,11 +151,12 @@ def value(part: Any, path: str) -> float:
     """
     known = parameters(part)
     if path not in known:
-        raise InputError(f"there is no parameter {path!r}{suggest_known_word(path, known)}", field="parameters")
+        raise InputError(f"there is no parameter {path!r}{make_hint_with_similar_or_known_words(path, known)}",
+                         field="parameters")
     return known[path].value
 
 
-def find_parameters(model: Any, names: Iterable[str]) -> list[Parameter]:
+def get_parameters_at_paths(model: Any, names: Iterable[str]) -> list[Parameter]:
     """Return the parameters with the paths `names`, in this order; ``material.`` may be left out of a path.
 
     Raises:
@@ -170,11 +171,13 @@ def _find_parameter(model: Any, name: str, known: Mapping[str, Parameter]) -> Pa
     for path in (name, f"material.{name}"):
         if path in known:
             return known[path]
-        word = _find_component(model, path)
+        word = _find_component_or_none(model, path)
         if isinstance(word, str):
             raise InputError(f"must be a number to be changed; got {word!r}.", field=name)
-    raise InputError(f"unknown parameter{suggest_known_word(name, [path.removeprefix('material.') for path in known])}",
-                     field=name)
+    raise InputError(
+        "unknown parameter"
+        f"{make_hint_with_similar_or_known_words(name, [path.removeprefix('material.') for path in known])}",
+        field=name)
 
 
 def with_values(part: Part, values: Mapping[str, float]) -> Part:
@@ -195,10 +198,11 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
     """
     tree: dict = {}
     for path, number in values.items():
-        *outer, last = split_parameter_path(path)
-        if not _has_parameter(_find_component(part, path.rpartition(".")[0]), last):
-            raise InputError(f"there is no parameter {path!r}{suggest_known_word(path, parameters(part))}",
-                             field="parameters")
+        *outer, last = split_path_into_names_and_indices(path)
+        if not _has_parameter(_find_component_or_none(part, path.rpartition(".")[0]), last):
+            raise InputError(
+                f"there is no parameter {path!r}{make_hint_with_similar_or_known_words(path, parameters(part))}",
+                field="parameters")
         branch = tree
         for token in outer:
             branch = branch.setdefault(token, {})
@@ -206,11 +210,11 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
     return _replace_values_in_component(part, tree)
 
 
-def split_parameter_path(path: str) -> list[str | int]:
+def split_path_into_names_and_indices(path: str) -> list[str | int]:
     """Split the path of a parameter into its names (str) and indices (int).
 
     Examples:
-        >>> split_parameter_path("terms[0].g")
+        >>> split_path_into_names_and_indices("terms[0].g")
         ['terms', 0, 'g']
     """
     return [name if name else int(index) for name, index in _TOKEN.findall(path)]
@@ -238,7 +242,7 @@ def make_from_file_keys(kind: type[Part], content: Mapping[str, float], field: s
     names = {what.key: (name, what.factor) for name, what in list_field_declarations(kind).items()}
     for key in content:
         if key not in names:
-            raise InputError(f"unknown key{suggest_known_word(key, names)}", field=f"{field}.{key}")
+            raise InputError(f"unknown key{make_hint_with_similar_or_known_words(key, names)}", field=f"{field}.{key}")
     entries: Mapping[str, Field] = getattr(kind, "__dataclass_fields__", {})
     needed = {name for name, entry in entries.items() if entry.default is MISSING}
     if missing := [key for key, (name, _) in names.items() if name in needed and key not in content]:
@@ -251,9 +255,9 @@ def make_from_file_keys(kind: type[Part], content: Mapping[str, float], field: s
         raise InputError(refused.problem, field=".".join(filter(None, (field, named)))) from None
 
 
-def _find_component(part: Any, path: str) -> Any:
+def _find_component_or_none(part: Any, path: str) -> Any:
     """Return the object at a path below a component; the component for an empty path; None for an unknown path."""
-    for token in split_parameter_path(path):
+    for token in split_path_into_names_and_indices(path):
         if isinstance(token, int):
             part = part[token] if isinstance(part, tuple) and token < len(part) else None
         else:
@@ -301,11 +305,11 @@ def _iterate_own_parameters(part: Any, place: str) -> Iterator[Parameter]:
 
 def _has_own_parameters(part: Any) -> TypeGuard[HasParameters]:
     """Return whether a part implements `HasParameters`."""
-    return _is_parameter_class(type(part))  # type: ignore[arg-type]
+    return _implements_own_parameters(type(part))  # type: ignore[arg-type]
 
 
 @cache
-def _is_parameter_class(kind: type) -> bool:
+def _implements_own_parameters(kind: type) -> bool:
     """Whether a class implements `HasParameters`; cached, because `issubclass` with a protocol is slow."""
     return issubclass(kind, HasParameters)
 

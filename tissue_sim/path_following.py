@@ -6,7 +6,7 @@ import math
 import time
 from dataclasses import replace
 
-from tissue_sim.explicit_coupling import ToolReversalDetector, minimum_stable_tool_mass, warn_about_light_tool
+from tissue_sim.explicit_coupling import ToolReversalDetector, issue_light_tool_warning, minimum_stable_tool_mass
 from tissue_sim.fem.solver import Solver, StaticStiffnessRequest, Step, StepStatus
 from tissue_sim.material.effect import ReducedForceFactor
 from tissue_sim.model import Model
@@ -14,21 +14,21 @@ from tissue_sim.path_settings import PathSettings
 from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose, Screw, between, motion, shift_pose_along_z
 from tissue_sim.simulator_state import AT_REST, DampedPathState, LastEquilibrium, NewtonAttempt
-from tissue_sim.step_clock import LEAST_SOLVES, StepBudget, StepClock, count_solves_in_budget
+from tissue_sim.step_clock import LEAST_SOLVES, StepBudget, StepClock, count_solves_in_budget_or_none
 from tissue_sim.tool_force import (
     ForceStatus,
-    PredictedForce,
+    PredictedForceOfNextStep,
     ToolForce,
-    compute_largest_force_change,
+    compute_largest_force_change_for_motion,
     extrapolate_wrench,
     is_force_accurate_enough,
     limit_force_of_wrench,
 )
 from tissue_sim.tool_track import ToolTrack, compute_fraction_in_air
-from tissue_sim.wave_error import WaveTimeAndSpeed
+from tissue_sim.wave_error import ContactWaveTimeAndShearSpeed
 
 
-class ToolPathMixin:
+class SimulatorPathMixin:
     """Mixin of `Simulator` that follows the path of the tool: substeps, retries, damped paths, and the step result.
 
     Attributes:
@@ -63,7 +63,7 @@ class ToolPathMixin:
     _left: float
     _largest_force: float
     _error_floor: float
-    _wave_scale: WaveTimeAndSpeed
+    _wave_scale: ContactWaveTimeAndShearSpeed
     _stiffness_lasts: int
     _weighs: bool
     _bonded: bool
@@ -79,27 +79,27 @@ class ToolPathMixin:
     @property
     def max_solves(self) -> int | None:
         """Largest number of linear solves of a step; None: no limit."""
-        return self._most or count_solves_in_budget(self.budget, self._solve)
+        return self._most or count_solves_in_budget_or_none(self.budget, self._solve)
 
-    def _register_tool_motion(self, target: Pose, dt: float) -> None:
+    def _register_motion_speed_and_reversals(self, target: Pose, dt: float) -> None:
         """Register speed, direction and reversals of a tool motion to a pose in dt s; warn once of a light tool."""
         if self._begins:
             return
         x, y, z, a, b, c = way = motion(self._pose, target)
         if self._pending.is_direct:
-            self._pending.register_contact_motion(way, self._settings.rounding * self._radius)
+            self._pending.clear_is_direct_unless_moving_down(way, self._settings.rounding * self._radius)
         length = math.hypot(x, y, z)
         if a or b or c:
             length += self._radius * math.hypot(a, b, c)
         is_fast = length >= self._settings.inertial_speed * dt > 0.0
         self._lingers = 0.0 if is_fast else self._lingers + dt
-        self._motion_check.register_step(x, y, z, dt, is_fast)
+        self._motion_check.register_translation_and_update_quiet(x, y, z, dt, is_fast)
         if self._motion_check.quiet == 0.0 and self._equilibrium.inertial and not self._has_warned:
             self._has_warned = True
-            warn_about_light_tool(self._answer.least_tool_mass)
+            issue_light_tool_warning(self._answer.least_tool_mass)
 
     @property
-    def _has_settled_without_contact(self) -> bool:
+    def _is_unloaded_with_path_solved(self) -> bool:
         """Whether the tool may have lifted off, and no part of its path remains to be solved."""
         return self._is_tool_unloaded and self._attempt is None and self._creep is None and self._pending.is_empty
 
@@ -110,11 +110,12 @@ class ToolPathMixin:
         return not self._pulls and abs(x) + abs(y) + abs(z) <= self._settings.free_force * self._largest_force
 
     @property
-    def _is_tool_above_first_touch(self) -> bool:
+    def _is_unloaded_above_first_touch(self) -> bool:
         """Whether the tool is unloaded and not below its first touch, where waves exert no force on the tool."""
         return self._is_tool_unloaded and self._solver.pose.depth <= 0.0
 
-    def _step_tool_in_air(self, pose: Pose, target: Pose, dt: float, began: float) -> ToolForce | float:
+    def _move_in_air_and_get_force_or_time(self, pose: Pose, target: Pose, dt: float,
+                                           began: float) -> ToolForce | float:
         """Move a tool that has lifted off to a pose, through the air as far as it does not touch.
 
         Returns:
@@ -126,9 +127,9 @@ class ToolPathMixin:
         if clearance is None:
             return dt
         if clearance <= 0.0:
-            until, begins = tool.move_to_renewed_touch(solver, pose)
+            until, begins = tool.place_at_next_touch_and_get_fraction(solver, pose)
             assert tool.pose is not None
-            self._pose = tool.to_solver_pose(solver, tool.pose)
+            self._pose = tool.project_to_solver_pose_without_rotation(solver, tool.pose)
             if not begins:
                 # The tissue relaxes or swings until the touch without the tool.
                 solver.move_in_air(self._pose)
@@ -139,26 +140,25 @@ class ToolPathMixin:
         self._pose = target
         self._pending.is_direct = True
         if self._pending.gap > 0.0:
-            self._pending.limit_remembered_time(self.model.material.memory_time(self._radius))
+            self._pending.limit_gap_to_memory_time(self.model.material.compute_memory_time(self._radius))
         if solver.is_time_dependent or self._includes_inertia:
             return dt
         self._lingers += dt
         solver.stop_tissue_motion()
-        self._reduced.accept_depth(target.depth, dt)
+        self._reduced.record_depth_and_get_force_factor(target.depth, dt)
         tool.pose, self._equilibrium, self.error = pose, LastEquilibrium.make_in_air(target), None
         self._answer = ToolForce(AT_REST.wrench, AT_REST.stiffness, ForceStatus.CONVERGED, pose=pose,
                                  compute_time=time.perf_counter() - began)
         return self._answer
 
-    def _bound_displacement(self, start: Pose, end: Pose) -> float:
+    def _compute_displacement_bound(self, start: Pose, end: Pose) -> float:
         """Return an upper bound of the displacement of contact points in a rigid motion of the tool, m."""
         x, y, z, a, b, c = motion(start, end)
         return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
 
-    def _split_tick_at_touch(self, inertial: bool) -> None:
+    def _split_first_tick_at_renewed_touch(self, inertial: bool) -> None:
         """Split the first pending tick at the touch if the unloaded tool returns to the tissue in this tick."""
-        solver, pending, here = self._solver, self._pending, self._solver.pose
-        first = pending.ticks[0]
+        solver, pending, here, first = self._solver, self._pending, self._solver.pose, self._pending.ticks[0]
         if not self._is_tool_unloaded or solver.ignores_twist or here == first.pose:
             return
         clearance, before = solver.clearance(first.pose), solver.clearance(here)
@@ -183,7 +183,7 @@ class ToolPathMixin:
             solver.move_in_air(between(here, end, compute_fraction_in_air(solver, here, end)))
         return solver.pose
 
-    def _press_from_above(self, pose: Pose) -> None:
+    def _restart_path_from_above(self, pose: Pose) -> None:
         """Lift the tool above a pose that was not reached, and make the pending path straight down to the pose."""
         solver = self._solver
         solver.lift_off()
@@ -213,11 +213,11 @@ class ToolPathMixin:
                                                  self._settings.inertial_time,
                                                  timed=inertial or solver.is_time_dependent)
                 if is_behind and not pending.meets:
-                    self._split_tick_at_touch(inertial)
+                    self._split_first_tick_at_renewed_touch(inertial)
                 if pending.meets:
                     here = self._move_to_next_touch()
             first = pending.ticks[0]
-            way, part = self._bound_displacement(here, first.pose), self._share * self._largest_part
+            way, part = self._compute_displacement_bound(here, first.pose), self._share * self._largest_part
             # Parts of equal length, because the mass of the tissue resists a short part like an impact.
             share = 1.0 / max(1, math.ceil(way / part - self._settings.rounding)) if way else 1.0
             # Without rounding the last part ends where the tool is.
@@ -241,14 +241,14 @@ class ToolPathMixin:
             fitting = allowance.count_fitting_solves()
             if fitting < 1:
                 status = ForceStatus.LATE
-                allowance.finish_parts()
+                allowance.lower_time_estimate_if_nothing_begun()
                 break
             allowed = min(most, fitting)
             asks = self._choose_stiffness_request(allowance, allowed)
             if creep is None:
                 step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, own_stiffness=asks,
                                    predictor_order=attempt.order, inertial=weighs, resumes=attempt is self._attempt)
-            elif (crept := creep.continue_with_solves(fitting)) is not None:
+            elif (crept := creep.get_next_step_within_solves_or_none(fitting)) is not None:
                 step = crept
             else:  # the damped path has ended
                 step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
@@ -263,7 +263,7 @@ class ToolPathMixin:
             attempt, self._attempt = replace(attempt, spent=attempt.spent + step.iterations), None
             if step.status is StepStatus.CONVERGED:
                 self._store_equilibrium(step, dt, weighs)
-                self._estimate_wave_error(motion(here, target), dt, weighs=weighs)
+                self._update_omitted_wave_error(motion(here, target), dt, weighs=weighs)
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 is_timed = inertial or solver.is_time_dependent
                 is_over = self._leaps or not is_timed or first.dt - dt <= self._settings.rounding * first.dt
@@ -295,11 +295,11 @@ class ToolPathMixin:
                 self._creep = DampedPathState(target, dt, step)
                 self._creep.steps = solver.step_with_damping(
                     target, dt, tolerance=self.tolerance, max_iterations=self._settings.most_damped_solves,
-                    allowed=self._creep.solves_until_yield)
+                    allowed=self._creep.get_allowed_solves_until_yield)
             else:
                 self._share, self._extrapolates = 0.5 * self._share, True
                 if self._share < self._settings.smallest_cut and self._can_restart:
-                    self._press_from_above(pose)
+                    self._restart_path_from_above(pose)
                 elif self._share < self._settings.smallest_cut:
                     self._share, self._can_restart = self._settings.smallest_cut, not self._bonded
                     status = ForceStatus.STOPPED
@@ -307,20 +307,17 @@ class ToolPathMixin:
             # Extrapolate to the last pose that the tool may have; no force is estimated beyond it.
             status, outside = ForceStatus.STOPPED, True
         if status is ForceStatus.STOPPED:
-            pending.discard_unreachable_poses()
-        return self._make_step_result(pose, tick, status, outside, solves, residual, began)
+            pending.discard_all_ticks_keeping_time()
+        return self._make_path_step_result(pose, tick, status, outside, solves, residual, began)
 
-    def _estimate_wave_error(self, way: Screw, dt: float, *, weighs: bool) -> None:
-        """Update the force error by waves that a step with the motion `way`, m, rad, in the time `dt`, s, omits.
-
-        The argument `weighs` states whether the inertia of the tissue acts in the step.
-        """
+    def _update_omitted_wave_error(self, way: Screw, dt: float, *, weighs: bool) -> None:
+        """Update the force error by waves that a step omits: motion `way`, m, rad, in `dt` s; `weighs`: inertial."""
         waves, at, scale = self._pending.waves, self._equilibrium, self._wave_scale
         if not weighs or at.step_stiffness is None:
-            waves.register_step_without_mass(None if self._is_tool_unloaded else way, dt)
+            waves.reset_error_at_step_without_mass(None if self._is_tool_unloaded else way, dt)
             return
         waves.register_step_with_mass(at.stiffness, at.step_stiffness, way, dt, scale)
-        self._has_waves = not self._is_tool_above_first_touch and (
+        self._has_waves = not self._is_unloaded_above_first_touch and (
             waves.is_supersonic or not is_force_accurate_enough(at.wrench, waves.force, scale.floor))
 
     def _compute_straightness_tolerance(self, inertial: bool) -> float:
@@ -349,38 +346,39 @@ class ToolPathMixin:
         least = self._settings.inertial_time
         return self.inertia == "on" or (self._lingers < least and self._motion_check.quiet >= least)
 
-    def _make_step_result(self, pose: Pose, tick: float, status: ForceStatus, outside: bool, solves: int,
-                          residual: float, began: float) -> ToolForce:
+    def _make_path_step_result(self, pose: Pose, tick: float, status: ForceStatus, outside: bool, solves: int,
+                               residual: float, began: float) -> ToolForce:
         """Make the result of a step: wrench of the last equilibrium, extrapolated to a pose unless converged."""
         at, tool, waiting = self._equilibrium, self._tool, self._pending.elapsed_time
         wrench, ahead, within = at.wrench, None, None
         if status is ForceStatus.CONVERGED:
-            ahead = self._predict_next_force(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
+            predicts = self.looks_ahead and at.inertial and tick > 0.0
+            ahead = self._predict_next_step_force_or_none(tick) if predicts else None
             within = at.step_stiffness
             is_known = is_force_accurate_enough(wrench, self.error, self._error_floor)
             if self._pending.has_omitted_motion or self._has_waves or not is_known:
                 status = ForceStatus.LATE
         elif not outside:
             # Mass resists the acceleration within a step, not a steady motion.
-            wrench = self._extrapolate_last_wrench(wrench, motion(at.pose, pose))
+            wrench = self._extrapolate_wrench_by_stiffness(wrench, motion(at.pose, pose))
             if status is ForceStatus.STOPPED:
-                change = compute_largest_force_change(at.stiffness, self._largest_part)
+                change = compute_largest_force_change_for_motion(at.stiffness, self._largest_part)
                 wrench = limit_force_of_wrench(wrench, self._largest_force + change)
         # An equilibrium without the waves of the tissue, or after another path, has an unknown error.
         error = None if status is ForceStatus.STOPPED or self._pending.has_omitted_motion else self.error
-        if error is not None and not self._is_tool_above_first_touch:
+        if error is not None and not self._is_unloaded_above_first_touch:
             error += self._pending.waves.force
         return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
-                         waiting, at.pose if tool.twist is None else tool.to_simulator_pose(at.pose), ahead, within,
-                         at.stiffness_time + waiting, error, waiting, True,
+                         waiting, at.pose if tool.twist is None else tool.add_rotation_at_last_touch(at.pose), ahead,
+                         within, at.stiffness_time + waiting, error, waiting, True,
                          minimum_stable_tool_mass(at.stiffness, at.step_stiffness, tick))
 
-    def _predict_next_force(self, tick: float) -> PredictedForce | None:
+    def _predict_next_step_force_or_none(self, tick: float) -> PredictedForceOfNextStep | None:
         """Predict the force of the next step, of length `tick`, s; None if the solver cannot predict the force."""
         ahead, left = self._solver.predict_next_force(tick), self._left
-        return ahead if ahead is None or left == 1.0 else ahead.scale_force(left)
+        return ahead if ahead is None or left == 1.0 else ahead.multiply_wrench_and_stiffness(left)
 
-    def _extrapolate_last_wrench(self, wrench: Screw, way: Screw) -> Screw:
+    def _extrapolate_wrench_by_stiffness(self, wrench: Screw, way: Screw) -> Screw:
         """Extrapolate a wrench by the last stiffness to a further motion, m and rad; zero instead of a pull."""
         wrench = extrapolate_wrench(wrench, self._equilibrium.stiffness, way)
         return wrench if self._pulls or wrench[2] > 0.0 else AT_REST.wrench
@@ -388,7 +386,7 @@ class ToolPathMixin:
     def _store_equilibrium(self, step: Step, dt: float, inertial: bool) -> None:
         """Store a converged step as the last equilibrium, its force times the factor of the reduced effects."""
         self._has_waves = False
-        left = self._left = self._reduced.accept_depth(self._solver.pose.depth, dt)
+        left = self._left = self._reduced.record_depth_and_get_force_factor(self._solver.pose.depth, dt)
         at = self._equilibrium = self._equilibrium.make_next_equilibrium(step, self._solver.pose, left, inertial, dt)
         x, y, z, *_ = at.wrench
         force = math.sqrt(x * x + y * y + z * z)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tissue_sim.settings import require_positive_settings
+from tissue_sim.settings import require_all_settings_positive
 
 
 @dataclass(frozen=True)
 class PathSettings:
-    """Settings with which `tissue_sim.path_following.ToolPathMixin` divides a path into parts and repeats failed parts.
+    """Settings of the division of a path into parts, and of the repetition of failed parts.
+
+    `tissue_sim.path_following.SimulatorPathMixin` uses them.
 
     Attributes:
         largest_part: largest motion of the tool in one part, as a fraction of the contact radius, 1; a larger motion is
@@ -56,7 +58,7 @@ class PathSettings:
     inertial_time: float = 0.1
 
     def __post_init__(self) -> None:
-        require_positive_settings(self)
+        require_all_settings_positive(self)
 
 
 #: Settings of every simulator.

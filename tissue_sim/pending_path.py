@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass, replace
 
 from tissue_sim.pose import Pose, Screw, between, motion
-from tissue_sim.wave_error import WaveErrorEstimator
+from tissue_sim.wave_error import UnresolvedWaveErrorEstimator
 
 #: Largest number of ticks that are followed one by one. The oldest ones beyond it are merged.
 MOST_TICKS = 32
@@ -53,7 +53,7 @@ class PendingPath:
 
     def __init__(self) -> None:
         self.ticks: list[PathTick] = []
-        self.meets, self.lost, self._spare, self.waves = False, 0.0, 0.0, WaveErrorEstimator()
+        self.meets, self.lost, self._spare, self.waves = False, 0.0, 0.0, UnresolvedWaveErrorEstimator()
         self.gap, self.is_direct = 0.0, True
 
     def copy(self) -> PendingPath:
@@ -99,7 +99,7 @@ class PendingPath:
         self.meets = air.dt == 0.0
         self.ticks[:0] = [rest] if self.meets else [air, rest]
 
-    def discard_unreachable_poses(self) -> None:
+    def discard_all_ticks_keeping_time(self) -> None:
         """Remove all ticks, because their poses cannot be reached; their time is added to the next tick."""
         self._spare, self.ticks = self.elapsed_time, []
 
@@ -120,7 +120,7 @@ class PendingPath:
         if ages or (rubs and not self.is_direct):
             self.gap = math.inf
 
-    def register_contact_motion(self, way: Screw, negligible: float) -> None:
+    def clear_is_direct_unless_moving_down(self, way: Screw, negligible: float) -> None:
         """Set `is_direct` to False for a motion of the tool in contact that is not straight down.
 
         Args:
@@ -131,7 +131,7 @@ class PendingPath:
         if z > negligible or max(abs(x), abs(y), abs(a), abs(b), abs(c)) > negligible:
             self.is_direct = False
 
-    def limit_remembered_time(self, memory: float) -> None:
+    def limit_gap_to_memory_time(self, memory: float) -> None:
         """Limit `gap` to `memory`, the time for which the tissue remembers its path, s; called while in the air."""
         self.gap = min(self.gap, memory)
 

@@ -82,7 +82,8 @@ class Pose:
         # NaN is refused, too: where denormal numbers are flushed to zero, hypot of huge components is NaN.
         if not abs(excess) <= QUATERNION.length:
             raise InputError(f"must be a unit quaternion (w, x, y, z), of length 1 within "
-                             f"{QUATERNION.length:g}; got length {_format_length(length)}. Divide it by its length.",
+                             f"{QUATERNION.length:g}; got length {_format_quaternion_length(length)}. Divide it by its "
+                             "length.",
                              field="orientation")
         object.__setattr__(self, "orientation", (w / length, x / length, y / length, z / length))
 
@@ -137,7 +138,7 @@ def _make_numbers_error(values: object, count: int, field: str, names: str) -> I
     return InputError(f"must be {count} numbers, {names}; got {values!r}.", field=field)
 
 
-def _format_length(length: float) -> str:
+def _format_quaternion_length(length: float) -> str:
     """Format the length of a quaternion with four significant digits of its difference from 1."""
     if not 0.5 < length < 2.0:
         return f"{length:.4g}"
@@ -167,7 +168,7 @@ def motion(start: Pose, end: Pose) -> Screw:
     (x0, y0, z0), (x1, y1, z1) = start.position, end.position
     if start.orientation == end.orientation:
         return (x1 - x0, y1 - y0, z1 - z0, 0.0, 0.0, 0.0)
-    w, x, y, z = _compute_relative_rotation(start.orientation, end.orientation)
+    w, x, y, z = _compute_relative_quaternion(start.orientation, end.orientation)
     sine = math.sqrt(x * x + y * y + z * z)
     factor = 2.0 if sine < QUATERNION.small_sine else 2.0 * math.atan2(sine, w) / sine
     return (x1 - x0, y1 - y0, z1 - z0, factor * x, factor * y, factor * z)
@@ -193,7 +194,7 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     position = (x0 + share * (x1 - x0), y0 + share * (y1 - y0), z0 + share * (z1 - z0))
     if start.orientation == end.orientation:
         return Pose(position, start.orientation)
-    w, x, y, z = _compute_relative_rotation(start.orientation, end.orientation)
+    w, x, y, z = _compute_relative_quaternion(start.orientation, end.orientation)
     sine = math.sqrt(x * x + y * y + z * z)
     half = share * math.atan2(sine, w)
     factor = share if sine < QUATERNION.small_sine else math.sin(half) / sine
@@ -201,7 +202,7 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     return Pose(position, _multiply_quaternions(turn, start.orientation))
 
 
-def rotate_pose(pose: Pose, rotation: Vector) -> Pose:
+def rotate_pose_about_its_position(pose: Pose, rotation: Vector) -> Pose:
     """Return a pose that is rotated about its position by a rotation vector, rad, in the frame of the scene."""
     angle = math.sqrt(sum(part * part for part in rotation))
     if angle == 0.0:
@@ -210,7 +211,7 @@ def rotate_pose(pose: Pose, rotation: Vector) -> Pose:
     return Pose(pose.position, _multiply_quaternions((math.cos(0.5 * angle), x, y, z), pose.orientation))
 
 
-def compute_twist_about_axis(orientation: Quaternion) -> Quaternion | None:
+def find_axis_twist_quaternion_or_none(orientation: Quaternion) -> Quaternion | None:
     """Return the part of an orientation that rotates about the tool's axis, as a quaternion; None without rotation.
 
     This is the twist of the swing-twist decomposition.
@@ -241,7 +242,7 @@ def shift_pose_along_z(pose: Pose, height: float) -> Pose:
     return Pose((x, y, z + height), pose.orientation)
 
 
-def _compute_relative_rotation(start: Quaternion, end: Quaternion) -> Quaternion:
+def _compute_relative_quaternion(start: Quaternion, end: Quaternion) -> Quaternion:
     """Return the quaternion of the rotation, by at most half a turn, from one orientation to another, scene frame."""
     w, x, y, z = start
     relative = _multiply_quaternions(end, (w, -x, -y, -z))

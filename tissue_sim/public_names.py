@@ -10,8 +10,8 @@ from types import ModuleType
 from typing import Any
 
 
-def import_on_use(package: str, renamed: Mapping[str, str] | None = None
-                  ) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+def make_lazy_package_members(package: str, renamed: Mapping[str, str] | None = None
+                              ) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
     """Make ``__all__``, ``__getattr__`` and ``__dir__`` of a package that imports each public name on first use.
 
     Args:
@@ -29,7 +29,7 @@ def import_on_use(package: str, renamed: Mapping[str, str] | None = None
             case "from", module, "import", name, "as", _:
                 homes[name] = module
 
-    def get(name: str) -> Any:
+    def import_public_name(name: str) -> Any:
         """Import the module of a public name and return the member, which is stored in the package."""
         if renamed and name in renamed:
             warnings.warn(f"{package}.{name} is renamed to {package}.{renamed[name]}", DeprecationWarning, stacklevel=2)
@@ -44,7 +44,7 @@ def import_on_use(package: str, renamed: Mapping[str, str] | None = None
         """Return the names of the package's namespace and its public names, sorted."""
         return sorted({*vars(sys.modules[package]), *homes})
 
-    return sorted(homes), get, list_names
+    return sorted(homes), import_public_name, list_names
 
 
 class LazyModule(ModuleType):
@@ -64,7 +64,7 @@ def make_getattr_for_old_names(module: str, renamed: Mapping[str, str]) -> Calla
     Example:
         ``__getattr__ = make_getattr_for_old_names(__name__, {"Rung": "ResolutionLevel"})``
     """
-    def get(name: str) -> Any:
+    def get_member_by_old_name(name: str) -> Any:
         """Warn that the name is renamed, and return the member with the new name."""
         if name not in renamed:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
@@ -72,7 +72,7 @@ def make_getattr_for_old_names(module: str, renamed: Mapping[str, str]) -> Calla
         warnings.warn(f"{module}.{name} is renamed to {place or module}.{new}", DeprecationWarning, stacklevel=2)
         return getattr(import_module(place or module), new)
 
-    return get
+    return get_member_by_old_name
 
 
 class OldName:

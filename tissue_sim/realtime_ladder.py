@@ -48,7 +48,8 @@ class SteppableTissue(Protocol):
         """Return the force at a depth, m, dt s after the last step."""
 
 
-def measure_tick_time(simulator: SteppableTissue, depth: float, *, lifts: bool, budget: float = math.inf) -> float:
+def measure_tick_time_or_infinity(simulator: SteppableTissue, depth: float, *, lifts: bool,
+                                  budget: float = math.inf) -> float:
     """Measure the CPU time of this thread, s, within which 99 % of the ticks of a fast motion end.
 
     Args:
@@ -73,7 +74,7 @@ def measure_tick_time(simulator: SteppableTissue, depth: float, *, lifts: bool, 
 
 
 def choose_finest_level_in_budget(levels: Sequence[ResolutionLevel], start: int, budget: float,
-                 tick_of: Callable[[ResolutionLevel], float]) -> ResolutionLevel:
+                                  tick_of: Callable[[ResolutionLevel], float]) -> ResolutionLevel:
     """Return the finest level whose tick fits into the budget; the coarsest if none fits.
 
     Args:

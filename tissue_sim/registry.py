@@ -15,7 +15,7 @@ from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
 from typing import Any, Generic, TypeVar
 
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 
 T = TypeVar("T")
 #: Group -> registry, for all registries of this process.
@@ -65,10 +65,11 @@ class Registry(Mapping[str, T], Generic[T]):
                 module, _, attribute = thing.partition(":")
                 thing = self._things[name] = getattr(import_module(module), attribute)
             return thing
-        thing = self._things[name] = self._check_entry(name, self._installed_entry_points[name].load())
+        thing = self._things[name] = self._require_and_return_valid_entry(name,
+                                                                          self._installed_entry_points[name].load())
         return thing
 
-    def _check_entry(self, name: str, thing: T) -> T:
+    def _require_and_return_valid_entry(self, name: str, thing: T) -> T:
         """Return the object if it is valid for this registry; else raise an InputError."""
         if not self._accepts(thing):
             raise InputError(f"{name!r} is not a valid {self.what}; give {self._expected}", field=self.group)
@@ -99,7 +100,8 @@ class Registry(Mapping[str, T], Generic[T]):
             'flat'
         """
         if name not in self:
-            raise InputError(f"unknown {self.what} {name!r}{suggest_known_word(str(name), self)}", field=field)
+            raise InputError(f"unknown {self.what} {name!r}{make_hint_with_similar_or_known_words(str(name), self)}",
+                             field=field)
         return self[name]
 
     def register(self, thing: T, name: str | None = None) -> T:
@@ -121,7 +123,7 @@ class Registry(Mapping[str, T], Generic[T]):
                 return thing
             raise InputError(f"the name {name!r} is taken by another {self.what}; give yours another name",
                              field=self.group)
-        self._things[name] = self._added[name] = self._check_entry(name, thing)
+        self._things[name] = self._added[name] = self._require_and_return_valid_entry(name, thing)
         return thing
 
     def unregister(self, name: str) -> None:
@@ -135,7 +137,7 @@ class Registry(Mapping[str, T], Generic[T]):
         del self._added[name], self._things[name]
 
 
-def list_registered_objects() -> list[tuple[str, str, Any]]:
+def list_registered_groups_names_objects() -> list[tuple[str, str, Any]]:
     """Return (group, name, object) of all objects registered in this process.
 
     `register_objects_of_other_process` registers these objects in another process.
@@ -143,7 +145,7 @@ def list_registered_objects() -> list[tuple[str, str, Any]]:
     return [(group, name, thing) for group, registry in _ALL.items() for name, thing in registry._added.items()]
 
 
-def list_modules_of_additions() -> dict[str, ModuleType]:
+def get_modules_of_additions_by_name() -> dict[str, ModuleType]:
     """Return name -> module of all objects that are not built in: registered objects, and loaded objects of packages.
 
     Results of a program depend on the source of these modules.

@@ -14,7 +14,7 @@ class Settings(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
 
-def require_positive_settings(settings: Settings) -> None:
+def require_all_settings_positive(settings: Settings) -> None:
     """Check that every number of a settings object is positive.
 
     Args:
@@ -29,7 +29,7 @@ def require_positive_settings(settings: Settings) -> None:
             raise InputError(f"{entry.name} must be positive; got {value:g}", field=entry.name)
 
 
-def list_changed_settings(settings: Settings) -> dict[str, float]:
+def get_changed_settings_by_name(settings: Settings) -> dict[str, float]:
     """Return name -> value of the settings that differ from the defaults.
 
     Args:
@@ -37,7 +37,7 @@ def list_changed_settings(settings: Settings) -> dict[str, float]:
 
     Examples:
         >>> from tissue_sim import PathSettings
-        >>> list_changed_settings(PathSettings(largest_part=0.1))
+        >>> get_changed_settings_by_name(PathSettings(largest_part=0.1))
         {'largest_part': 0.1}
     """
     return {entry.name: getattr(settings, entry.name) for entry in fields(settings)

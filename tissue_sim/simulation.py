@@ -12,13 +12,18 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
-from tissue_sim.force_error import FORCE_ERROR, ForceError, estimate_force_error, select_comparison_samples
+from tissue_sim.force_error import (
+    FORCE_ERROR,
+    RelativeForceErrorEstimate,
+    estimate_error_from_two_forces_or_none,
+    select_samples_for_doubled_steps,
+)
 from tissue_sim.laws import check_stability
 from tissue_sim.material.effect import ReducedForceFactor
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw, between, scale_screw
 from tissue_sim.recording.recording import Recording
-from tissue_sim.slip import blend_partial_slip
+from tissue_sim.slip import blend_bonded_and_frictionless_recordings
 from tissue_sim.tilt import compute_tilted_recording
 
 
@@ -28,8 +33,8 @@ class SimulationSettings:
 
     Attributes:
         smallest_cut: smallest step, over the distance between two samples, 1.
-        damped_from: step, over the distance between two samples, from which on a failed step without extrapolation is
-            repeated with artificial viscous damping (`Solver.step_with_damping`), 1.
+        damped_from: largest step, over the distance between two samples, that is repeated with artificial viscous
+            damping (`Solver.step_with_damping`) after a failure without extrapolation, 1.
         max_solves: largest number of linear solves of a step.
         max_damped_solves: the same for a damped step.
         rough_tolerance: relative residual of the second solution for the error estimate, 1.
@@ -76,8 +81,7 @@ class SolverObserver(Protocol):
 
 def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields: bool = False,
              progress: Callable[[int, int], None] | None = None, watch: SolverObserver | None = None,
-             solver: str = "axisymmetric", topology: Model | None = None,
-             estimate_error: bool = True) -> Recording:
+             solver: str = "axisymmetric", topology: Model | None = None, estimate_error: bool = True) -> Recording:
     """Simulate a whole test quasi-statically.
 
     The protocol is the motion that the rig's stage reports; with a compliant load train the displacement of the tool is
@@ -85,8 +89,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     with its own load train; fields are those of the bonded one. The law's stress is linear between samples.
 
     The error of the force is estimated from a second solution on another mesh with every second sample, if the solver
-    has such a mesh; more than `ForceErrorSettings.warning_fraction` of the largest force gives a warning. The estimate
-    doubles the time with ``"fast"`` and adds about a fifth with ``"accurate"``.
+    has such a mesh; more than `ForceErrorWarningSettings.warning_fraction` of the largest force gives a warning. The
+    estimate doubles the time with ``"fast"`` and adds about a fifth with ``"accurate"``.
 
     Args:
         model: experiment, material, rig.
@@ -124,8 +128,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
                      fields=fields, progress=follow, watch=watched, solver=solver, topology=topology,
                      estimate_error=estimate_error)
             for experiment, follow, watched in ((replace(model.experiment, slip=None), progress, watch),
-                                                (model.experiment.with_free_faces(), None, None)))
-        return rig.read(blend_partial_slip(held, free, share))
+                                                (model.experiment.with_slipping_faces_frictionless(), None, None)))
+        return rig.read(blend_bonded_and_frictionless_recordings(held, free, share))
     tissue = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh, topology=topology)
     if watch:
         watch.before_first_step(tissue)
@@ -155,7 +159,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     if progress:
         progress(0, protocol.displacement.size)
     drive, largest = _ToolDrive(tissue, model), 0.0
-    for sample, (position, dt, steps) in enumerate(drive.iterate_samples(np.arange(protocol.time.size))):
+    path = drive.iterate_positions_times_and_steps(np.arange(protocol.time.size))
+    for sample, (position, dt, steps) in enumerate(path):
         for step in steps:
             report["newton_iterations"] += step.iterations
             report["cuts"] += step.status is not StepStatus.CONVERGED
@@ -168,15 +173,15 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             stability = check_stability(model.material.energy_law, model.material.values)
             if step.status is StepStatus.INDEFINITE or not stability.stable:
                 message += f"; the law alone is {stability}"
-            raise ConvergenceError(message, recording=make_recording("not_converged", message) if wrenches else None,
-                                   depth=depth)
-        _update_maxima_in_report(report, step)
+            solved = make_recording("not_converged", message) if wrenches else None
+            raise ConvergenceError(message, recording=solved, depth=depth)
+        _store_larger_values_in_report(report, step)
         wrenches.append(drive.register_sample(step.wrench, dt))
         if (size := math.hypot(*wrenches[-1][:3])) >= largest:
             largest, report["warnings"] = size, list(tissue.warnings())
         travels.append(drive.travel)
         if watch:
-            watch.after_sample(tissue, drive.reduced_force_factor)
+            watch.after_sample(tissue, drive.force_factor_of_reduced_effects)
         if fields:
             samples.append(tissue.field_sample())
         if progress:
@@ -196,19 +201,12 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
 
 
 def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solver: str, resolution: str,
-                          topology: Model | None, most_solves: int) -> ForceError | None:
+                          topology: Model | None, most_solves: int) -> RelativeForceErrorEstimate | None:
     """Estimate the error of a force from a second solution on another mesh with other steps.
 
-    If the error is worth a warning, a third solution with half the steps on the other mesh is used as well.
-
-    Args:
-        tissue: solver of the first solution.
-        model: model of the test.
-        force: force of the first solution at each sample, N, shape (n,).
-        solver: as in `simulate`.
-        resolution: as in `simulate`.
-        topology: as in `simulate`.
-        most_solves: largest number of linear solves of the second solution.
+    If the error is worth a warning, a third solution with half the steps on the other mesh is used as well. The solver
+    of the first solution is `tissue`, its force at each sample is `force`, N, shape (n,). The second solution has at
+    most `most_solves` linear solves. The other arguments are those of `simulate`.
 
     Returns:
         None if the solver has no other mesh, or if the second solution does not reach a sample.
@@ -220,13 +218,14 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
     def simulate_forces(samples: np.ndarray) -> np.ndarray:
         """Return the forces at fractional sample numbers, N, from a second solution, up to its first failed step."""
         other, solves = [], 0
-        along = replace(model, experiment=replace(model.experiment, protocol=protocol.interpolate_motion(samples)))
+        resampled = replace(model.experiment, protocol=protocol.resample_at_fractional_samples(samples))
+        along = replace(model, experiment=resampled)
         try:
             drive = _ToolDrive(SOLVERS.find(solver, "solver")(along, resolution=estimate.resolution, topology=topology),
-                           along, tolerance=_SETTINGS.rough_tolerance)
+                               along, tolerance=_SETTINGS.rough_tolerance)
         except ConvergenceError:
             return np.zeros(0)
-        for _, dt, steps in drive.iterate_samples(np.arange(samples.size)):
+        for _, dt, steps in drive.iterate_positions_times_and_steps(np.arange(samples.size)):
             for step in steps:
                 solves += step.iterations
             if step.status is not StepStatus.CONVERGED or solves > most_solves:
@@ -234,20 +233,21 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
             other.append(model.experiment.resistance(drive.register_sample(step.wrench, dt)))
         return np.array(other)
 
-    samples = select_comparison_samples(protocol.displacement)
+    samples = select_samples_for_doubled_steps(protocol.displacement)
     other = simulate_forces(samples)
     common = np.flatnonzero(samples[:other.size] % 1.0 == 0.0)
-    found = estimate_force_error(force, samples[common].astype(int), other[common], estimate.fraction)
+    found = estimate_error_from_two_forces_or_none(force, samples[common].astype(int), other[common], estimate.fraction)
     if found is None or found.fraction <= FORCE_ERROR.warning_fraction:
         return found
     # A step in which contact begins again may err by many times more than a step half as long. Errors in proportion to
     # the step length, and the error of the mesh, are at most twice the difference to steps half as long.
     other = simulate_forces(0.5 * np.arange(2 * protocol.time.size - 1))[::2]
-    again = estimate_force_error(force, np.arange(force.size), other, 2.0 * estimate.fraction, shorter=True)
+    again = estimate_error_from_two_forces_or_none(force, np.arange(force.size), other, 2.0 * estimate.fraction,
+                                                   shorter=True)
     return again if again is not None and other.size == force.size and again.fraction < found.fraction else found
 
 
-def _update_maxima_in_report(report: dict, step: Step) -> None:
+def _store_larger_values_in_report(report: dict, step: Step) -> None:
     """Replace the maxima over all samples in `report`, in place, by larger values of one step."""
     for name, value in (("residual", step.residual), ("penetration_mm", step.violation * 1e3),
                         ("slipping_points", step.slipping)):
@@ -255,7 +255,7 @@ def _update_maxima_in_report(report: dict, step: Step) -> None:
             report[name] = max(report[name], value)
 
 
-def _compute_times_and_first_contact(positions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
+def _compute_time_steps_and_first_contact(positions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
     """Return the duration of the motion from the previous sample to each sample, s, and the index of first contact.
 
     For that sample only the time after the touch counts.
@@ -267,7 +267,7 @@ def _compute_times_and_first_contact(positions: np.ndarray, time: np.ndarray) ->
     return waits, first
 
 
-class _LoadTrain:
+class _LoadTrainDepthPredictor:
     """Predict the tool's depth behind a compliant load train from the last two samples; see `_ToolDrive`."""
 
     def __init__(self, compliance: float):
@@ -275,10 +275,10 @@ class _LoadTrain:
         self._known: list[tuple[float, float]] = []
 
     def register_sample(self, depth: float, force: float) -> None:
-        """Store depth, m, and force, N, of a converged sample for `predict_depth`."""
+        """Store depth, m, and force, N, of a converged sample for `predict_depth_and_slope`."""
         self._known = [*self._known[-1:], (depth, force)]
 
-    def predict_depth(self, position: float) -> tuple[float, float]:
+    def predict_depth_and_slope(self, position: float) -> tuple[float, float]:
         """Predict the depth of the next sample, and the slope of d + compliance F there, from the last two samples."""
         (d0, f0), (d1, f1) = self._known if len(self._known) == 2 else ((0.0, 0.0), (0.0, 0.0))
         growth = 1.0 + self.compliance * max(0.0, (f1 - f0) / (d1 - d0)) if d1 != d0 else 1.0
@@ -299,47 +299,46 @@ class _ToolDrive:
 
     def __init__(self, solver: Solver, model: Model, **options: Any):
         self._solver, self._model, self._experiment, self._options = solver, model, model.experiment, options
-        self._train = _LoadTrain(model.rig.compliance)
-        self._reduced = ReducedForceFactor(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
+        self._train = _LoadTrainDepthPredictor(model.rig.compliance)
+        self._reduced = ReducedForceFactor(
+            model.material.list_acting_reduced_effects(plate=model.experiment.tool.is_plate))
         self.travel = 0.0
 
     @property
-    def reduced_force_factor(self) -> float:
+    def force_factor_of_reduced_effects(self) -> float:
         """Factor of the effects in reduced form on the force at the present depth of the tool."""
         return self._reduced.compute_factor(self._solver.pose.depth)
 
     def register_sample(self, wrench: Screw, dt: float) -> Screw:
         """Register a converged sample, dt s after the last one; returns its wrench with effects in reduced form."""
-        share = self._reduced.accept_depth(self._solver.pose.depth, dt)
+        share = self._reduced.record_depth_and_get_force_factor(self._solver.pose.depth, dt)
         wrench = scale_screw(share, wrench)
         self._train.register_sample(self.travel, self._experiment.resistance(wrench))
         return wrench
 
-    def iterate_samples(self, samples: np.ndarray) -> Iterator[tuple[float, float, Iterable[Step]]]:
+    def iterate_positions_times_and_steps(self, samples: np.ndarray) -> Iterator[tuple[float, float, Iterable[Step]]]:
         """Yield position, m, time since the last sample, s, and the steps, for samples of the protocol."""
         protocol = self._experiment.protocol
         positions = self._model.rig.tool_motion(protocol.displacement)[samples]
-        waits, first = _compute_times_and_first_contact(positions, protocol.time[samples])
+        waits, first = _compute_time_steps_and_first_contact(positions, protocol.time[samples])
         for number, (position, dt) in enumerate(zip(positions.tolist(), waits.tolist(), strict=True)):
             if number < first:
                 # The tool is in the air: nothing is solved.
                 self.travel = min(position, 0.0)
-            yield position, dt, self.iterate_steps_to(position, dt) if number >= first else [_NOTHING]
+            yield position, dt, self.iterate_solver_steps_to_sample(position, dt) if number >= first else [_NOTHING]
 
-    def iterate_steps_to(self, position: float, dt: float) -> Iterator[Step]:
-        """Yield the steps to one sample; the last one is that of the sample.
+    def iterate_solver_steps_to_sample(self, position: float, dt: float) -> Iterator[Step]:
+        """Yield the steps to one sample, `dt` s after the last sample; the last step is that of the sample.
 
-        Args:
-            position: displacement of the tool with a rigid load train, m.
-            dt: time since the last sample, s.
+        The displacement of the tool with a rigid load train is `position`, m.
         """
         solver, train = self._solver, self._train
         if not train.compliance:
             self.travel = position
-            yield from _iterate_steps_to_pose(solver, self._make_pose(position), dt, **self._options)
+            yield from _iterate_adaptive_steps_to_pose(solver, self._make_pose(position), dt, **self._options)
             return
         saved = solver.save()
-        depth, growth = train.predict_depth(position)
+        depth, growth = train.predict_depth_and_slope(position)
         before = None
         for trial in range(_SETTINGS.most_trials):
             # With cut steps friction takes another path in each trial, and the secant method does not converge: when
@@ -349,7 +348,8 @@ class _ToolDrive:
             if trial and not near:
                 solver.restore(saved)
             self.travel = depth
-            for step in _iterate_steps_to_pose(solver, self._make_pose(depth), 0.0 if near else dt, **self._options):
+            duration = 0.0 if near else dt
+            for step in _iterate_adaptive_steps_to_pose(solver, self._make_pose(depth), duration, **self._options):
                 yield step
             if step.status is not StepStatus.CONVERGED:
                 return
@@ -367,14 +367,10 @@ class _ToolDrive:
         return self._solver.project_pose(self._experiment.tool_pose(travel))
 
 
-def _iterate_steps_to_pose(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> Iterator[Step]:
-    """Yield steps to a pose along a rigid motion; a step is halved after a failure and doubled after a success.
+def _iterate_adaptive_steps_to_pose(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> Iterator[Step]:
+    """Yield steps of a solver to a pose along a rigid motion of `dt` s at constant speed; `options` are of each step.
 
-    Args:
-        solver: solver to step.
-        target: pose at the end.
-        dt: time of the whole motion, s, at constant speed.
-        options: options of each step.
+    A step is halved after a failure and doubled after a success.
     """
     start, most = solver.pose, min(2, solver.highest_order)
     done, length, order = 0.0, 1.0, most

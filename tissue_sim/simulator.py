@@ -14,24 +14,28 @@ import numpy as np
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.explicit_coupling import ToolReversalDetector
 from tissue_sim.fem.solver import SOLVERS, ResolutionLevel, Surface
-from tissue_sim.kernel_owner import KernelOwner, allow_one_thread, make_busy_error
-from tissue_sim.live_material import require_equal_layer_thicknesses, require_realtime_experiment, require_tissue_moduli
+from tissue_sim.kernel_owner import KernelOwner, make_busy_error, make_single_thread_method
+from tissue_sim.live_material import (
+    require_equal_layer_thicknesses,
+    require_no_tilt_or_partial_slip,
+    require_tissue_moduli,
+)
 from tissue_sim.material.effect import ReducedForceFactor
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import LimitError, MotionLimits, convert_to_pose
 from tissue_sim.parameters import with_values
-from tissue_sim.path_following import ToolPathMixin
+from tissue_sim.path_following import SimulatorPathMixin
 from tissue_sim.path_settings import PATH, PathSettings
 from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose
-from tissue_sim.realtime_ladder import choose_finest_level_in_budget, measure_tick_time
+from tissue_sim.realtime_ladder import choose_finest_level_in_budget, measure_tick_time_or_infinity
 from tissue_sim.simulator_state import AT_REST, NEVER, DampedPathState, NewtonAttempt, SimulatorState, StateOrigin
 from tissue_sim.snapshot import Snapshot, snapshot
-from tissue_sim.step_clock import StepClock, require_enough_solves
+from tissue_sim.step_clock import StepClock, require_valid_max_solves
 from tissue_sim.tool_force import ForceStatus, ToolForce, compute_negligible_force_error
 from tissue_sim.tool_track import ToolTrack, is_pose_on_axis
-from tissue_sim.wave_error import WaveTimeAndSpeed
+from tissue_sim.wave_error import ContactWaveTimeAndShearSpeed
 
 #: Relative residual below which a state is an equilibrium, 1.
 TOLERANCE = 1e-6
@@ -43,7 +47,7 @@ _STIFFNESS_LASTS = 5
 _FIRST_LEVEL = 1
 
 
-class Simulator(ToolPathMixin, KernelOwner):
+class Simulator(SimulatorPathMixin, KernelOwner):
     """Force on a tool that follows any path, step by step.
 
     A step computes the equilibrium at the new pose from the previous one; a long motion is divided into parts along a
@@ -58,9 +62,8 @@ class Simulator(ToolPathMixin, KernelOwner):
         mesh: mesh to use instead.
         budget: wall time of a step, s, after which the step returns an extrapolated force (`ForceStatus.LATE`); None:
             no limit, and the same motion gives the same forces bit for bit.
-        inertia: ``"auto"``: the mass of the tissue acts if the tool is faster than
-            `tissue_sim.path_settings.PathSettings.inertial_speed`, if the solver has a mass, and if the steps resolve
-            the motion (`tissue_sim.explicit_coupling.ToolReversalDetector`); ``"on"``, ``"off"``.
+        inertia: ``"auto"``: the mass of the tissue acts if the tool is faster than `PathSettings.inertial_speed`, the
+            solver has a mass, and the steps resolve the motion (`ToolReversalDetector`); ``"on"``, ``"off"``.
         tolerance: relative residual of the nodal forces, 1.
         solver: name in `tissue_sim.fem.solver.SOLVERS`.
         looks_ahead: whether inertial steps predict the force of the next step (`ToolForce.ahead`), for a virtual
@@ -70,8 +73,7 @@ class Simulator(ToolPathMixin, KernelOwner):
             (`ForceStatus.LATE`). Every tenth step has one more for a static stiffness that found none left. None: the
             number that fits into the budget, as measured by `warm_up`; without a budget no limit.
         strict_axis: whether an axisymmetric scene refuses a pose off its axis or tilted (`ForceStatus.REFUSED`),
-            instead of marking the result (`ToolForce.is_on_axis`). The tolerances are
-            `tissue_sim.tool_track.AxisTolerances`.
+            instead of marking the result (`ToolForce.is_on_axis`); tolerances: `tissue_sim.tool_track.AxisTolerances`.
         limits: of poses and time steps; see `MotionLimits`.
         path_settings: division of the path of the tool into parts, and repetition of failed parts.
 
@@ -101,8 +103,8 @@ class Simulator(ToolPathMixin, KernelOwner):
             raise InputError(f"must be 'auto', 'on' or 'off'; got {inertia!r}.", field="inertia")
         if budget is not None and not budget > 0:
             raise InputError(f"must be positive or None; got {budget:g} s.", field="budget")
-        require_enough_solves(max_solves)
-        require_realtime_experiment(model.experiment)
+        require_valid_max_solves(max_solves)
+        require_no_tilt_or_partial_slip(model.experiment)
         require_tissue_moduli(model.material)
         self.model, self.budget, self.inertia, self.tolerance = model, budget, inertia, tolerance
         self.looks_ahead, self.strict_axis, self.limits = looks_ahead, strict_axis, limits or MotionLimits()
@@ -129,11 +131,11 @@ class Simulator(ToolPathMixin, KernelOwner):
         # A rotation counts as the displacement of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
         self._largest_part = path_settings.largest_part * self._radius
-        self._wave_scale = WaveTimeAndSpeed.from_model(model, self.density)
+        self._wave_scale = ContactWaveTimeAndShearSpeed.from_model(model, self.density)
         self._error_floor = compute_negligible_force_error(model.material.mu0, self._radius)
-        self._reduced = ReducedForceFactor(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
-        # Factor of effects in reduced form on the force at the last equilibrium.
-        self._left = 1.0
+        self._reduced = ReducedForceFactor(
+            model.material.list_acting_reduced_effects(plate=model.experiment.tool.is_plate))
+        self._left = 1.0  # factor of effects in reduced form on the force at the last equilibrium
         self._solve: float | None = None  # wall time of a linear solve at warm-up, s
         self._clock, self._most = StepClock(), max_solves
         self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
@@ -146,10 +148,8 @@ class Simulator(ToolPathMixin, KernelOwner):
         self._pending, self._lingers, self._share = PendingPath(), math.inf, 1.0
         # Whether a quasi-static transition is in progress: the tool is pressed on again, and no time passes.
         self._leaps = False
-        # Whether waves that the last step did not resolve are too large a part of its force.
-        self._has_waves = False
-        # Unfinished iteration; whether an iteration may begin with an extrapolation; whether the tool may be pressed on
-        # again if no equilibrium is found.
+        self._has_waves = False  # whether waves that the last step did not resolve are too large a part of its force
+        # Unfinished iteration; whether the next may extrapolate first; whether the tool may be pressed on again.
         self._attempt: NewtonAttempt | None = None
         self._extrapolates, self._can_restart = True, not self._bonded
         self._creep: DampedPathState | None = None
@@ -172,13 +172,13 @@ class Simulator(ToolPathMixin, KernelOwner):
         """Wall time of a linear solve with its assembly, s, estimated since `warm_up`."""
         return self._clock.solve
 
-    @allow_one_thread
+    @make_single_thread_method
     def warm_up(self) -> None:
         """Compile the kernels of a step or load them from the cache, and choose the mesh; the state is kept.
 
         This takes seconds the first time on a computer; call it before the first step.
         """
-        self._compile_kernels()
+        self._compile_kernels_and_measure_solve_time()
         if self._levels:
             self._switch_to_finest_mesh_in_budget()
 
@@ -195,9 +195,9 @@ class Simulator(ToolPathMixin, KernelOwner):
             except ConvergenceError:  # the specimen has an equilibrium under its weight on finer meshes only
                 return math.inf
             made[level.resolution] = one
-            one._compile_kernels()
+            one._compile_kernels_and_measure_solve_time()
             one._stiffness_lasts = NEVER  # the static stiffness is only computed in spare time
-            tick = measure_tick_time(one, depth, lifts=not self._bonded, budget=self.budget or math.inf)
+            tick = measure_tick_time_or_infinity(one, depth, lifts=not self._bonded, budget=self.budget or math.inf)
             one.reset()
             return tick
 
@@ -210,7 +210,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         self.resolution, self.force_error = level.resolution, level.force_error
         self.restore(self._start)
 
-    def _compile_kernels(self) -> None:
+    def _compile_kernels_and_measure_solve_time(self) -> None:
         """Compile the kernels by three small steps, and restore the state."""
         saved, pose = self.save(), self._solver.pose
         x, y, z = pose.position
@@ -220,7 +220,7 @@ class Simulator(ToolPathMixin, KernelOwner):
             step = self._solver.step(replace(pose, position=(x, y, z - depth * self._radius)), 1e-3,
                                      tolerance=self.tolerance)
             spent.append((time.perf_counter() - started) / (1 + step.iterations))
-        self._clock.restart_estimate(min(spent))
+        self._clock.restart_estimate_from_solve_time(min(spent))
         self._solve = self._clock.solve
         # Stiffness with which a late first touch is extrapolated.
         touch = replace(AT_REST, stiffness=AT_REST.make_next_equilibrium(step, AT_REST.pose, 1.0, False).stiffness)
@@ -268,7 +268,7 @@ class Simulator(ToolPathMixin, KernelOwner):
             self.limits.require_valid_step(pose, tool.pose, dt)
         except LimitError:
             return self._make_refused_result(began)
-        seen = tool.without_own_rotation(pose)
+        seen = tool.remove_rotation_at_last_touch(pose)
         target = solver.project_pose(seen)
         on_axis = target is seen or is_pose_on_axis(pose, target, self._radius)
         if not on_axis and self.strict_axis:
@@ -276,7 +276,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         tick, is_behind = dt, not self._pending.is_empty
         if not tool.touch.has_touched:
             first = tool.touch.height is None or tool.touch.height <= 0.0
-            spent, is_possible = tool.register_step_before_touch(solver, pose, dt)
+            spent, is_possible = tool.register_air_step_and_place_at_touch(solver, pose, dt)
             if spent is None or not is_possible:
                 tool.pose = pose
                 status = ForceStatus.CONVERGED if is_possible else ForceStatus.STOPPED
@@ -284,14 +284,15 @@ class Simulator(ToolPathMixin, KernelOwner):
                                          compute_time=time.perf_counter() - began)
                 return self._answer
             self._begins, dt = first, spent
-            self._pose, target = tool.to_solver_pose(solver, tool.pose or pose), tool.to_solver_pose(solver, pose)
-        elif self._has_settled_without_contact:
-            in_air = self._step_tool_in_air(pose, target, dt, began)
+            self._pose, target = (tool.project_to_solver_pose_without_rotation(solver, each)
+                                  for each in (tool.pose or pose, pose))
+        elif self._is_unloaded_with_path_solved:
+            in_air = self._move_in_air_and_get_force_or_time(pose, target, dt, began)
             if isinstance(in_air, ToolForce):
                 return in_air
             dt = in_air
-            target = tool.to_solver_pose(solver, pose)
-        self._register_tool_motion(target, tick)
+            target = tool.project_to_solver_pose_without_rotation(solver, pose)
+        self._register_motion_speed_and_reversals(target, tick)
         tool.pose, self._pose = pose, target
         self._pending.append_tick(target, dt)
         answer = self._step_along_pending_path(target, tick, began, is_behind)
@@ -299,37 +300,34 @@ class Simulator(ToolPathMixin, KernelOwner):
         return self._answer
 
     def _make_refused_result(self, began: float) -> ToolForce:
-        return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
-                       compute_time=time.perf_counter() - began)
+        return replace(self._answer, status=ForceStatus.REFUSED, iterations=0, compute_time=time.perf_counter() - began)
 
-    @allow_one_thread
+    @make_single_thread_method
     def reset(self) -> None:
         """Return to the specimen before the first touch."""
         self.restore(self._start)
 
-    @allow_one_thread
+    @make_single_thread_method
     def save(self) -> SimulatorState:
         """Return the state on which the next step depends, without parameters; a damped path is restarted."""
-        self._stop_creeping()
+        self._abandon_damped_path()
         return SimulatorState(self._origin, self._solver.save(), self._answer, self._equilibrium, self._tool.copy(),
                               self._pose, self._leaps, self._pending.copy(), self._lingers, self._share, self._begins,
                               self._largest_force, self._motion_check.copy(), self._reduced.history, self.error)
 
-    @allow_one_thread
+    @make_single_thread_method
     def restore(self, state: SimulatorState) -> None:
         """Restore a saved state of this simulator or of a similar one.
 
-        The similar simulator has the same solver, mesh, experiment and structure of the material; the values of
-        parameters may differ.
+        A similar simulator has the same solver, mesh, experiment and material structure; parameter values may differ.
 
         Raises:
-            InputError: not a saved state, or one of another solver, mesh, experiment or material structure; nothing is
-                changed.
+            InputError: not a saved state, or one of another solver, mesh, experiment or material; nothing is changed.
         """
         if not isinstance(state, SimulatorState):
             raise InputError(f"must be a state that save() returned; got {type(state).__name__}.", field="state")
         self._origin.require_equal_origin(state.origin)
-        self._stop_creeping()
+        self._abandon_damped_path()
         self._solver.restore(state.solver)
         self.error, self._answer, self._equilibrium = state.error, state.answer, state.equilibrium
         self._tool, self._pose, self._leaps = state.tool.copy(), state.pose, state.leaps
@@ -338,12 +336,11 @@ class Simulator(ToolPathMixin, KernelOwner):
         self._motion_check, self._reduced.history = state.motion_check.copy(), state.history
         self._attempt, self._extrapolates, self._can_restart, self._has_waves = None, True, not self._bonded, False
 
-    @allow_one_thread
+    @make_single_thread_method
     def clone(self) -> Simulator:
         """Return an independent simulator with the same parameters at the same state.
 
-        Compiled kernels are shared, arrays are copied. Steps of one do not change the other, so that planners and tree
-        searches can try motions, also in another thread.
+        Compiled kernels are shared, arrays are copied: planners can try motions on a clone, also in another thread.
         """
         model, mesh = self._made_of
         chosen = self.resolution if mesh is None else "realtime"
@@ -358,13 +355,13 @@ class Simulator(ToolPathMixin, KernelOwner):
         other.restore(self.save())
         return other
 
-    def _stop_creeping(self) -> None:
+    def _abandon_damped_path(self) -> None:
         """Stop an unfinished damped path; the solver returns to the equilibrium at the start of the path."""
         if self._creep is not None:
             self._creep.steps.close()
             self._creep = None
 
-    @allow_one_thread
+    @make_single_thread_method
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the material; the state is kept, and the next step finds its equilibrium.
 
@@ -379,22 +376,23 @@ class Simulator(ToolPathMixin, KernelOwner):
         material = with_values(self.model.material, values)
         require_equal_layer_thicknesses(self.model.material, material)
         require_tissue_moduli(material)
-        self._stop_creeping()
+        self._abandon_damped_path()
         self._set_material(material)
 
     def _set_material(self, material: Material) -> None:
         self._solver.set_material(material)
         self.model = replace(self.model, material=material)
         history = self._reduced.history
-        self._reduced = ReducedForceFactor(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
+        self._reduced = ReducedForceFactor(
+            material.list_acting_reduced_effects(plate=self.model.experiment.tool.is_plate))
         self._reduced.history = history
 
-    @allow_one_thread
+    @make_single_thread_method
     def surface(self) -> Surface:
         """Return the surface of the tissue at the last equilibrium."""
         return self._solver.deformed_surface()
 
-    @allow_one_thread
+    @make_single_thread_method
     def snapshot(self) -> Snapshot:
         """Return a snapshot of the tissue at the last equilibrium, with its fields."""
         return snapshot(self._solver)

@@ -63,7 +63,7 @@ class LastEquilibrium:
             within = None if within is None else scale_matrix(share, within)
         if own is None:
             return LastEquilibrium(pose, wrench, self.stiffness, inertial, self.stiffness_age + 1, within,
-                               self.stiffness_time + dt)
+                                   self.stiffness_time + dt)
         return LastEquilibrium(pose, wrench, own, inertial, 0, within, step.stiffness_age)
 
     @classmethod
@@ -103,11 +103,11 @@ class DampedPathState:
     steps: Generator[Step] = field(init=False)
     _allowed: int = field(init=False, default=1)
 
-    def solves_until_yield(self) -> int:
+    def get_allowed_solves_until_yield(self) -> int:
         """Return the number of linear solves that the damped path may make until its next yield."""
         return self._allowed
 
-    def continue_with_solves(self, allowed: int) -> Step | None:
+    def get_next_step_within_solves_or_none(self, allowed: int) -> Step | None:
         """Continue the damped path with at most `allowed` linear solves.
 
         Returns:
@@ -140,7 +140,7 @@ class StateOrigin:
         """Make the origin of saved states from solver name, digest of the mesh, and model."""
         experiment = {each.name: getattr(model.experiment, each.name) for each in fields(model.experiment)
                       if each.name != "protocol"}
-        return cls(solver, mesh, repr(experiment), describe_material_structure(model.material))
+        return cls(solver, mesh, repr(experiment), format_material_structure_as_text(model.material))
 
     def require_equal_origin(self, other: StateOrigin) -> None:
         """Raise an error unless a state has the same solver, mesh, experiment and material structure.
@@ -156,19 +156,19 @@ class StateOrigin:
                                  field="state")
 
 
-def describe_material_structure(value: Any) -> str:
+def format_material_structure_as_text(value: Any) -> str:
     """Return law, effects and layers of a material as text, without numbers and names, to compare two structures."""
     if is_dataclass(value):
-        inner = [f"{each.name}={describe_material_structure(getattr(value, each.name))}" for each in fields(value)
+        inner = [f"{each.name}={format_material_structure_as_text(getattr(value, each.name))}" for each in fields(value)
                  if each.name not in ("name", "bulk", "parameters", "density", "source")]
         return f"{type(value).__name__}({', '.join(inner)})"
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key}: {describe_material_structure(entry)}" for key,
+        return "{" + ", ".join(f"{key}: {format_material_structure_as_text(entry)}" for key,
                                entry in sorted(value.items())) + "}"
     if isinstance(value, str):
         return repr(value)
     if isinstance(value, Sequence):
-        return "[" + ", ".join(map(describe_material_structure, value)) + "]"
+        return "[" + ", ".join(map(format_material_structure_as_text, value)) + "]"
     return "None" if value is None else "number" if isinstance(value, Real) else type(value).__name__
 
 

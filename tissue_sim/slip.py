@@ -7,7 +7,7 @@ from dataclasses import replace
 from tissue_sim.recording.recording import Recording
 
 
-def blend_partial_slip(held: Recording, free: Recording, share: float) -> Recording:
+def blend_bonded_and_frictionless_recordings(held: Recording, free: Recording, share: float) -> Recording:
     """Combine the recordings of bonded and frictionless faces to that of faces that slip in part.
 
     F = (1 - share) F_bonded + share F_frictionless: each part of the face carries the force that the whole face would

@@ -76,35 +76,35 @@ class Snapshot:
         """Return the arrays that differ between snapshots of one tissue; empty if the fields cannot share data."""
         if self.skin is not None:
             return (self.skin.vertices,)
-        return self.fields.arrays() if _is_shared_fields(self.fields) else ()
+        return self.fields.arrays() if _has_shared_fields_interface(self.fields) else ()
 
     def at(self, pose: Pose, datum: float, arrays: Sequence[np.ndarray]) -> Snapshot:
         """Make a snapshot of the same tissue at another equilibrium from the `arrays` of that snapshot."""
         fields, skin = self.fields, self.skin
         if skin is not None:
             skin = replace(skin, vertices=arrays[0])
-        elif _is_shared_fields(fields):
+        elif _has_shared_fields_interface(fields):
             fields = fields.with_arrays(arrays)
         return Snapshot(pose, datum, fields, skin)
 
     def material_data(self) -> dict[str, Any]:
         """Return name -> data, other than `arrays`, that change with the parameters of the material."""
-        return self.fields.material_data() if _is_shared_fields(self.fields) else {}
+        return self.fields.material_data() if _has_shared_fields_interface(self.fields) else {}
 
     def with_material(self, changed: Mapping[str, Any]) -> Snapshot:
         """Return this snapshot with the data of `material_data` of another material."""
         fields = self.fields
-        return replace(self, fields=fields.with_material(changed)) if _is_shared_fields(fields) else self
+        return replace(self, fields=fields.with_material(changed)) if _has_shared_fields_interface(fields) else self
 
 
-def _is_shared_fields(fields: Any) -> TypeGuard[SharedFields]:
+def _has_shared_fields_interface(fields: Any) -> TypeGuard[SharedFields]:
     """Return whether an object has the methods of `SharedFields`, without isinstance, which takes longer."""
     kind: Any = type(fields)
-    return _is_shared_value(kind)
+    return _class_has_shared_fields_interface(kind)
 
 
 @cache
-def _is_shared_value(kind: Any) -> bool:
+def _class_has_shared_fields_interface(kind: Any) -> bool:
     return all(hasattr(kind, name) for name in ("arrays", "with_arrays", "material_data", "with_material"))
 
 
@@ -120,7 +120,7 @@ def snapshot(solver: Solver) -> Snapshot:
     """Make a snapshot of the last committed state of a solver."""
     surface, skin = solver.deformed_surface(), None
     fields = solver.fields([solver.field_sample()])
-    if surface.outline is None and not (_is_shared_fields(fields) and _has_solid_mesh(fields)):
+    if surface.outline is None and not (_has_shared_fields_interface(fields) and _has_solid_mesh(fields)):
         vertices, triangles = surface.triangles()
         skin = TriangulatedSurface(np.asarray(vertices, dtype=float).reshape(-1, 3),
                                    np.asarray(triangles).reshape(-1, 3))

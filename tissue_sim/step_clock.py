@@ -16,7 +16,7 @@ _UNBOUNDED = 1 << 30
 
 
 @dataclass(frozen=True)
-class ClockSettings:
+class StepTimeEstimateSettings:
     """Settings of a `StepClock`; all dimensionless.
 
     Attributes:
@@ -38,7 +38,7 @@ class ClockSettings:
     least_solve_fraction: float = 0.25
 
 
-_SETTINGS = ClockSettings()
+_SETTINGS = StepTimeEstimateSettings()
 
 
 class StepClock:
@@ -53,9 +53,9 @@ class StepClock:
     """
 
     def __init__(self):
-        self.restart_estimate(1e-9)
+        self.restart_estimate_from_solve_time(1e-9)
 
-    def restart_estimate(self, solve: float) -> None:
+    def restart_estimate_from_solve_time(self, solve: float) -> None:
         """Restart the estimate from the measured time of one linear solve with its assembly, s."""
         self.fixed = self.solve = solve
         self._solves, self._time, self._variance, self._covariance = 1.0, 2.0 * solve, 0.0, 0.0
@@ -95,7 +95,7 @@ class StepClock:
         self.fixed *= 0.5
 
 
-def require_enough_solves(most: int | None) -> None:
+def require_valid_max_solves(most: int | None) -> None:
     """Raise an error if the largest number of linear solves of a step is too small for any step.
 
     Raises:
@@ -105,7 +105,7 @@ def require_enough_solves(most: int | None) -> None:
         raise InputError(f"must be an integer of at least {LEAST_SOLVES}, or None; got {most!r}.", field="max_solves")
 
 
-def count_solves_in_budget(budget: float | None, solve: float | None) -> int | None:
+def count_solves_in_budget_or_none(budget: float | None, solve: float | None) -> int | None:
     """Return the number of linear solves that fit into a time budget, at least `LEAST_SOLVES`.
 
     Args:
@@ -163,7 +163,7 @@ class StepBudget:
         self._left -= solves + answers
         self._begins = self._begins and solves == 0
 
-    def finish_parts(self) -> None:
+    def lower_time_estimate_if_nothing_begun(self) -> None:
         """End the step: no further substep fits; if no substep was begun, lower the time estimate of the clock."""
         if self._begins and self._left > 1:
             self._clock.halve_fixed_time()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.recording.recording import Recording
-from tissue_sim.rig.loading_curve import LoadingCurve
+from tissue_sim.rig.loading_curve import FirstLoadingCurveWithHistory
 
 #: Number of strips.
 _POINTS = 32
@@ -29,9 +29,9 @@ def compute_tilted_recording(recording: Recording, tilt: float, depth: np.ndarra
     """
     if not tilt:
         return recording
-    curve = LoadingCurve(recording.with_channels(displacement=depth))
+    curve = FirstLoadingCurveWithHistory(recording.with_channels(displacement=depth))
     samples = np.arange(recording.force.size, dtype=float)
-    force = sum(share * curve.solve_force_with_compliance(_compute_depth_after_lag(depth, lag), 0.0, samples)
+    force = sum(share * curve.solve_force_on_compliant_rig(_compute_depth_after_lag(depth, lag), 0.0, samples)
                 for lag, share in split_tilted_face_into_strips(tilt))
     return recording.with_channels(force=force)
 

@@ -73,7 +73,7 @@ def limit_force_of_wrench(wrench: Screw, largest: float) -> Screw:
     return wrench if force <= largest else scale_screw(largest / force, wrench)
 
 
-def compute_largest_force_change(stiffness: Matrix, length: float) -> float:
+def compute_largest_force_change_for_motion(stiffness: Matrix, length: float) -> float:
     """Return the largest change of a force component, N, for a displacement increment of the tool.
 
     Args:
@@ -100,7 +100,8 @@ class ForceStatus(IntEnum):
     - the estimated error of the force, where one is known, is at most `ERROR_SHARE` of the force, or
       `compute_negligible_force_error`;
     - where the tissue has mass, the part of the error that unresolved waves have is at most `ERROR_SHARE` of the force,
-      or `tissue_sim.wave_error.WaveTimeAndSpeed.floor`, the tool is slower than shear waves, and no wave was lost.
+      or `tissue_sim.wave_error.ContactWaveTimeAndShearSpeed.floor`, the tool is slower than shear waves, and no wave
+      was lost.
 
     The status does not depend on the age of the stiffness (`ToolForce.stiffness_age`). An unknown error is None, not 0.
     A tissue returns the first four statuses; the others are set between tissue and hand
@@ -135,7 +136,7 @@ class ForceStatus(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class PredictedForce:
+class PredictedForceOfNextStep:
     """Predicted force of the next step of a tissue with mass: wrench - stiffness m after a motion m of the tool.
 
     The next step is assumed to be as long as this one.
@@ -148,9 +149,9 @@ class PredictedForce:
     wrench: Screw
     stiffness_matrix: Matrix
 
-    def scale_force(self, share: float) -> PredictedForce:
+    def multiply_wrench_and_stiffness(self, share: float) -> PredictedForceOfNextStep:
         """Return the prediction with wrench and stiffness multiplied by a number."""
-        return PredictedForce(scale_screw(share, self.wrench), scale_matrix(share, self.stiffness_matrix))
+        return PredictedForceOfNextStep(scale_screw(share, self.wrench), scale_matrix(share, self.stiffness_matrix))
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +192,7 @@ class ToolForce:
     inertial: bool = False
     age: float = 0.0
     pose: Pose = _AT_THE_TOUCH
-    ahead: PredictedForce | None = None
+    ahead: PredictedForceOfNextStep | None = None
     step_stiffness_matrix: Matrix | None = None
     stiffness_age: float = 0.0
     force_error: float | None = None
@@ -229,18 +230,18 @@ class ToolForce:
         """Derivative of the static force along z with respect to depth, N/m."""
         return self.stiffness_matrix[2][2]
 
-    within_step = OldName("stiffness_within_step")
-    scaled = OldName("scale_force")
+    within_step = OldName("stiffness_matrix_within_step")
+    scaled = OldName("multiply_force_and_set_status")
 
     @property
-    def stiffness_within_step(self) -> Matrix:
+    def stiffness_matrix_within_step(self) -> Matrix:
         """Stiffness for a motion within this step, with the mass of the tissue if it acted."""
         return self.stiffness_matrix if self.step_stiffness_matrix is None else self.step_stiffness_matrix
 
     @property
     def step_stiffness(self) -> float:
         """Derivative of the force along z with respect to depth within this step, N/m."""
-        return self.stiffness_within_step[2][2]
+        return self.stiffness_matrix_within_step[2][2]
 
     @property
     def depth(self) -> float:
@@ -257,12 +258,12 @@ class ToolForce:
         """Torque on the tool about its deepest point, N m."""
         return self.wrench[3:]
 
-    def scale_force(self, share: float, status: ForceStatus) -> ToolForce:
+    def multiply_force_and_set_status(self, share: float, status: ForceStatus) -> ToolForce:
         """Return the result with force, torque and all stiffnesses multiplied by a number, and with another status."""
         ahead, within = self.ahead, self.step_stiffness_matrix
         return replace(
             self, wrench=scale_screw(share, self.wrench), stiffness_matrix=scale_matrix(share, self.stiffness_matrix),
-            status=status, ahead=None if ahead is None else ahead.scale_force(share),
+            status=status, ahead=None if ahead is None else ahead.multiply_wrench_and_stiffness(share),
             step_stiffness_matrix=None if within is None else scale_matrix(share, within))
 
     @property
@@ -299,7 +300,7 @@ class TouchState:
     def __init__(self, has_touched: bool = False, height: float | None = None):
         self.has_touched, self.height = has_touched, height
 
-    def register_height(self, height: float, dt: float) -> float | None:
+    def register_height_and_get_contact_time(self, height: float, dt: float) -> float | None:
         """Register the height of the tool in a step, and update whether the tool has touched the tissue.
 
         Args:
@@ -343,11 +344,11 @@ def has_touched(tissue: Tissue) -> bool:
     return bool(getattr(tissue, "has_touched", True))
 
 
-def get_depth_of_pose(pose: float | Pose) -> float:
+def get_depth_of_pose_or_number(pose: float | Pose) -> float:
     """Return the depth of a pose, m; a number is a depth and is returned unchanged."""
     return pose.depth if isinstance(pose, Pose) else float(pose)
 
 
-def convert_depth_to_pose(pose: float | Pose) -> Pose:
+def convert_depth_or_pose_to_pose(pose: float | Pose) -> Pose:
     """Return a pose unchanged, or the pose of an upright tool at a depth, m."""
     return pose if isinstance(pose, Pose) else Pose.at_depth(float(pose))

@@ -11,7 +11,7 @@ from tissue_sim.pose import (
     Quaternion,
     add_twist,
     between,
-    compute_twist_about_axis,
+    find_axis_twist_quaternion_or_none,
     motion,
     remove_twist,
     shift_pose_along_z,
@@ -68,19 +68,22 @@ class ToolTrack:
         other.is_refused = self.is_refused
         return other
 
-    def without_own_rotation(self, pose: Pose) -> Pose:
+    def remove_rotation_at_last_touch(self, pose: Pose) -> Pose:
         """Return a pose without the rotation about the tool's own axis at the last touch."""
         return pose if self.twist is None else remove_twist(pose, self.twist)
 
-    def to_solver_pose(self, solver: Solver, pose: Pose) -> Pose:
+    def project_to_solver_pose_without_rotation(self, solver: Solver, pose: Pose) -> Pose:
         """Return a pose projected to the motions of the solver, without the rotation about the tool's own axis."""
-        return solver.project_pose(self.without_own_rotation(pose))
+        return solver.project_pose(self.remove_rotation_at_last_touch(pose))
 
-    def to_simulator_pose(self, pose: Pose) -> Pose:
-        """Convert a pose of the solver to a pose as passed to the simulator; the inverse of `without_own_rotation`."""
+    def add_rotation_at_last_touch(self, pose: Pose) -> Pose:
+        """Convert a pose of the solver to a pose as passed to the simulator.
+
+        This is the inverse of `remove_rotation_at_last_touch`.
+        """
         return pose if self.twist is None else add_twist(pose, self.twist)
 
-    def register_step_before_touch(self, solver: Solver, pose: Pose, dt: float) -> tuple[float | None, bool]:
+    def register_air_step_and_place_at_touch(self, solver: Solver, pose: Pose, dt: float) -> tuple[float | None, bool]:
         """Register a step before the first touch; if the tool touches, place the tool of the solver at the touch.
 
         Args:
@@ -95,7 +98,7 @@ class ToolTrack:
         """
         before = self.touch.height
         height = solver.height_above_tissue(pose)
-        spent = self.touch.register_height(height, dt)
+        spent = self.touch.register_height_and_get_contact_time(height, dt)
         if spent is None:
             self.is_refused = False
             return None, True
@@ -106,14 +109,14 @@ class ToolTrack:
         if before is not None and before > 0.0 and self.pose is not None:
             start = between(self.pose, pose, before / (before - height))
             start = shift_pose_along_z(start, -solver.height_above_tissue(start))
-        twist = compute_twist_about_axis(start.orientation) if solver.ignores_twist else None
+        twist = find_axis_twist_quaternion_or_none(start.orientation) if solver.ignores_twist else None
         if solver.place_tool_at_first_touch(remove_twist(start, twist)):
             self.twist = twist
             return spent, True
         self.touch, self.is_refused = TouchState(False, height), True
         return spent, False
 
-    def move_to_renewed_touch(self, solver: Solver, pose: Pose) -> tuple[float, bool]:
+    def place_at_next_touch_and_get_fraction(self, solver: Solver, pose: Pose) -> tuple[float, bool]:
         """Move a tool that has lifted off to the pose where it touches again on its straight path to a pose.
 
         Args:
@@ -127,8 +130,8 @@ class ToolTrack:
         assert self.pose is not None
         until = compute_fraction_in_air(solver, self.pose, pose)
         start = between(self.pose, pose, until)
-        self.twist = compute_twist_about_axis(start.orientation) if solver.ignores_twist else None
-        return until, solver.move_to_next_touch(self.to_solver_pose(solver, start))
+        self.twist = find_axis_twist_quaternion_or_none(start.orientation) if solver.ignores_twist else None
+        return until, solver.move_to_next_touch(self.project_to_solver_pose_without_rotation(solver, start))
 
 
 def compute_fraction_in_air(solver: Solver, before: Pose, pose: Pose) -> float:
@@ -154,5 +157,5 @@ def is_pose_on_axis(pose: Pose, seen: Pose, radius: float) -> bool:
         return False
     if pose.orientation is seen.orientation:
         return True
-    untwisted = remove_twist(pose, compute_twist_about_axis(pose.orientation))
+    untwisted = remove_twist(pose, find_axis_twist_quaternion_or_none(pose.orientation))
     return math.hypot(*motion(seen, untwisted)[3:]) <= AXIS.angle

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 
 #: Standard gravity, m/s2, for forces in grams (BIPM, SI brochure).
 _G = 9.80665
@@ -75,7 +75,7 @@ def get_si_factor_and_offset(unit: str, quantity: str | None = None) -> tuple[fl
     """
     unit = find_known_unit(unit) or unit.strip()
     if unit not in UNITS:
-        raise InputError(f"unknown unit {unit!r}{suggest_known_word(unit, UNITS)}")
+        raise InputError(f"unknown unit {unit!r}{make_hint_with_similar_or_known_words(unit, UNITS)}")
     found, factor, offset = UNITS[unit]
     if quantity is not None and found != quantity:
         possible = ", ".join(name for name, entry in UNITS.items() if entry[0] == quantity)
@@ -97,22 +97,22 @@ def find_known_unit(text: str) -> str | None:
     return text if text in UNITS else None
 
 
-def find_quantity_of_unit(unit: str | None) -> str | None:
+def find_quantity_of_unit_or_none(unit: str | None) -> str | None:
     """Return the quantity of a unit, such as ``force``, or ``signal`` for volts and counts; None for an unknown unit.
 
     Examples:
-        >>> find_quantity_of_unit("kPa"), find_quantity_of_unit("mV")
+        >>> find_quantity_of_unit_or_none("kPa"), find_quantity_of_unit_or_none("mV")
         ('stress', 'signal')
     """
     name = None if unit is None else find_known_unit(unit)
     return None if name is None else UNITS[name][0]
 
 
-def get_display_unit(unit: str) -> tuple[str, float]:
+def get_display_unit_and_factor(unit: str) -> tuple[str, float]:
     """Return the unit in which values of an SI unit are displayed, and the factor from SI to it.
 
     Examples:
-        >>> get_display_unit("Pa")
+        >>> get_display_unit_and_factor("Pa")
         ('kPa', 0.001)
     """
     return _SHOWN.get(unit, (unit, 1.0))
@@ -131,15 +131,15 @@ def split_header_with_brackets(header: str) -> tuple[str, str | None]:
     return match["name"].strip(), match["unit"].strip()
 
 
-def split_free_form_header(header: str) -> tuple[str, str | None]:
+def split_header_and_known_unit(header: str) -> tuple[str, str | None]:
     """Split a header of a testing machine without brackets, such as ``'Fz, gf'``, into name and unit; None: no unit.
 
     Only a known unit is split off: ``Run_2`` and ``Position (z)`` are names without a unit.
 
     Examples:
-        >>> split_free_form_header("Weg / mm")
+        >>> split_header_and_known_unit("Weg / mm")
         ('Weg', 'mm')
-        >>> split_free_form_header("Run_2")
+        >>> split_header_and_known_unit("Run_2")
         ('Run_2', None)
     """
     name, unit = split_header_with_brackets(header)

@@ -38,7 +38,7 @@ _STANDS: Screw = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class WaveTimeAndSpeed:
+class ContactWaveTimeAndShearSpeed:
     """Time and speed of the waves under a tool.
 
     Attributes:
@@ -54,7 +54,7 @@ class WaveTimeAndSpeed:
     floor: float
 
     @classmethod
-    def from_model(cls, model: Model, density: float) -> WaveTimeAndSpeed:
+    def from_model(cls, model: Model, density: float) -> ContactWaveTimeAndShearSpeed:
         """Compute time and speed of the waves in the tissue of a model that has a density, kg/m3."""
         experiment, material = model.experiment, model.material
         shear_modulus = material.mu0
@@ -66,7 +66,7 @@ class WaveTimeAndSpeed:
         return cls(experiment.specimen.height / pressure_speed, speed, floor)
 
 
-class WaveErrorEstimator:
+class UnresolvedWaveErrorEstimator:
     """Estimate of the error of the force that is due to waves which the steps do not resolve.
 
     Attributes:
@@ -81,14 +81,14 @@ class WaveErrorEstimator:
         self._moving_momentum: Vector | None = None
         self._inertial, self._slope, self._velocity = _AT_REST, _AT_REST, _STANDS
 
-    def copy(self) -> WaveErrorEstimator:
+    def copy(self) -> UnresolvedWaveErrorEstimator:
         """Return an independent copy, for saved states."""
-        other = WaveErrorEstimator()
+        other = UnresolvedWaveErrorEstimator()
         for name in self.__slots__:
             setattr(other, name, getattr(self, name))
         return other
 
-    def register_step_without_mass(self, way: Screw | None, dt: float) -> None:
+    def reset_error_at_step_without_mass(self, way: Screw | None, dt: float) -> None:
         """Set the error to zero after a quasi-static step, in which the inertia of the tissue does not act.
 
         Args:
@@ -100,7 +100,7 @@ class WaveErrorEstimator:
         self._velocity = scale_screw(1.0 / dt, way) if way is not None and dt > 0.0 else _STANDS
 
     def register_step_with_mass(self, stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float,
-                                scale: WaveTimeAndSpeed) -> None:
+                                scale: ContactWaveTimeAndShearSpeed) -> None:
         """Update the error estimate with a step in which the inertia of the tissue acts.
 
         Args:
@@ -110,10 +110,10 @@ class WaveErrorEstimator:
             dt: time of the step, s.
             scale: time and speed of the waves under the tool.
         """
-        momentum = _compute_tissue_momentum(stiffness, step_stiffness, way, dt)
+        momentum = _compute_momentum_from_stiffnesses(stiffness, step_stiffness, way, dt)
         before = self._moving_momentum
         if before is None:
-            before = _compute_tissue_momentum(stiffness, step_stiffness, scale_screw(dt, self._velocity), dt)
+            before = _compute_momentum_from_stiffnesses(stiffness, step_stiffness, scale_screw(dt, self._velocity), dt)
         inertial = _compute_rate_of_change(momentum, before, dt)
         slope = _compute_rate_of_change(inertial, self._inertial, dt)
         # A force of a step that was shorter has lasted for the time of that step only.
@@ -126,7 +126,7 @@ class WaveErrorEstimator:
         self.is_supersonic = math.hypot(*way[:3]) >= scale.shear_speed * dt
 
 
-def _compute_tissue_momentum(stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float) -> Vector:
+def _compute_momentum_from_stiffnesses(stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float) -> Vector:
     """Compute the momentum of the tissue that moves with the tool, N s, along the three axes, from the stiffnesses."""
     x, y, z = (0.0 if own is within else dt * sum((b - a) * part for a, b, part in zip(own, within, way, strict=True))
                for own, within in zip(stiffness[:3], step_stiffness[:3], strict=True))

@@ -21,7 +21,7 @@ from benchmarks.hidden_effects.peers import best_by_bic, gaussian_process, ordin
 from benchmarks.hidden_effects.recordings import draw_scatter, write_campaign
 from benchmarks.hidden_effects.sizes import NOISE, REPLICATES, TABLE, class_of, frozen
 from benchmarks.hidden_effects.truth import PROTOCOLS, VirtualTest, plain
-from calibration.campaign_diagnosis import DiagnosisOutcome, diagnose_campaign, read_campaign_for_diagnosis
+from calibration.campaign_diagnosis import DiagnosisWithFits, diagnose_campaign, read_campaign_and_curves_for_diagnosis
 from calibration.diagnosis import proposals
 from calibration.effects.catalogue import CATALOGUE
 from calibration.fit.run_context import RunContext
@@ -162,7 +162,7 @@ def run_one(planned: Planned, digest: str = "", with_peers: bool = True) -> dict
         "catalogue": [name for name in CATALOGUE if name not in taken]}
     with tempfile.TemporaryDirectory() as folder:
         path = write_campaign(Path(folder), tests, forces, scatter, rng)
-        campaign, measured = read_campaign_for_diagnosis(path)
+        campaign, measured = read_campaign_and_curves_for_diagnosis(path)
         recorded = [(test, np.array([_on(test, curve) for curve in measured[test.name]])) for test in tests]
         try:
             with _without(taken):
@@ -186,7 +186,7 @@ def _on(test: VirtualTest, curve) -> np.ndarray:
     return np.interp(test.time, time, curve.force)
 
 
-def _said(done: DiagnosisOutcome) -> dict:
+def _said(done: DiagnosisWithFits) -> dict:
     """Return a diagnosis as a dictionary of plain values."""
     said = done.diagnosis
     weights: dict[str, float] = {}

@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 import tissue_sim as ts
 from benchmarks import ROOT
 from tissue_sim.errors import ConvergenceError
-from tissue_sim.material.parts import with_material_parameters
+from tissue_sim.material.parts import with_changed_or_added_parameters
 from tissue_sim.mesh.axisymmetric import cylinder_mesh, needle_mesh, structured_mesh, with_lines
 from tissue_sim.mesh.elements import Q9P1
 
@@ -220,7 +220,7 @@ def model_of(kind: str, time: np.ndarray, displacement: np.ndarray, values: Mapp
     others = {path: value for path, value in values.items() if "." in path}
     around = {path: value for path, value in others.items() if path.startswith("experiment.")}
     within = {path: value for path, value in others.items() if path not in around}
-    model = ts.Model(experiment, with_material_parameters(material, within) if within else material, ts.Rig())
+    model = ts.Model(experiment, with_changed_or_added_parameters(material, within) if within else material, ts.Rig())
     return ts.with_values(model, around) if around else model
 
 

@@ -13,10 +13,14 @@ import tissue_sim as ts
 from benchmarks.inputs import sample_files
 from calibration.campaign.campaign import load_campaign
 from haptics.devices.contracts import DeviceError
-from haptics.devices.settings import read_settings, read_word_settings, split_address_and_settings
+from haptics.devices.settings import (
+    read_settings,
+    read_word_settings_and_remaining_text,
+    split_address_and_settings_text,
+)
 from haptics.loop.ring import RingReader, RingWriter
 from haptics.protocols import ati_serial, grbl, haply, rdt
-from haptics.protocols.ati_calibration import read_calibration
+from haptics.protocols.ati_calibration import parse_ati_calibration
 from haptics.server import wire
 from haptics.server.commands import ConfigurationCommands
 from scenes.commands.record.protocol_file import read_protocol_file
@@ -196,32 +200,36 @@ def _of_settings(folder: Path) -> dict[str, tuple[bytes, Reader]]:
 
 def _of_devices() -> dict[str, tuple[bytes, Reader]]:
     def settings(text: str) -> Any:
-        _, rest = split_address_and_settings(text, "the port", "/dev/ttyUSB0,baud=9600")
-        words, rest = read_word_settings(rest, volts=("",), mode=("ascii", "binary"))
+        _, rest = split_address_and_settings_text(text, "the port", "/dev/ttyUSB0,baud=9600")
+        words, rest = read_word_settings_and_remaining_text(rest, volts=("",), mode=("ascii", "binary"))
         return words, read_settings(rest, rate_hz=1000.0, count=3)
 
     def haply_state(text: str) -> Any:
         try:
-            return _found(haply.decode_device_state(text))
+            return _found(haply.find_device_state_in_message(text))
         except ValueError as error:  # which its driver expects
             raise ts.InputError(str(error)) from None
 
     def grbl_line(text: str) -> Any:
-        return _found(grbl.parse_report(text) or grbl.parse_setting(text) or grbl.parse_answer(text)
-                      or grbl.parse_version(text) or grbl.parse_banner(text) or grbl.parse_jog(text))
+        return _found(grbl.parse_report_or_none(text) or grbl.parse_setting_or_none(text)
+                      or grbl.parse_answer_kind_and_number(text)
+                      or grbl.parse_version_and_date(text) or grbl.parse_banner_version_or_none(text)
+                      or grbl.parse_jog_or_none(text))
 
     def records(content: bytes) -> Any:
-        return _found(rdt.unpack_records(content) or rdt.unpack_request(content))
+        return _found(rdt.unpack_records_or_none(content) or rdt.unpack_request_or_none(content))
 
     def serial(content: bytes) -> Any:
-        return _found(ati_serial.decode_ascii_record(content) or ati_serial.decode_binary_record(content))
+        return _found(ati_serial.decode_ascii_record_or_none(content)
+                      or ati_serial.decode_binary_record_or_none(content))
 
     return {
-        "ati calibration": (CALIBRATION.encode(), lambda content: read_calibration(content, "FT1.cal")),
+        "ati calibration": (CALIBRATION.encode(), lambda content: parse_ati_calibration(content, "FT1.cal")),
         "device settings": (b"/dev/ttyUSB0,mode=binary,rate_hz=500,count=7", _text(settings)),
         "haply state": (STATE.encode(), _text(haply_state)),
         "grbl line": (b"<Hold:1|MPos:0.000,1.500,-3.250|FS:500,0|Ov:100,100,100|A:S>", _text(grbl_line)),
-        "ati record": (ati_serial.encode_ascii_record(ati_serial.AtiSerialRecord(0, (1, 2, 3, 4, 5, 6))), serial),
+        "ati record": (ati_serial.encode_ascii_record_without_ending(ati_serial.AtiSerialRecord(0, (1, 2, 3, 4, 5, 6))),
+                       serial),
         "rdt settings": (rdt.write_settings_page(rdt.BoxSettings(1e6, 1e6, rate=7000.0, product="Net")),
                          rdt.read_settings_page),
         "rdt records": (struct.pack("!3I6i", 1, 2, 0, 100, -200, 300, 4, 5, 6), records),
@@ -254,10 +262,11 @@ def _of_the_wire(folder: Path) -> dict[str, tuple[bytes, Reader]]:
             return reader.latest(), reader.since(0).records.size, reader.written, reader.ended
 
     return {
-        "request": (wire.encode_request(wire.Request(3, 0.5, (0.0, 0.0, -0.01))), wire.decode_request),
+        "request": (wire.encode_request(wire.Request(3, 0.5, (0.0, 0.0, -0.01))),
+                    wire.decode_request_without_pose_check),
         "reply": (wire.encode_reply(wire.Reply(0, 3, 0.5, force=(0.0, 0.0, 1.0))), wire.decode_reply),
         "request of version 2": (wire.encode_request(wire.Request(3, 0.5, (0.0, 0.0, -0.01), version=2)),
-                                 wire.decode_request),
+                                 wire.decode_request_without_pose_check),
         "reply of version 2": (wire.encode_reply(wire.Reply(0, 3, 0.5, force=(0.0, 0.0, 1.0), version=2)),
                                wire.decode_reply),
         "command line": (commands_sample, command),

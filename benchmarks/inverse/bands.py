@@ -24,14 +24,14 @@ import numpy as np
 import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.parameters import SHARED, CampaignParameter
+from calibration.campaign.parameters import SHARED, ScopedCampaignParameter
 from calibration.campaign_fit import ESTIMATORS
 from calibration.fit.curves import TestCurves, compute_test_curves
 from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.sensor_noise import SensorNoise
 from calibration.tasks.executors import Workers, open_tasks
-from tissue_sim.material.parts import find_material_declaration
+from tissue_sim.material.parts import find_parameter_path_and_declaration
 
 #: Specimen of the reference study.
 SPECIMEN = ts.Specimen(0.040, 0.070)
@@ -103,7 +103,8 @@ def make_campaign(case: Case) -> Campaign:
     experiment = kind.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH)) \
         if case.method == "inverse_fem" else None
     test = Test("plates", kind, SPECIMEN, (), experiment=experiment)
-    named = {path: CampaignParameter(path, find_material_declaration(path)[1], False, SHARED, ("plates",))
+    named = {path: ScopedCampaignParameter(path, find_parameter_path_and_declaration(path)[1], False, SHARED,
+                                           ("plates",))
              for path in START} \
         if case.holds else {}
     settings = FitSettings((case.law,), bulk=ts.Bulk("bulk_ratio", 1e4), method=case.method, start=case.start,
@@ -149,9 +150,9 @@ def draw_case(case: Case, rng: np.random.Generator) -> tuple[TestCurves, list[Me
         _, estimate = estimator.fit_laws([case.law], RunContext("bands", tasks))[case.law]
     if isinstance(estimate, str):
         raise RuntimeError(estimate)
-    spread = estimator.uncertainty_function(estimate.problem, estimate.evaluation)
+    spread = estimator.problem_uncertainty_function(estimate.problem, estimate.evaluation)
     tests = list(zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True))
-    curves, = compute_test_curves(estimate, spread, tests, estimator.get_replicate_jitter(estimate))
+    curves, = compute_test_curves(estimate, spread, tests, estimator.get_replicate_jitter_or_none(estimate))
     return curves, [record(100 + number) for number in range(NEW)]
 
 
@@ -163,7 +164,7 @@ def coverage(case: Case, campaigns: int, seed: int) -> tuple[float, float, float
         curves, new = draw_case(case, np.random.default_rng([seed, number]))
         at = curves.displacement if curves.time is None else curves.time
         for recording in new:
-            place = recording.displacement if curves.time is None else recording.sample_times
+            place = recording.displacement if curves.time is None else recording.required_sample_times
             force, band, all_of_it = (np.interp(place, at, values)
                                       for values in (curves.force, curves.band, curves.whole_band))
             away = np.abs(recording.force - force)

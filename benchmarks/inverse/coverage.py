@@ -54,7 +54,7 @@ from calibration.fit.trust_region import minimise_from_start
 from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.forms import ACCURATE_MESH_ERRORS
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.jitter import ContactAndForceZeroJitter
 from calibration.tasks.executors import Workers, open_tasks
 
 #: Jitter of the contact, m.
@@ -154,8 +154,8 @@ def _interval(problem: GeneralisedProblem, theta: np.ndarray, error: float, conv
 
 def _ordinary(settled: GeneralisedProblem, theta: np.ndarray) -> dict:
     """Return the interval of ordinary least squares with the same model: s^2 (J'J)^-1."""
-    problem = GeneralisedProblem(settled.space, settled.tests, settled.solves, ReplicateJitter(0.0, 0.0, None),
-                                 (0.0,) * len(settled.tests))
+    problem = GeneralisedProblem(settled.space, settled.tests, settled.solves,
+                                 ContactAndForceZeroJitter(0.0, 0.0, None), (0.0,) * len(settled.tests))
     descent = minimise_from_start(problem, theta, corrected=True)
     evaluation = problem.evaluate(descent.theta)
     freedom = problem.samples - theta.size

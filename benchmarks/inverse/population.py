@@ -15,11 +15,11 @@ import numpy as np
 import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.parameters import PER_SPECIMEN, CampaignParameter
+from calibration.campaign.parameters import PER_SPECIMEN, ScopedCampaignParameter
 from calibration.fit.curves import compute_test_curves
-from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator, fit_law_analytically
-from calibration.fit.population import estimate_specimen_population
-from calibration.fit.predictor import ForcePredictor, make_held_out_predictor
+from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator, fit_law_to_descents_and_estimate
+from calibration.fit.population import determine_population_and_left_out_specimens
+from calibration.fit.predictor import PredictionParameters, make_held_out_predictor_or_none
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.population import estimate_population
 from calibration.statistics.sensor_noise import SensorNoise
@@ -84,19 +84,20 @@ def held_out_coverage(name: str, specimens: int, rng) -> np.ndarray:
         measured[test.name] = (MeasuredCurve(test.name, test, None, way, force + rng.normal(0.0, NOISE, 61), None,
                                              Path("synthetic.csv"), "", noise=SensorNoise(NOISE)),)
     everywhere = tuple(measured)
-    named = {path: CampaignParameter(path, get_law_parameter_declaration(law, path), True, PER_SPECIMEN, everywhere)
+    named = {path: ScopedCampaignParameter(path, get_law_parameter_declaration(law, path), True, PER_SPECIMEN,
+                                           everywhere)
              for path, deviation in zip(law.parameters, spread, strict=True) if deviation}
     campaign = Campaign(Path("synthetic.toml"), {test.specimen.name: test.specimen for test in tests}, tuple(tests),
                         FitSettings((name,), named=named), Noise(NOISE), "")
     estimator = OrdinaryLeastSquaresEstimator(campaign, measured, SimulationCache())
-    _, estimate = fit_law_analytically(estimator.build_law_problem(name))
-    spread_of = estimator.uncertainty_function(estimate.problem, estimate.evaluation)
-    own = ForcePredictor.from_estimate(estimate.problem.space, estimate.theta, spread_of)
-    population = estimate_specimen_population(own.space, own.theta, own.covariance,
-                                              spread_of.standard_errors).population
+    _, estimate = fit_law_to_descents_and_estimate(estimator.build_law_problem(name))
+    spread_of = estimator.problem_uncertainty_function(estimate.problem, estimate.evaluation)
+    own = PredictionParameters.from_minimum_and_uncertainty(estimate.problem.space, estimate.theta, spread_of)
+    population = determine_population_and_left_out_specimens(own.space, own.theta, own.covariance,
+                                                             spread_of.standard_errors).population
     further = tests[specimens:]
-    predictors = {test.name: make_held_out_predictor(test, own, population) for test in further}
-    unseen = [estimator.build_held_out_test(test, estimate, own) for test in further]
+    predictors = {test.name: make_held_out_predictor_or_none(test, own, population) for test in further}
+    unseen = [estimator.build_held_out_test_and_mesh_error(test, estimate, own) for test in further]
     curves = compute_test_curves(estimate, spread_of, unseen, None, predictors)
     held = []
     for curve in curves:

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from benchmarks.motions.scenes import Scene
-from tissue_sim.pose import Pose, rotate_pose
+from tissue_sim.pose import Pose, rotate_pose_about_its_position
 
 #: Largest speed of a minimum-jerk segment over its mean speed.
 PEAK_OVER_MEAN = 1.875
@@ -55,7 +55,7 @@ class Key:
 def pose_at(values: Sequence[float] | np.ndarray) -> Pose:
     """Return the pose at x, y, z with rotations about x and y."""
     x, y, z, a, b = (float(value) for value in values)
-    return rotate_pose(Pose((x, y, z)), (a, b, 0.0))
+    return rotate_pose_about_its_position(Pose((x, y, z)), (a, b, 0.0))
 
 
 def smooth(keys: Sequence[Key], ticks: int, dt: float, top_speed: float | None) -> list[Pose]:

@@ -27,7 +27,7 @@ from benchmarks.motions.course import (
 from benchmarks.motions.inputs import bad_poses, rounded, wild_poses
 from benchmarks.motions.profiles import Key, press_keys, profile, tick_length
 from benchmarks.motions.scenes import Scene, axisymmetric_scene
-from tissue_sim.pose import Pose, rotate_pose
+from tissue_sim.pose import Pose, rotate_pose_about_its_position
 
 #: Makes a motion from a source of random numbers.
 Trap = Callable[[np.random.Generator], Motion]
@@ -51,7 +51,7 @@ def pose_with(pose: Pose, *, aside: tuple[float, float] = (0.0, 0.0), turn: tupl
               ) -> Pose:
     """Return the pose displaced laterally, m, and rotated by a rotation vector, rad."""
     x, y, z = pose.position
-    return rotate_pose(replace(pose, position=(x + aside[0], y + aside[1], z)), turn)
+    return rotate_pose_about_its_position(replace(pose, position=(x + aside[0], y + aside[1], z)), turn)
 
 
 def spun(pose: Pose, angle: float) -> Pose:
@@ -82,8 +82,8 @@ def aside_in_the_air(chance: np.random.Generator) -> Motion:
     for _ in range(int(chance.integers(3, 15))):
         away = Pose((*chance.uniform(-0.02, 0.02, 2).tolist(), float(chance.uniform(1e-3, 2e-2))))
         truth = Pose((0.0, 0.0, away.position[2]))
-        operations.append(Move(rotate_pose(away, tuple(chance.uniform(-1.0, 1.0, 3).tolist())), dt, truth,
-                               off_axis=True))
+        operations.append(Move(rotate_pose_about_its_position(away, tuple(chance.uniform(-1.0, 1.0, 3).tolist())), dt,
+                               truth, off_axis=True))
     return Motion("aside in the air", scene, (*operations, *moves(poses, dt)))
 
 
@@ -161,8 +161,8 @@ def touch_again(chance: np.random.Generator) -> Motion:
         for _ in range(int(chance.integers(1, 10))):
             away = Pose((*chance.uniform(-0.01, 0.01, 2).tolist(), float(chance.uniform(1e-3, 1e-2))))
             truth = Pose((0.0, 0.0, away.position[2]))
-            operations.append(Move(rotate_pose(away, (0.0, 0.0, float(chance.uniform(-3.0, 3.0)))), dt, truth,
-                                   off_axis=True))
+            operations.append(Move(rotate_pose_about_its_position(away, (0.0, 0.0, float(chance.uniform(-3.0, 3.0)))),
+                                   dt, truth, off_axis=True))
     return Motion("lift off and touch again", scene, tuple(operations))
 
 

@@ -145,7 +145,7 @@ def element_work(solver: AxisymmetricSolver, repeats: int) -> tuple[float, float
     for _ in range(repeats):
         # In turns, so that a busy machine slows both down alike.
         for passes in (0, 1):
-            solver.equations.counts[newton.CountIndex.PASSES] = passes
+            solver.equations.counts[newton.StepIntegerIndex.PASSES] = passes
             spent += cpu_seconds(lambda: solver.equations.solve_equilibrium(solver.depth, -1.0, 0), 1)
     empty, full = np.array(spent).reshape(-1, 2).T * 1e3
     return float(np.median(full - empty)), float(np.median(empty))

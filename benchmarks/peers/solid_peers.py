@@ -78,7 +78,7 @@ def ours(material: ts.Material, mesh: SolidMesh) -> dict:
 
 def mujoco(python: str, poisson: float, mesh: SolidMesh, seconds: float) -> dict | None:
     """Return the CPU time of a time step in MuJoCo, s, and the number of steps per depth; None without MuJoCo."""
-    corners = mesh.connectivity[:, mesh.element.corner_nodes]
+    corners = mesh.connectivity[:, mesh.element.local_corner_indices]
     cells = corners[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4)
     job = {"nodes": mesh.nodes, "tetrahedra": cells, "depths": DEPTHS,
            "base": mesh.sets["base"], "face": mesh.sets["face"], "young": 2.0 * STUDY.mu0 * (1.0 + poisson),

@@ -198,7 +198,7 @@ class EquilibriumCheck:
         self._ratios = np.array([*(layer.ratio for layer in material.layers), 1.0])[layer][:, None]
         self._held = np.zeros(mesh.nodes.shape, dtype=bool)
         self._held[mesh.sets["axis"], 0] = True
-        base = experiment.base_interface
+        base = experiment.resolved_base_interface
         self._held[mesh.sets["base"]] |= {"bonded": [True, True], "frictionless": [False, True]}.get(
             base, [False, False])
         self._on_tool = np.zeros(len(mesh.nodes), dtype=bool)
@@ -210,7 +210,7 @@ class EquilibriumCheck:
         self._edges = np.zeros((0, 3), dtype=int)
         blunt = experiment.tool.face_radius or experiment.tool.profile.rounding >= BLUNT * experiment.contact_radius
         if not experiment.tool.is_plate and blunt and experiment.friction not in ("bonded", "stick"):
-            self._edges = mesh.select_edges("top")
+            self._edges = mesh.select_edges_in_node_set("top")
             self._surface = np.setdiff1d(self._surface, mesh.sets["top"])
         self._stays = np.isin(self._surface, mesh.sets["base"])
         profile = experiment.tool.profile
@@ -231,7 +231,8 @@ class EquilibriumCheck:
         """Check a sample."""
         memory, stresses, law = solver.equations.memory, None, None
         if self.model.material.viscoelastic is not None:
-            stresses, law = memory.total_stress(), memory.stresses / self.model.material.instantaneous_factor
+            ratio = self.model.material.instantaneous_over_law_modulus_ratio
+            stresses, law = memory.compute_committed_relaxed_stress(), memory.stresses / ratio
         *_, rounding = solver.equations.settings[:7].tolist()
         self.check(solver.state, solver.depth, rounding, stresses, law)
 

@@ -119,7 +119,7 @@ def _walk(one: Description, resolution: str, clock: Clock, max_solves: int | Non
             "tick_ms": [float(np.median(spent)), float(np.percentile(spent, 99)), float(max(spent))],
             "faults": [f"{fault.check} {fault.value:.1e}" for fault in check.found.faults.values()],
             # Friction keeps what weighs where it came to lie.
-            "recovered": 0.0 if "weight" in one.extra and not isinstance(model.experiment.base_interface, str)
+            "recovered": 0.0 if "weight" in one.extra and not isinstance(model.experiment.resolved_base_interface, str)
             else _differs_from_new(model, free or simulator, resolution, one.depth),
             "apart": None if free is None else _apart(answers[:TICKS], unbounded)}
 

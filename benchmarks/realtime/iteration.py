@@ -48,7 +48,7 @@ def parts(name: str, mesh: Mesh, repeats: int) -> dict:
     """
     solver = brought_to(DEPTH, name, mesh)
     lower, counts = solver.equations.tangent(), solver.equations.counts
-    contacts = int(counts[newton.CountIndex.CONTACTS])
+    contacts = int(counts[newton.StepIntegerIndex.CONTACTS])
     # (passes, linear solves, contact edges); at a tolerance that nothing meets the state stays as it was.
     kinds = {"iteration": (1, 1, contacts), "tangent": (1, 0, contacts), "bare": (1, 0, 0), "launch": (0, 0, contacts)}
     rounds = []
@@ -56,11 +56,11 @@ def parts(name: str, mesh: Mesh, repeats: int) -> dict:
         for _ in range(repeats):
             spent = []
             for passes, solves, edges in kinds.values():
-                counts[newton.CountIndex.PASSES], counts[newton.CountIndex.CONTACTS] = passes, edges
+                counts[newton.StepIntegerIndex.PASSES], counts[newton.StepIntegerIndex.CONTACTS] = passes, edges
                 # After the first of them caches hold what belongs to it.
                 spent.append(np.median(cpu_seconds(lambda solves=solves: solver.step(
                     DEPTH + WAY, DT, tolerance=-1.0, max_iterations=solves), 8)[1:]))
-            counts[newton.CountIndex.PASSES], counts[newton.CountIndex.CONTACTS] = 1, contacts
+            counts[newton.StepIntegerIndex.PASSES], counts[newton.StepIntegerIndex.CONTACTS] = 1, contacts
             alone, both = (against_lapack(name, lower, 5, solve=solve) for solve in (False, True))
             rounds.append([*1e3 * np.array(spent), alone["ours_ms"], both["ours_ms"], alone["lapack_ms"]])
     rounds = np.array(rounds)

@@ -24,7 +24,7 @@ import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
 from haptics.loop.bulk_link import DelayedBulk
 from haptics.loop.multirate import MultiRateTissue
-from tissue_sim.fem.linear.sparse import SparseSolver, sparse_library_name
+from tissue_sim.fem.linear.sparse import SparseSolver, get_pardiso_or_scipy_name
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation
 from tissue_sim.fem.solver import StepStatus
@@ -80,22 +80,22 @@ def condensation(size: int, repeats: int) -> dict:
     bulk = SolidLinearisation(make_solver(MODEL, mesh=mesh_of(size)))
     solver, sparse = bulk._solver, SparseSolver()
     solver.step(Pose((0.0, 0.0, -1e-3)), tolerance=1e-6, max_iterations=40)
-    assemble = cpu(solver._assemble_forces_and_tangent, repeats)
+    assemble = cpu(solver._update_assembled_forces_and_tangent, repeats)
     solver._matrix.add_contact_stiffness(0.0 * solver.contact.rates)
     matrix = solver._matrix.free
     near = np.argsort(bulk._compute_gaps(Pose((0.0, 0.0, -1e-3))))
     near = near[np.isin(near, bulk._meets)]
     row = {"freedoms": matrix.shape[0], "assembly": assemble}
     for name, symmetric in (("factor", True), ("not symmetric", False)):
-        sparse.factorise(matrix, symmetric=symmetric)
-        row[name] = cpu(lambda s=symmetric: sparse.factorise(matrix, symmetric=s), repeats)
+        sparse.factorise_or_none(matrix, symmetric=symmetric)
+        row[name] = cpu(lambda s=symmetric: sparse.factorise_or_none(matrix, symmetric=s), repeats)
     for nodes in (100, near.size):
         interface = np.sort(bulk._equations[near[:nodes]].ravel())
         began = time.process_time()
-        sparse.factorise_condensed(matrix, interface)
+        sparse.factorise_condensed_or_none(matrix, interface)
         name = "100 nodes" if nodes == 100 else "all"
         row[f"first, {name}"] = time.process_time() - began
-        row[f"condensed, {name}"] = cpu(lambda i=interface: sparse.factorise_condensed(matrix, i), repeats)
+        row[f"condensed, {name}"] = cpu(lambda i=interface: sparse.factorise_condensed_or_none(matrix, i), repeats)
     return row | {"nodes": near.size, "iterate": iterate(size)}
 
 
@@ -162,8 +162,8 @@ def main() -> None:
     for size in options.sizes[:1] if options.quick else options.sizes:
         exact = synchronous(size, poses)
         rows += [two_rates(size, *delays, poses, exact) for delays in DELAYS]
-    show(about("multirate", ("pypardiso",) if sparse_library_name() == "pardiso" else ()) | {
-        "library": sparse_library_name(), "costs_s": costs, "drag": rows}, draw, as_json=options.json)
+    show(about("multirate", ("pypardiso",) if get_pardiso_or_scipy_name() == "pardiso" else ()) | {
+        "library": get_pardiso_or_scipy_name(), "costs_s": costs, "drag": rows}, draw, as_json=options.json)
 
 
 def draw(result: dict, console) -> None:
@@ -172,7 +172,7 @@ def draw(result: dict, console) -> None:
         [f"{value:.0f}" if name in ("freedoms", "nodes") else f"{1e3 * value:.1f}" for name, value in row.items()]
         for row in costs])
     table(console, "errors in %, times in CPU ms, steps in N", list(rows[0]),
-               [[_shown(name, value) for name, value in row.items()] for row in rows])
+          [[_shown(name, value) for name, value in row.items()] for row in rows])
 
 
 def _shown(name: str, value: float | None) -> str:

@@ -29,7 +29,7 @@ import tissue_sim as ts
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.reduction import reduce_solid
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.pose import rotate_pose
+from tissue_sim.pose import rotate_pose_about_its_position
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
 #: Length of a tick, s.
@@ -64,7 +64,7 @@ def walk(box: ts.PoseBox, start: ts.Pose, seconds: float, seed: int, holds: bool
     depth = smooth(0.0 if holds else -0.2 * box.depth, box.depth, 0.03)
     angles = np.stack([smooth(-box.turn, box.turn, 1.0) for _ in range(3)], axis=1) / math.sqrt(3.0)
     x0, y0, z0 = start.position
-    return [rotate_pose(ts.Pose((x0 + a, y0 + b, z0 - d), start.orientation), tuple(turn.tolist()))
+    return [rotate_pose_about_its_position(ts.Pose((x0 + a, y0 + b, z0 - d), start.orientation), tuple(turn.tolist()))
             for a, b, d, turn in zip(x, y, depth, angles, strict=True)]
 
 

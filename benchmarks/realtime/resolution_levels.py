@@ -21,8 +21,8 @@ import numpy as np
 
 import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
-from tissue_sim.fem.axisymmetric.resolutions import list_realtime_levels
-from tissue_sim.realtime_ladder import measure_tick_time
+from tissue_sim.fem.axisymmetric.resolutions import list_realtime_levels_finest_first
+from tissue_sim.realtime_ladder import measure_tick_time_or_infinity
 
 SPECIMEN = ts.Specimen(0.040, 0.070)
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
@@ -62,14 +62,14 @@ def measure(kind: str, name: str, overrides: dict, repeats: int) -> list[dict]:
     seen = protocol.displacement >= SHALLOWEST
     exact = _force(model, "accurate")
     rows = []
-    for level in list_realtime_levels(model.experiment):
+    for level in list_realtime_levels_finest_first(model.experiment):
         force = _force(model, level.resolution)
         reached = seen[: force.size]
         simulator = ts.Simulator(model, resolution=level.resolution, inertia="on")
         simulator.warm_up()
         ticks = []
         for _ in range(repeats):
-            ticks.append(measure_tick_time(simulator, deepest, lifts=model.experiment.friction != "bonded"))
+            ticks.append(measure_tick_time_or_infinity(simulator, deepest, lifts=model.experiment.friction != "bonded"))
             simulator.reset()
         rows.append({"kind": kind, "test": name, "resolution": level.resolution,
                      "elements": len(simulator.mesh.connectivity), "stated": level.force_error,

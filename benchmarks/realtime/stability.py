@@ -23,7 +23,7 @@ import tissue_sim as ts
 from haptics.devices.contracts import AxialMotion
 from haptics.devices.virtual.delayed_hand import DelayedHand
 from haptics.devices.virtual.hand import VirtualHand
-from haptics.loop.stability import measure_oscillation_amplitude, simulate_device_depths
+from haptics.loop.stability import measure_sustained_peak_to_peak, simulate_device_depths
 from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
@@ -123,7 +123,7 @@ def run(trial: Trial, tissue, rest: float) -> float:
     jitter, loss = LINES[trial.line]
     line = DelayedHand(hand, trial.delay, jitter, loss, seed=1)
     depths = simulate_device_depths(tissue, line, rendering_of(trial.control), SECONDS, TICK)
-    return measure_oscillation_amplitude(depths, TICK)
+    return measure_sustained_peak_to_peak(depths, TICK)
 
 
 def boundary(stable: list[bool], delays: tuple[float, ...]) -> float | None:

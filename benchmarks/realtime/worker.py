@@ -12,7 +12,7 @@ import sys
 import time
 
 from benchmarks.realtime.ticks import cases, drive
-from haptics.loop.loop import read_peak_memory
+from haptics.loop.loop import read_peak_memory_bytes_or_none
 
 
 def run_process() -> None:
@@ -23,7 +23,7 @@ def run_process() -> None:
     steps, began, used = 0, time.perf_counter(), time.process_time()
     while time.perf_counter() - began < seconds:
         steps += len(drive(simulator).force)
-    peak = read_peak_memory()
+    peak = read_peak_memory_bytes_or_none()
     print(json.dumps({"steps": steps, "wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - used,
                       "peak_memory_MB": None if peak is None else peak / 1e6}), flush=True)
 

@@ -9,7 +9,7 @@ import numpy as np
 import tissue_sim as ts
 from scenes.commands import serve
 from scenes.commands.shared.experiment_flags import make_experiment_from_flags, make_protocol_from_flags
-from scenes.commands.shared.parsing import CommandParser
+from scenes.commands.shared.parsing import InputErrorArgumentParser
 
 LAW = {"C10": 1404.9, "C20": 699.4}
 MATERIAL = ts.Material("reduced_polynomial_2", LAW, ts.Bulk("bulk_ratio", 1e4), density=1040.0,
@@ -34,7 +34,7 @@ def draw(rng: np.random.Generator, material: Path) -> tuple[list[str], float]:
 
 def model_of(flags: list[str]) -> ts.Model:
     """Return the model that `serve` builds from these flags."""
-    parser = CommandParser(prog="soak")
+    parser = InputErrorArgumentParser(prog="soak")
     serve.add_arguments(parser)
     arguments = parser.parse_args(flags)
     return ts.Model(make_experiment_from_flags(arguments, make_protocol_from_flags(arguments), MATERIAL), MATERIAL)

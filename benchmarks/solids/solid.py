@@ -26,7 +26,7 @@ import numpy as np
 
 import tissue_sim as ts
 from benchmarks.peers.felupe_problem import reduced_polynomial
-from tissue_sim.fem.linear.sparse import SparseSolver, factorise, sparse_library_name
+from tissue_sim.fem.linear.sparse import SparseSolver, factorise_or_none, get_pardiso_or_scipy_name
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
@@ -79,17 +79,17 @@ def ours(mesh: SolidMesh) -> tuple[SolidSolver, dict]:
     if step.status is not StepStatus.CONVERGED:
         raise SystemExit(f"ours: {step.status.message}")
     free = solver._matrix.free
-    assembly = timed(solver._assemble_forces_and_tangent)
+    assembly = timed(solver._update_assembled_forces_and_tangent)
     solver._matrix.add_contact_stiffness(solver.contact.rates)
     factors = []
 
     def factor() -> None:
-        factors[:] = [factorise(free, symmetric=True)]
+        factors[:] = [factorise_or_none(free, symmetric=True)]
 
     factorisation = timed(factor, 2)
     most, kept = memory() - before, SparseSolver()
-    kept.factorise(free, symmetric=True)
-    refactorisation = timed(lambda: kept.factorise(free, symmetric=True))
+    kept.factorise_or_none(free, symmetric=True)
+    refactorisation = timed(lambda: kept.factorise_or_none(free, symmetric=True))
     solution = timed(lambda: factors[0].solve(np.ones(free.shape[0])))
     return solver, {
         "freedoms": int(free.shape[0]), "elements": len(mesh.connectivity), "entries": int(free.nnz),
@@ -168,7 +168,7 @@ class _OurSolution:
             self._pattern = taken.indices.astype(np.int32), taken.indptr.astype(np.int32)
         same = sparse.csc_array((taken.data, *self._pattern), shape=taken.shape)
         same.indices, same.indptr = self._pattern
-        factor = self._solver.factorise(same, symmetric=True)
+        factor = self._solver.factorise_or_none(same, symmetric=True)
         assert factor is not None
         return factor.solve(np.asarray(right).ravel())
 
@@ -180,7 +180,7 @@ def peer(mesh: SolidMesh, expected: float) -> dict:
     if abs(force / expected - 1.0) > 1e-6:
         raise SystemExit(f"FElupe finds {force:.8g} N where ours has {expected:.8g} N")
     began = time.process_time()
-    if sparse_library_name() == "pardiso":
+    if get_pardiso_or_scipy_name() == "pardiso":
         from pypardiso import spsolve
 
         # As its manual has it: the matrix is not said to be symmetric.
@@ -214,7 +214,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
     about = {"machine": platform.processor() or platform.machine(), "python": sys.version.split()[0],
-             "tissue_sim": ts.__version__, "felupe": fem.__version__, "linear_solver": sparse_library_name()}
+             "tissue_sim": ts.__version__, "felupe": fem.__version__, "linear_solver": get_pardiso_or_scipy_name()}
     print(json.dumps(about), flush=True)
     # Compile and load everything once.
     ours(create_needle_mesh(0.04, 0.07, 8e-3, ELEMENTS[asked.element], smallest=6e-3, growth=3.0, largest=40e-3,

@@ -28,7 +28,7 @@ from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.axisymmetric import growing_line
 from tissue_sim.mesh.hexahedra import HEX27P1
-from tissue_sim.mesh.solid import SolidMesh, create_block_mesh, create_cylinder_mesh, create_needle_mesh
+from tissue_sim.mesh.solid import SolidMesh, create_block_mesh_from_boundaries, create_cylinder_mesh, create_needle_mesh
 from tissue_sim.pose import Pose
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
@@ -133,7 +133,7 @@ class Mindlin:
         half = np.concatenate([inner, outer])
         line = np.concatenate([-half[:0:-1], half])
         down = growing_line(far * a, size, 3.0, far * a)
-        self.mesh = create_block_mesh(line, half, -down[::-1], HEX27P1)
+        self.mesh = create_block_mesh_from_boundaries(line, half, -down[::-1], HEX27P1)
         self.mesh.sets["mirror"] = np.flatnonzero(np.abs(self.mesh.nodes[:, 1]) < 1e-9 * a)
         self.mu, self.modulus = mu, 2e3
         material = ts.Material("neo_hooke", {"C10": 0.5 * self.modulus}, ts.Bulk("bulk_ratio", self.RATIO))

@@ -30,12 +30,12 @@ from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
 from scenes.viewer.frame import Phase, PlotCurves, SessionFrame
 from scenes.viewer.page import Page
 from scenes.viewer.scene import Scene
-from scenes.viewer.solid_body import SolidBody
+from scenes.viewer.solid_body import ThreeDimensionalMeshBody
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
-from tissue_sim.mesh.solid import create_block_mesh
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
@@ -59,7 +59,7 @@ class NoSession:
 def block(element: Hexahedron) -> SolidFields:
     """Return the fields of a block at rest."""
     line = np.linspace(-0.5 * EDGE, 0.5 * EDGE, CELLS[element] + 1)
-    mesh = create_block_mesh(line, line, line - 0.5 * EDGE, element)
+    mesh = create_block_mesh_from_boundaries(line, line, line - 0.5 * EDGE, element)
     batches, count = ElementBatches(mesh), len(mesh.connectivity)
     return SolidFields(mesh, MATERIAL, 3e7, np.zeros((1, len(mesh.nodes), 3)),
                        np.zeros((1, count, element.pressure_modes)), *batches.point_gradients_and_modes,
@@ -112,7 +112,7 @@ def measure(element: Hexahedron, frames: int) -> dict:
                 began = time.process_time()
                 reader.latest()
                 taking.append(time.process_time() - began)
-    surface = np.unique(SolidBody.from_mesh(fields.mesh).nodes).size
+    surface = np.unique(ThreeDimensionalMeshBody.from_mesh(fields.mesh).nodes).size
     return {"element": element.name, "elements": len(fields.mesh.connectivity), "surface_nodes": int(surface),
             "frames": frames, "frame_ms": 1e3 * statistics.median(spent), "frame_max_ms": 1e3 * max(spent),
             "kB_a_frame": received / 1e3 / frames, "publish_ms": 1e3 * statistics.median(publishing),

@@ -33,9 +33,9 @@ import tissue_sim as ts
 from benchmarks.viewer.client import readouts_in
 from benchmarks.viewer.ticks import MOTION, SETTLING, SPEED, STANDING, TEST, TickCount, peak_memory
 from haptics.loop.ring import RingReader
-from scenes.viewer.cut_away import HalfSection
+from scenes.viewer.cut_away import TriangulatedHalfSection
 from scenes.viewer.frame import FrameViewer, NullViewer, Phase, SessionFrame
-from scenes.viewer.measurement import build_measurement
+from scenes.viewer.measurement import build_measurement_from_replicates
 from scenes.viewer.page import Page
 from scenes.viewer.page.readouts import readouts_html
 from scenes.viewer.scene import Scene
@@ -77,9 +77,10 @@ class Stopwatch:
         solid = scenes.viewer.page.solid
         Fields.at_points = self.timed("fields", Fields.at_points)
         bodies = scenes.viewer.bodies
-        bodies.extrapolate_to_nodes = self.timed("fields", bodies.extrapolate_to_nodes)
-        solid.compute_colour_range = self.timed("fields", solid.compute_colour_range)
-        HalfSection.compute_band_surfaces = self.timed("bands", HalfSection.compute_band_surfaces)
+        bodies.extrapolate_to_nodes_and_average = self.timed("fields", bodies.extrapolate_to_nodes_and_average)
+        solid.compute_field_quantile_range = self.timed("fields", solid.compute_field_quantile_range)
+        TriangulatedHalfSection.compute_band_surfaces = self.timed("bands",
+                                                                   TriangulatedHalfSection.compute_band_surfaces)
         page._update_texts_and_controls = self.timed("words", page._update_texts_and_controls)
         page.show, session.frame = self.timed("show", page.show), self.timed("frame", session.frame)
 
@@ -117,7 +118,8 @@ def study() -> Scene:
                                {}, {"name": f"needle_{number}", "kind": NEEDLE.name}) for number in range(REPLICATES)]
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
                            density=1040.0)
-    return Scene(NEEDLE, experiment, material, measurements={NEEDLE.name: build_measurement(recordings)})
+    return Scene(NEEDLE, experiment, material,
+                 measurements={NEEDLE.name: build_measurement_from_replicates(recordings)})
 
 
 def began_at(ring: RingReader) -> float:

@@ -14,21 +14,25 @@ from calibration.campaign.checks import (
     check_bulk_ratio,
     check_parameter_numbers,
     find_recording_files,
-    read_column_map,
-    reject_keys_without_effect,
-    require_analytical_support,
-    require_closed_form_support,
-    require_positive,
+    read_column_map_or_none,
+    reject_fit_and_noise_keys_without_effect,
+    require_analytical_support_of_fit_table,
+    require_analytical_support_of_test_table,
+    require_positive_or_none,
 )
-from calibration.campaign.experiments import read_experiment, read_rig_without_noise, read_solver
+from calibration.campaign.experiments import (
+    read_experiment_or_none_if_gripped,
+    read_rig_without_noise,
+    read_solver_name,
+)
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameters import (
     PER_SPECIMEN,
-    CampaignParameter,
-    build_stated_material,
-    check_stated_values,
-    list_rig_and_experiment_parameters,
-    resolve_parameter_names,
+    ScopedCampaignParameter,
+    build_neo_hookean_with_stated_effects,
+    check_stated_bounds_and_completeness,
+    get_experiment_and_rig_declarations_by_path,
+    resolve_campaign_parameters_by_name,
 )
 from calibration.campaign.schema import (
     BY_PARAMETER,
@@ -37,13 +41,13 @@ from calibration.campaign.schema import (
     FitTable,
     NoiseTable,
     TestTable,
-    decode_campaign_file,
+    decode_campaign_tables_bytes_and_defaults,
 )
-from calibration.campaign.specimens import find_specimen, read_specimens
-from tissue_sim.errors import InputError, add_location_to_errors, suggest_known_word
+from calibration.campaign.specimens import find_suitable_specimen_or_none, read_specimens_by_name
+from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.recording.formats.column_options import validate_decimal_mark, validate_delimiter
@@ -58,7 +62,7 @@ MAX_STARTS = 1000
 
 def _freeze_mapping(values: Mapping | None = None) -> Mapping:
     """Return a read-only copy of a mapping; an empty mapping for None."""
-    return make_read_only_copy(values or {})
+    return make_shallow_read_only_copy(values or {})
 
 
 @dataclass(frozen=True)
@@ -139,21 +143,21 @@ class FitSettings:
     starts: int = DEFAULT_STARTS
     method: str = "analytical"
     whole: bool = False
-    named: Mapping[str, CampaignParameter] = field(default_factory=_freeze_mapping)
+    named: Mapping[str, ScopedCampaignParameter] = field(default_factory=_freeze_mapping)
     start: Mapping[str, float] = field(default_factory=_freeze_mapping)
     fixed: Mapping[str, float] = field(default_factory=_freeze_mapping)
     prior: Mapping[str, tuple[float, float]] = field(default_factory=_freeze_mapping)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=_freeze_mapping)
 
     @property
-    def non_law_paths(self) -> tuple[str, ...]:
+    def stated_non_law_paths(self) -> tuple[str, ...]:
         """Paths of the parameters in `start` or `fixed` that are not parameters of a law."""
         return tuple(path for path in (*self.start, *self.fixed) if path in self.named and not self.named[path].of_law)
 
     @property
-    def placeholder_material(self) -> Material:
+    def neo_hookean_material_with_effects(self) -> Material:
         """Neo-Hookean material with the effects that the campaign names, to query memory and layers; not for forces."""
-        return build_stated_material({**self.start, **self.fixed}, self.named)
+        return build_neo_hookean_with_stated_effects({**self.start, **self.fixed}, self.named)
 
 
 @dataclass(frozen=True)
@@ -219,31 +223,29 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
         InputError: the file is invalid; the error states the file and the dotted field.
     """
     path = Path(path)
-    table, data, defaults = decode_campaign_file(path)
+    table, data, defaults = decode_campaign_tables_bytes_and_defaults(path)
     try:
-        with add_location_to_errors(file=path):
+        with located_and_converted_errors(file=path):
             if table.questions:
                 first = table.questions[0].partition("?")[0]
                 raise InputError(f"{first}? Import again with the flag that answers the question, or delete this key "
                                  "to accept the assumed values", field="questions")
-            tests = _read_tests(table, specimens := read_specimens(table, path.parent), path.parent, planned)
-            prisms = frozenset(name for name, entry in zip(specimens, table.specimen, strict=True)
-                               if entry.shape == PRISM)
+            tests = _read_tests(table, specimens := read_specimens_by_name(table, path.parent), path.parent, planned)
+            prisms = frozenset(key for key, each in zip(specimens, table.specimen, strict=True) if each.shape == PRISM)
             return Campaign(path, _freeze_mapping(specimens), tests, _read_fit_settings(table.fit, table.noise, tests),
-                            _read_noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(),
-                            _find_common_density(tests), prisms)
+                            _convert_noise_table_to_si(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(),
+                            _find_common_fitted_density_or_none(tests), prisms)
     except InputError as error:
-        raise defaults.add_error_location(error, path) from None
+        raise defaults.make_error_with_file_and_field(error, path) from None
 
 
-def _find_common_density(tests: tuple[Test, ...]) -> float | None:
+def _find_common_fitted_density_or_none(tests: tuple[Test, ...]) -> float | None:
     """Return the density of all fitted specimens, kg/m3; None if unknown or if it differs between them."""
     fitted = {None if test.specimen is None else test.specimen.density for test in tests if not test.hold_out}
     return fitted.pop() if len(fitted) == 1 else None
 
 
-def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path,
-                planned: bool) -> tuple[Test, ...]:
+def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], root: Path, planned: bool) -> tuple[Test, ...]:
     """Check the tables ``[[test]]`` and return the tests with the paths of their recordings and their experiments."""
     if not table.test:
         raise InputError("test must contain at least one table; got none. Add a [[test]].", field="test")
@@ -255,12 +257,12 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder:
         if name in tests:
             raise InputError(f"names of tests must be unique; got {name!r} twice", field=f"{field}.name")
         if table.fit.method == "analytical":
-            require_analytical_support(entry, field)
+            require_analytical_support_of_test_table(entry, field)
         elif entry.protocol is not None and not planned:
             raise InputError("protocol must be absent in a test with recordings, which uses the recorded motion. Leave "
                              "out the protocol.", field=f"{field}.protocol")
-        require_positive(entry.speed_mm_s, f"{field}.speed_mm_s", " mm/s")
-        require_positive(entry.max_strain, f"{field}.max_strain")
+        require_positive_or_none(entry.speed_mm_s, f"{field}.speed_mm_s", " mm/s")
+        require_positive_or_none(entry.max_strain, f"{field}.max_strain")
         kind = KINDS[entry.kind]
         if entry.max_strain is not None and kind.sign < 0 and entry.max_strain >= 1:
             raise InputError(f"max_strain must be below 1 in compression; got {entry.max_strain:g}",
@@ -278,15 +280,16 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder:
             validate_delimiter(entry.delimiter, f"{field}.delimiter")
         if entry.decimal is not None:
             validate_decimal_mark(entry.decimal, f"{field}.decimal")
-        specimen = find_specimen(entry, specimens, table, field)
+        specimen = find_suitable_specimen_or_none(entry, specimens, table, field)
         tests[name] = Test(
             name, kind, specimen, () if entry.protocol is not None and not entry.recordings else
-            find_recording_files(entry.recordings, folder, f"{field}.recordings"),
-            _make_reading_options(entry, read_column_map(entry, field)), entry.max_strain, entry.hold_out, field,
-            read_experiment(entry, specimen, folder, field), read_rig_without_noise(entry, folder, field),
+            find_recording_files(entry.recordings, root, f"{field}.recordings"),
+            _make_reader_keyword_arguments(entry, read_column_map_or_none(entry, field)), entry.max_strain,
+            entry.hold_out, field, read_experiment_or_none_if_gripped(entry, specimen, root, field),
+            read_rig_without_noise(entry, root, field),
             entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol,
-            read_solver(entry, specimen, field), _read_omitted_sample_numbers(entry, f"{field}.leave_out"),
-                           entry.control)
+            read_solver_name(entry, specimen, field), _read_omitted_sample_numbers(entry, f"{field}.leave_out"),
+            entry.control)
     if all(test.hold_out for test in tests.values()):
         raise InputError("at least one test must be fitted, but all are held out; set hold_out = false for one",
                          field="test[0].hold_out")
@@ -307,7 +310,7 @@ def _read_omitted_sample_numbers(entry: TestTable, field: str) -> Mapping[str, t
     return _freeze_mapping({name: tuple(samples) for name, samples in by_name.items()})
 
 
-def _make_reading_options(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str, Any]:
+def _make_reader_keyword_arguments(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str, Any]:
     """Return the keyword arguments of `tissue_sim.read_recordings` that a test table states, SI."""
     stated = {"columns": columns, "skip_lines": entry.skip_lines, "delimiter": entry.delimiter, "sheet": entry.sheet,
               "curve": entry.curve, "decimal": entry.decimal,
@@ -322,24 +325,24 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
         raise InputError(f"laws must list at least one law; known laws: {', '.join(LAWS)}", field="fit.laws")
     for i, name in enumerate(table.laws):
         if name not in LAWS:
-            raise InputError(f"unknown law {name!r}{suggest_known_word(name, LAWS)}", field=f"fit.laws[{i}]")
+            raise InputError(f"unknown law {name!r}{make_hint_with_similar_or_known_words(name, LAWS)}",
+                             field=f"fit.laws[{i}]")
         if name in table.laws[:i]:
             raise InputError(f"{name} is listed twice", field=f"fit.laws[{i}]")
     for key in ("bulk_ratio", "offset_bounds_mm", "offset_prior_mm", "zero_bounds_N", "zero_prior_N"):
-        require_positive(getattr(table, key), f"fit.{key}")
+        require_positive_or_none(getattr(table, key), f"fit.{key}")
     check_bulk_ratio(table.bulk_ratio)
     if table.strain_points is not None and table.strain_points < 5:
         raise InputError(f"strain_points must be at least 5; got {table.strain_points}", field="fit.strain_points")
     if table.starts is not None and not 1 <= table.starts <= MAX_STARTS:
         raise InputError(f"starts must be 1 to {MAX_STARTS}; got {table.starts}", field="fit.starts")
-    reject_keys_without_effect(table, noise)
+    reject_fit_and_noise_keys_without_effect(table, noise)
     check_parameter_numbers(table)
-    around = {test.name: list_rig_and_experiment_parameters(None if test.specimen is None else test.experiment,
-                                                            test.rig)
-              for test in tests}
-    named = resolve_parameter_names(table, around,
-                       {test.name: () if test.specimen is None else test.specimen.region_names for test in tests})
-    check_stated_values(table, named)
+    around = {test.name: get_experiment_and_rig_declarations_by_path(
+        None if test.specimen is None else test.experiment, test.rig) for test in tests}
+    regions = {test.name: () if test.specimen is None else test.specimen.region_names for test in tests}
+    named = resolve_campaign_parameters_by_name(table, around, regions)
+    check_stated_bounds_and_completeness(table, named)
     for name, parameter in named.items():
         bare = [test.name for test in tests
                 if test.specimen is None and not test.hold_out and test.name in parameter.tests]
@@ -347,7 +350,7 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
             raise InputError(f"the scope 'per_specimen' requires a specimen in each test; {', '.join(bare)} has none. "
                              "Add a [[specimen]], or use the scope 'per_test'", field=f"fit.scope.{name}")
     if table.method == "analytical":
-        require_closed_form_support(table, named)
+        require_analytical_support_of_fit_table(table, named)
     by_path = {parameter.path: parameter for parameter in named.values()}
     start, fixed, prior, bounds = (
         {named[name].path: tuple(factor * end for end in value) if isinstance(value, tuple) else factor * value
@@ -363,17 +366,16 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
         laws=tuple(table.laws), bulk=Bulk() if table.bulk_ratio is None else Bulk("bulk_ratio", table.bulk_ratio),
         offset=table.offset, offset_prior=offset_prior or OFFSET_DEFAULTS.contact_prior, offset_usual=usual,
         offset_bound=OFFSET_DEFAULTS.contact_bound if table.offset_bounds_mm is None else table.offset_bounds_mm * 1e-3,
-        zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points,
-        starts=table.starts or DEFAULT_STARTS, method=table.method,
-        named=_freeze_mapping(by_path), start=_freeze_mapping(start), fixed=_freeze_mapping(fixed),
-        prior=_freeze_mapping(prior), bounds=_freeze_mapping(bounds))
+        zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points, method=table.method,
+        starts=table.starts or DEFAULT_STARTS, named=_freeze_mapping(by_path), start=_freeze_mapping(start),
+        fixed=_freeze_mapping(fixed), prior=_freeze_mapping(prior), bounds=_freeze_mapping(bounds))
 
 
-def _read_noise(table: NoiseTable, method: str) -> Noise:
+def _convert_noise_table_to_si(table: NoiseTable, method: str) -> Noise:
     """Convert the table ``[noise]`` to SI units and check it."""
     for key in ("force_N", "nominal_stress_Pa"):
         value = getattr(table, key)
-        require_positive(None if value == "estimate" else value, f"noise.{key}")
+        require_positive_or_none(None if value == "estimate" else value, f"noise.{key}")
     known: dict[str, float | None] = {}
     for key in ("contact_jitter_mm", "zero_jitter_N", "correlation_time_s"):
         value = getattr(table, key)
@@ -390,8 +392,7 @@ def _read_noise(table: NoiseTable, method: str) -> Noise:
         if value not in (None, "estimate") and not (np.isfinite(value) and value >= 0):
             raise InputError(f"{key} must be at least 0 and finite; got {value:g}", field=f"noise.{key}")
     contact = known["contact_jitter_mm"]
-    return Noise(
-        force=None if table.force_N == "estimate" else table.force_N,
-        nominal_stress=None if table.nominal_stress_Pa == "estimate" else table.nominal_stress_Pa,
-        contact_jitter=None if contact is None else contact * 1e-3, zero_jitter=known["zero_jitter_N"],
-        correlation_time=known["correlation_time_s"])
+    return Noise(force=None if table.force_N == "estimate" else table.force_N,
+                 nominal_stress=None if table.nominal_stress_Pa == "estimate" else table.nominal_stress_Pa,
+                 contact_jitter=None if contact is None else contact * 1e-3, zero_jitter=known["zero_jitter_N"],
+                 correlation_time=known["correlation_time_s"])

@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from calibration.campaign.parameters import CampaignParameter
+from calibration.campaign.parameters import ScopedCampaignParameter
 from calibration.campaign.schema import BY_PARAMETER, FitTable, NoiseTable, TestTable
 from tissue_sim.bounded import run_in_sandbox
-from tissue_sim.errors import InputError, add_location_to_errors
+from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.experiment.tools.tool import TOOLS, parse_shape_name
-from tissue_sim.files import find_files, path_exists
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.experiment.tools.tool import TOOLS, interpret_shape_or_profile_path
+from tissue_sim.files import find_files, is_valid_and_existing_path
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.recording.formats.column_options import normalize_column_mapping
 
 
-def require_positive(value: float | None, field: str, unit: str = "") -> None:
+def require_positive_or_none(value: float | None, field: str, unit: str = "") -> None:
     """Require a positive finite number or None.
 
     Args:
@@ -43,14 +43,15 @@ def check_bulk_ratio(ratio: float | None) -> None:
                          field="fit.bulk_ratio")
 
 
-def require_analytical_support(entry: TestTable, field: str) -> None:
+def require_analytical_support_of_test_table(entry: TestTable, field: str) -> None:
     """Raise an `InputError` if a test table has a kind, tool or key that the analytical method does not support."""
     kind = KINDS[entry.kind]
     if kind.closed_form is None:
         known = ", ".join(name for name, other in KINDS.items() if other.closed_form is not None)
         raise InputError(f"kind must be one of {known} for the analytical method; got {entry.kind!r}. Set fit.method = "
                          "'inverse_fem' for other kinds", field=f"{field}.kind")
-    if entry.tool is not None and not TOOLS.find(parse_shape_name(entry.tool)[0], f"{field}.tool").is_plate:
+    if entry.tool is not None and not TOOLS.find(interpret_shape_or_profile_path(entry.tool)[0],
+                                                 f"{field}.tool").is_plate:
         raise InputError(f"tool must be a plate in a homogeneous test; got {entry.tool!r}. Leave tool out",
                          field=f"{field}.tool")
     for key in ("protocol", "rig"):
@@ -59,7 +60,7 @@ def require_analytical_support(entry: TestTable, field: str) -> None:
                              "'inverse_fem'", field=f"{field}.{key}")
 
 
-def read_column_map(entry: TestTable, field: str) -> Mapping[str, Any] | None:
+def read_column_map_or_none(entry: TestTable, field: str) -> Mapping[str, Any] | None:
     """Check the key ``columns`` of a test table; return the columns of each channel, or None without the key."""
     if entry.columns is None:
         return None
@@ -70,7 +71,7 @@ def read_column_map(entry: TestTable, field: str) -> Mapping[str, Any] | None:
     present = {*columns, "displacement"} if entry.speed_mm_s is not None and {"time", "force"} <= columns.keys() \
         else columns
     KINDS[entry.kind].require_channels(present, f"columns has {', '.join(columns)}", field=f"{field}.columns")
-    return make_read_only_copy(columns)
+    return make_shallow_read_only_copy(columns)
 
 
 def find_recording_files(patterns: list[str], folder: Path, field: str) -> tuple[Path, ...]:
@@ -93,10 +94,10 @@ def find_recording_files(patterns: list[str], folder: Path, field: str) -> tuple
                              field=entry_field)
         # An existing file has priority over a pattern, because file names may contain brackets.
         plain = base / relative
-        matches = [plain] if path_exists(plain) else []
+        matches = [plain] if is_valid_and_existing_path(plain) else []
         if not matches and set("*?[") & set(pattern):
             # The search is limited: a pattern may match the whole disk.
-            with add_location_to_errors(field=entry_field):
+            with located_and_converted_errors(field=entry_field):
                 matches = run_in_sandbox(find_files, base, str(relative), file=base, size=0)
         if not matches:
             raise InputError(f"recording must be an existing file; no file matches {pattern!r} in {base}. Paths are "
@@ -109,7 +110,7 @@ def find_recording_files(patterns: list[str], folder: Path, field: str) -> tuple
     return tuple(sorted(found))
 
 
-def reject_keys_without_effect(table: FitTable, noise: NoiseTable) -> None:
+def reject_fit_and_noise_keys_without_effect(table: FitTable, noise: NoiseTable) -> None:
     """Raise an `InputError` for a key of ``[fit]`` or ``[noise]`` without effect with the other settings."""
     if table.method == "analytical":
         if table.starts is not None:
@@ -133,7 +134,7 @@ def reject_keys_without_effect(table: FitTable, noise: NoiseTable) -> None:
                                  f"{getattr(noise, key)!r}. State one, or leave offset out", field=f"noise.{key}")
 
 
-def require_closed_form_support(table: FitTable, named: Mapping[str, CampaignParameter]) -> None:
+def require_analytical_support_of_fit_table(table: FitTable, named: Mapping[str, ScopedCampaignParameter]) -> None:
     """Raise an `InputError` for parameters and settings that the closed forms do not support.
 
     Args:

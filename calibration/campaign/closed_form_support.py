@@ -9,7 +9,8 @@ from tissue_sim.errors import InputError
 from tissue_sim.material.material import Material
 
 
-def require_closed_form_support(test: Test, material: Material, stressed: bool, closed: bool, path: Path) -> None:
+def require_closed_form_support_if_used(test: Test, material: Material, stressed: bool, closed: bool,
+                                        path: Path) -> None:
     """Reject parts of the model that the closed form of a homogeneous test does not support.
 
     Args:

@@ -10,8 +10,8 @@ from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
 
 
-def compute_input_digest(campaign: Campaign, recordings: Sequence[MeasuredCurve],
-                   changed: Mapping[str, float] | None = None) -> str:
+def compute_input_and_version_digest(campaign: Campaign, recordings: Sequence[MeasuredCurve],
+                                     changed: Mapping[str, float] | None = None) -> str:
     """Return the SHA-256 digest, in hexadecimal, of all inputs of a campaign and of the program version.
 
     Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from calibration.campaign.schema import TestTable
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.contact_law import CONTACT_LAWS
 from tissue_sim.experiment.experiment import Experiment
@@ -16,9 +16,9 @@ from tissue_sim.experiment.tools.tool import (
     TOOLS,
     Tool,
     convert_tool_sizes_to_si,
+    interpret_shape_or_profile_path,
+    list_all_tool_sizes_by_key,
     list_shapes_without_file,
-    parse_shape_name,
-    tool_sizes,
 )
 from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.parameters import list_field_declarations, make_from_file_keys
@@ -41,7 +41,8 @@ SPACE_SOLVER = "solid"
 _TOOL_KEYS = ("contact_laws", "tilt_mm", "slip", *_APPROACH, "solver", "rig")
 
 
-def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, place: str) -> Experiment | None:
+def read_experiment_or_none_if_gripped(entry: TestTable, specimen: Specimen | None, folder: Path,
+                                       place: str) -> Experiment | None:
     """Return the experiment of a test with a short placeholder motion.
 
     Args:
@@ -58,17 +59,18 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
     """
     kind = KINDS[entry.kind]
     if kind.has_gripped_ends:
-        for key in (*entry.tool_sizes, *kind.face_interfaces, *_TOOL_KEYS):
-            face = kind.face_interfaces.get(key)
+        for key in (*entry.stated_tool_sizes_in_file_units, *kind.face_interfaces_by_field, *_TOOL_KEYS):
+            face = kind.face_interfaces_by_field.get(key)
             if getattr(entry, key) not in (None, face.usual if face is not None and face.fixed else None):
                 raise InputError(f"{key} does not apply to kind = {entry.kind!r}, which is gripped on both sides; "
                                  f"leave {key} out", field=f"{place}.{key}")
-        if entry.tool is not None and not TOOLS.find(parse_shape_name(entry.tool)[0], f"{place}.tool").is_plate:
+        if entry.tool is not None and not TOOLS.find(interpret_shape_or_profile_path(entry.tool)[0],
+                                                     f"{place}.tool").is_plate:
             raise InputError(f"tool does not apply to kind = {entry.kind!r}; leave tool out", field=f"{place}.tool")
         return None
     specimen = Specimen(1.0, 1.0) if specimen is None else specimen
-    interfaces = {key: value for key in kind.face_interfaces
-                  if (value := _read_friction(entry, kind, key, place)) is not None}
+    interfaces = {key: value for key in kind.face_interfaces_by_field
+                  if (value := _read_face_friction_or_none(entry, kind, key, place)) is not None}
     laws = [make_from_file_keys(CONTACT_LAWS.find(name, f"{place}.contact_laws.{name}"), content,
                                 f"{place}.contact_laws.{name}")
             for name, content in (entry.contact_laws or {}).items()]
@@ -76,16 +78,16 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
         return kind.experiment(specimen=specimen, protocol=Protocol.ramp(1e-3 * specimen.height, 2),
                                tool=_read_tool(entry, kind, folder, place), contact_laws=laws,
                                tilt=1e-3 * (entry.tilt_mm or 0.0), slip=entry.slip,
-                               approach=_read_approach(entry, specimen, place), **interfaces)
+                               approach=_read_needle_offset_and_tilt_or_none(entry, specimen, place), **interfaces)
     except InputError as error:
-        keys = _KEYS | {f"tool.{name}": key for key, (_, name, _) in tool_sizes().items()}
+        keys = _KEYS | {f"tool.{name}": key for key, (_, name, _) in list_all_tool_sizes_by_key().items()}
         if error.field not in keys:
             raise
         raise InputError(error.problem.replace("give the tool an edge radius", "give edge_radius_mm"),
                          field=f"{place}.{keys[error.field]}") from None
 
 
-def _read_approach(entry: TestTable, specimen: Specimen, place: str) -> Approach | None:
+def _read_needle_offset_and_tilt_or_none(entry: TestTable, specimen: Specimen, place: str) -> Approach | None:
     """Return the stated lateral offset and tilt of the path of a needle; None if the test states neither."""
     stated = {key: value for key in _APPROACH if (value := getattr(entry, key)) is not None}
     for key in stated:
@@ -98,7 +100,7 @@ def _read_approach(entry: TestTable, specimen: Specimen, place: str) -> Approach
     return make_from_file_keys(Approach, stated, place) if stated else None
 
 
-def read_solver(entry: TestTable, specimen: Specimen | None, place: str) -> str:
+def read_solver_name(entry: TestTable, specimen: Specimen | None, place: str) -> str:
     """Return the name of the solver of a test; the default depends on whether the specimen is round.
 
     Raises:
@@ -107,7 +109,8 @@ def read_solver(entry: TestTable, specimen: Specimen | None, place: str) -> str:
     round_ = specimen is None or specimen.is_round
     name = entry.solver or (ROUND_SOLVER if round_ else SPACE_SOLVER)
     if name not in SOLVERS:
-        raise InputError(f"unknown solver {name!r}{suggest_known_word(name, SOLVERS)}", field=f"{place}.solver")
+        raise InputError(f"unknown solver {name!r}{make_hint_with_similar_or_known_words(name, SOLVERS)}",
+                         field=f"{place}.solver")
     if specimen is not None and not round_ and name == ROUND_SOLVER:
         raise InputError(f"the axisymmetric solver requires a cylinder; {specimen.name!r} is "
                          f"{add_article(specimen.shape)}. Leave solver out, or set solver = {SPACE_SOLVER!r}",
@@ -115,15 +118,17 @@ def read_solver(entry: TestTable, specimen: Specimen | None, place: str) -> str:
     return name
 
 
-def _read_friction(entry: TestTable, kind: TestKind, key: str, place: str) -> str | float | None:
+def _read_face_friction_or_none(entry: TestTable, kind: TestKind, key: str, place: str) -> str | float | None:
     """Return the stated friction of a face, or None if the campaign states nothing."""
-    face, value = kind.face_interfaces[key], getattr(entry, key)
+    face, value = kind.face_interfaces_by_field[key], getattr(entry, key)
     if isinstance(value, str) and value not in (*INTERFACES, *([AS_TOOL] if key == "friction_base" else [])):
-        raise InputError(f"unknown friction {value!r}{suggest_known_word(value, INTERFACES)}; or give a coefficient",
-                         field=f"{place}.{key}")
+        raise InputError(
+            f"unknown friction {value!r}{make_hint_with_similar_or_known_words(value, INTERFACES)}; or give a "
+            "coefficient",
+            field=f"{place}.{key}")
     if face.fixed and value is not None and (value or "frictionless") != face.usual:
         other = " or ".join(repr(name) for name, one in KINDS.items()
-                            if one.face_interfaces[key].stated and one.allows_tool(kind.require_tool()))
+                            if one.face_interfaces_by_field[key].stated and one.allows_tool(kind.require_tool()))
         raise InputError(f"a test of kind = {entry.kind!r} must have {key} = {face.usual!r}; got {value!r}. Leave "
                          f"{key} out, or use kind = {other}", field=f"{place}.{key}")
     if value is None and face.stated:
@@ -136,7 +141,7 @@ def _read_friction(entry: TestTable, kind: TestKind, key: str, place: str) -> st
 def _read_tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> Tool:
     """Return the tool of a test: the usual tool of its kind, or the stated shape with the stated sizes."""
     kinds_tool = kind.require_tool()
-    shape, profile = parse_shape_name(entry.tool or kinds_tool.shape, folder)
+    shape, profile = interpret_shape_or_profile_path(entry.tool or kinds_tool.shape, folder)
     fits = kind.allows_tool(TOOLS.find(shape, f"{place}.tool"))
     if kind.tool_stated and (entry.tool is None or not fits):
         known = ", ".join(repr(name) for name in list_shapes_without_file() if kind.allows_tool(TOOLS[name]))
@@ -148,7 +153,8 @@ def _read_tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> To
     usual = {} if entry.tool is not None else {name: getattr(kinds_tool, name)
                                                for name in list_field_declarations(type(kinds_tool))}
     # Zero means that the tool has no such dimension.
-    sizes = convert_tool_sizes_to_si({key: value for key, value in entry.tool_sizes.items() if value})
+    sizes = convert_tool_sizes_to_si({key: value for key,
+                                      value in entry.stated_tool_sizes_in_file_units.items() if value})
     return Tool(shape, profile_file=profile, **(usual | sizes))
 
 

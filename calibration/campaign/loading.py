@@ -18,8 +18,8 @@ OTHER_SIDE = 0.05
 _FAR = 0.1
 
 
-def select_elastic_samples(samples: np.ndarray, displacement: np.ndarray, screening: Screening, path: Path, *,
-                           both_sides: bool) -> np.ndarray:
+def select_sample_indices_for_elastic_law(samples: np.ndarray, displacement: np.ndarray, screening: Screening,
+                                          path: Path, *, both_sides: bool) -> np.ndarray:
     """Select the samples to which a law without memory is fitted: the first loading, or all of an oscillation.
 
     Samples after the first saturated one and after the start of creep under constant load are left out.
@@ -38,7 +38,7 @@ def select_elastic_samples(samples: np.ndarray, displacement: np.ndarray, screen
         InputError: fewer than five samples, or an oscillation with a phase lag.
     """
     control = screening.control
-    samples = samples[samples < screening.kept_count_before_saturation]
+    samples = samples[samples < screening.kept_count_before_saturation_or_infinity]
     if control is not None and control.has_dissipative_oscillation:
         raise InputError(f"{path.name}: {control.sentence}", field="recordings")
     if control is not None and control.pattern == "oscillation":
@@ -48,7 +48,8 @@ def select_elastic_samples(samples: np.ndarray, displacement: np.ndarray, screen
         if samples.size < MIN_POINTS:
             raise InputError(f"{path.name}: {control.sentence} ({samples.size} samples of loading)",
                              field="recordings")
-    loads = find_loading_indices(displacement[samples], both_sides=both_sides) if samples.size else samples
+    loads = find_loading_indices_of_one_or_both_sides(displacement[samples], both_sides=both_sides) if samples.size \
+        else samples
     if loads.size < MIN_POINTS:
         raise InputError(f"{path.name} must have at least {MIN_POINTS} samples of loading; its largest strain is in "
                          f"sample {loads.size}, and later samples count as unloading. Sort the file by time",
@@ -56,7 +57,8 @@ def select_elastic_samples(samples: np.ndarray, displacement: np.ndarray, screen
     return samples[loads]
 
 
-def require_recorded_loading(displacement: np.ndarray, force: np.ndarray, screening: Screening, path: Path) -> None:
+def require_recorded_loading_from_rest(displacement: np.ndarray, force: np.ndarray, screening: Screening,
+                                       path: Path) -> None:
     """Raise an error if the loading from rest is missing in a recording of a material with memory.
 
     The force of a material with memory depends on the complete history; the rate of an unrecorded loading is unknown.
@@ -77,7 +79,7 @@ def require_recorded_loading(displacement: np.ndarray, force: np.ndarray, screen
                          "and the next sample is under load. Correct that sample in the file", field="recordings")
 
 
-def find_loading_indices(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
+def find_loading_indices_of_one_or_both_sides(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
     """Return the indices of the samples of the first loading, which ends at the largest displacement.
 
     A specimen loaded in both directions has a second loading from rest to the opposite extreme, which is included. The

@@ -10,23 +10,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.closed_form_support import require_closed_form_support
-from calibration.campaign.loading import check_displacement_range, require_recorded_loading, select_elastic_samples
+from calibration.campaign.closed_form_support import require_closed_form_support_if_used
+from calibration.campaign.loading import (
+    check_displacement_range,
+    require_recorded_loading_from_rest,
+    select_sample_indices_for_elastic_law,
+)
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.screened import (
-    add_controlled_quantity,
-    add_load_at_zero,
+    add_controlled_quantity_to_screening,
+    add_load_at_zero_to_screening,
     check_recording_names_of_leave_out,
-    list_screening_notes,
-    remove_unusable_samples,
+    make_screening_notes_by_subject,
+    remove_left_out_and_outlier_samples,
 )
 from calibration.campaign.segmented import (
     SegmentedRecording,
-    list_notes_and_air_warning,
-    list_notes_on_stated_origin,
+    get_notes_with_fit_before_contact_warning,
+    make_kind_and_tool_mismatch_notes,
     segment_recording,
 )
-from calibration.campaign.specimen_check import check_specimen_metadata
+from calibration.campaign.specimen_check import require_matching_specimen_metadata
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_time_stamps
 from calibration.statistics.statistics import estimate_white_noise, find_quantisation_step
 from tissue_sim.errors import InputError
@@ -34,7 +38,7 @@ from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.screening import Screening
-from tissue_sim.recording.segmentation import label_motion, number_repeated_runs
+from tissue_sim.recording.segmentation import label_samples_ramp_hold_unload, number_repeated_runs
 from tissue_sim.specimen.specimen import add_article
 
 if TYPE_CHECKING:
@@ -91,7 +95,7 @@ class MeasuredCurve:
     screening: Screening = field(default_factory=Screening)
 
     @property
-    def sample_times(self) -> np.ndarray:
+    def required_sample_times(self) -> np.ndarray:
         """Time of the samples, s, shape (n,).
 
         Raises:
@@ -112,7 +116,7 @@ class MeasuredCurve:
         return float(travel / duration) if duration > 0 else None
 
 
-def depends_on_history(test: Test, material: Material) -> bool:
+def is_test_force_history_dependent(test: Test, material: Material) -> bool:
     """Return whether the force of a test depends on the previous motion; if so, holds and unloading are fitted too."""
     return material.remembers or (test.experiment is not None and test.experiment.is_path_dependent)
 
@@ -136,10 +140,11 @@ def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, .
         for path in test.recordings:
             try:
                 recordings = read_recordings(path, kind=test.kind.name, **test.reading)
-                curves += [_make_curve_from_recording(*remove_unusable_samples(recording, name, test), name, path,
-                                                      test, campaign)
-                           for recording, name in zip(recordings, make_recording_names(recordings, path, test),
-                                                      strict=True)]
+                curves += [_make_curve_from_recording(*remove_left_out_and_outlier_samples(recording, name, test), name,
+                                                      path, test, campaign)
+                           for recording,
+                           name in zip(recordings, make_names_of_recordings_in_file(recordings, path, test),
+                                       strict=True)]
             except InputError as error:
                 field = test.place if error.file is None else None
                 raise error.with_location(file=campaign.path, field=field) from None
@@ -150,9 +155,9 @@ def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, .
                                  "different names", file=campaign.path, field=f"{test.place}.recordings")
             names.add(curve.name)
         if not analytical:
-            _require_equal_motions(curves, test, campaign)
+            _require_similar_speeds_and_depths(curves, test, campaign)
             noise = estimate_shared_noise([(curve.force, curve.time, curve.segment) for curve in curves],
-                                          deviation=_find_stated_noise(curves[0], campaign),
+                                          deviation=_find_stated_force_noise_or_none(curves[0], campaign),
                                           correlation_time=campaign.noise.correlation_time)
             curves = [replace(curve, noise=noise) for curve in curves]
         found[test.name] = tuple(curves)
@@ -163,7 +168,7 @@ def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, .
     return found
 
 
-def get_default_contact_deviation(curves: Sequence[MeasuredCurve]) -> float:
+def compute_smallest_default_contact_deviation(curves: Sequence[MeasuredCurve]) -> float:
     """Return the default standard deviation of the contact offsets of all these recordings, m.
 
     The value is `OffsetDefaults.contact_prior` or a fraction of the displacement of the shortest test, whichever is
@@ -174,13 +179,14 @@ def get_default_contact_deviation(curves: Sequence[MeasuredCurve]) -> float:
                for reach, stressed in ((float(np.abs(curve.displacement).max()), curve.stressed) for curve in curves))
 
 
-def scale_offset_defaults(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]]) -> Campaign:
+def make_campaign_with_scaled_offset_defaults(campaign: Campaign,
+                                              measured: Mapping[str, Sequence[MeasuredCurve]]) -> Campaign:
     """Return the campaign with default priors and bounds of contact offsets scaled to the displacements of its tests.
 
     Priors and bounds that the campaign states stay unchanged.
     """
     curves = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
-    contact = get_default_contact_deviation(curves)
+    contact = compute_smallest_default_contact_deviation(curves)
     # If the displacement was zeroed at a preload, contact occurred before the zero by this distance.
     preloads = [abs(curve.screening.preload.shift) for curve in curves if curve.screening.preload is not None]
     contact = max([contact, *preloads])
@@ -192,7 +198,7 @@ def scale_offset_defaults(campaign: Campaign, measured: Mapping[str, Sequence[Me
     return replace(campaign, fit=fit)
 
 
-def make_recording_names(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
+def make_names_of_recordings_in_file(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
     """Return the names ``test/recording`` of the recordings in one file.
 
     A single recording is named after its file; several recordings have the names in the file.
@@ -201,28 +207,29 @@ def make_recording_names(recordings: Sequence[Recording], path: Path, test: Test
 
 
 def _make_curve_from_recording(recording: Recording, screening: Screening, name: str, path: Path, test: Test,
-                campaign: Campaign) -> MeasuredCurve:
+                               campaign: Campaign) -> MeasuredCurve:
     """Return the fitted samples of a cleaned recording: segmented, from contact, and within ``max_strain``."""
-    material, closed = campaign.fit.placeholder_material, campaign.fit.method == "analytical" or test.experiment is None
-    check_specimen_metadata(recording, test, campaign, path)
-    displacement, force, stressed = _read_force_and_displacement(recording, test, path)
-    require_closed_form_support(test, material, stressed, closed, path)
+    material, closed = campaign.fit.neo_hookean_material_with_effects, campaign.fit.method == "analytical" \
+        or test.experiment is None
+    require_matching_specimen_metadata(recording, test, campaign, path)
+    displacement, force, stressed = _get_displacement_force_and_stressed_flag(recording, test, path)
+    require_closed_form_support_if_used(test, material, stressed, closed, path)
     time = np.array(recording.time) if "time" in recording else None
     if time is None and test.rig.needs_time:
         raise InputError(f"{path.name} has no time, and the rig of the test requires time (latency, damping or drift); "
                          "state a time column, or speed_mm_s", field="recordings")
-    remembering = depends_on_history(test, material) or (campaign.fit.whole and time is not None)
+    remembering = is_test_force_history_dependent(test, material) or (campaign.fit.whole and time is not None)
     height = 1.0 if test.specimen is None else test.specimen.height
-    screening = add_controlled_quantity(screening, displacement, force, time, test)
+    screening = add_controlled_quantity_to_screening(screening, displacement, force, time, test)
     if remembering:
-        require_recorded_loading(displacement, force, screening, path)
+        require_recorded_loading_from_rest(displacement, force, screening, path)
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
     whole = segment_recording(test, displacement, force, time, labels, stressed=stressed, remembering=remembering,
                               path=path)
     displacement, force, keep = whole.displacement, whole.force, whole.used
     if not whole.segmentation.has_air:
-        screening = add_load_at_zero(screening, displacement, force, campaign,
-                                can_pull=test.kind.can_pull, stressed=stressed)
+        screening = add_load_at_zero_to_screening(screening, displacement, force, campaign,
+                                                  can_pull=test.kind.can_pull, stressed=stressed)
     if labels is not None:
         inside = keep & ~np.isin(labels, ("approach",) if remembering else NOT_LOADING)
         keep = inside if inside.any() else keep
@@ -241,7 +248,8 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
         # A table of stress and stretch has no order in time; neighbours in the sorted table give the noise.
         samples = samples[np.argsort(displacement[samples], kind="stable")]
     else:
-        samples = select_elastic_samples(samples, displacement, screening, path, both_sides=test.kind.has_gripped_ends)
+        samples = select_sample_indices_for_elastic_law(samples, displacement, screening, path,
+                                                        both_sides=test.kind.has_gripped_ends)
         # Samples after a failure are cut and do not count as hold or unloading.
         failure = whole.segmentation.failure
         end = failure.index + 1 if failure is not None and test.failure == "cut" else displacement.size
@@ -268,25 +276,27 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
         if campaign.fit.method != "analytical":
             # Distinct times, if the clock is coarser than the sampling interval.
             time = spread_time_stamps(time, time.size)
-        labels = number_repeated_runs(label_motion(time, displacement[samples]) if labels is None else labels[samples])
+        labels = number_repeated_runs(label_samples_ramp_hold_unload(time, displacement[samples]) if labels is None
+                                      else labels[samples])
     used = np.isin(np.arange(displacement.size), samples)
     curve = MeasuredCurve(name, test, time, displacement[samples], force[samples], labels if remembering else None,
                           path, str(recording.metadata.get("sha256", "")), stressed, later,
                           whole=replace(whole, used=used),
-                          notes=list_notes_and_air_warning(whole, int(samples.min()), stressed=stressed)
-                          | list_notes_on_stated_origin(recording, test)
-                          | list_screening_notes(screening, recording, remembering=remembering),
+                          notes=get_notes_with_fit_before_contact_warning(whole, int(samples.min()), stressed=stressed)
+                          | make_kind_and_tool_mismatch_notes(recording, test)
+                          | make_screening_notes_by_subject(screening, recording, remembering=remembering),
                           screening=screening)
     if campaign.fit.method == "analytical":
-        curve = add_noise_to_curve(replace(curve, displacement=displacement[loading], force=force[loading]), campaign,
-                             curve)
+        curve = make_interpolated_curve_with_noise_level(replace(curve, displacement=displacement[loading],
+                                                                 force=force[loading]), campaign,
+                                                         curve)
     for array in (curve.displacement, curve.force):
         array.flags.writeable = False
     return curve
 
 
-def add_noise_to_curve(loading: MeasuredCurve, campaign: Campaign,
-                       window: MeasuredCurve | None = None) -> MeasuredCurve:
+def make_interpolated_curve_with_noise_level(loading: MeasuredCurve, campaign: Campaign,
+                                             window: MeasuredCurve | None = None) -> MeasuredCurve:
     """Return a copy of `window` whose field `noise` is the stated or estimated noise of the sensor.
 
     The forces are unchanged, except for interpolation if the campaign states `strain_points`.
@@ -296,7 +306,7 @@ def add_noise_to_curve(loading: MeasuredCurve, campaign: Campaign,
         campaign: campaign with the stated noise.
         window: the fitted samples; None: all samples of the loading.
     """
-    stated, window = _find_stated_noise(loading, campaign), loading if window is None else window
+    stated, window = _find_stated_force_noise_or_none(loading, campaign), loading if window is None else window
     if stated is None:
         spread = estimate_white_noise(loading.force, loading.displacement)
         rounding = find_quantisation_step(loading.force) / np.sqrt(12.0)
@@ -307,13 +317,13 @@ def add_noise_to_curve(loading: MeasuredCurve, campaign: Campaign,
     points = campaign.fit.strain_points
     if points is None:
         return replace(window, noise=noise)
-    grid, interpolation = _make_even_interpolation(loading.displacement, loading, campaign, points)
+    grid, interpolation = _make_even_grid_and_interpolation_matrix(loading.displacement, loading, campaign, points)
     return replace(window, noise=noise, time=None, displacement=grid, force=interpolation @ loading.force,
                    interpolation=interpolation)
 
 
-def _make_even_interpolation(displacement: np.ndarray, curve: MeasuredCurve, campaign: Campaign,
-                        points: int) -> tuple[np.ndarray, csr_array]:
+def _make_even_grid_and_interpolation_matrix(displacement: np.ndarray, curve: MeasuredCurve, campaign: Campaign,
+                                             points: int) -> tuple[np.ndarray, csr_array]:
     """Return evenly spaced displacements up to the end of the window, and the matrix that interpolates onto them."""
     from scipy.sparse import csr_array
 
@@ -336,7 +346,8 @@ def _make_even_interpolation(displacement: np.ndarray, curve: MeasuredCurve, cam
 
 
 
-def _read_force_and_displacement(recording: Recording, test: Test, path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
+def _get_displacement_force_and_stressed_flag(recording: Recording, test: Test,
+                                              path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return displacement (m), force (N), both positive under load, and whether strain and stress were recorded."""
     mechanical, *direct = test.kind.channels
     stated = next((pair for pair in direct if all(name in recording for name in pair)), None)
@@ -358,12 +369,12 @@ def _read_force_and_displacement(recording: Recording, test: Test, path: Path) -
                          f"{add_article(test.specimen.shape)} without constant cross-section; use "
                          f"{' and '.join(mechanical)}", field="recordings")
     height, area = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
-    return (height * test.kind.compute_nominal_strain(recording.channel(motion)),
+    return (height * test.kind.convert_abscissa_to_nominal_strain(recording.channel(motion)),
             test.kind.sign * area * recording.channel(load),
             True)
 
 
-def _require_equal_motions(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> None:
+def _require_similar_speeds_and_depths(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> None:
     """Raise an `InputError` if recordings of one test differ by more than 20 % in speed or largest displacement."""
     first = curves[0]
     for other in curves[1:]:
@@ -378,7 +389,7 @@ def _require_equal_motions(curves: list[MeasuredCurve], test: Test, campaign: Ca
                              "[[test]]", file=campaign.path, field=f"{test.place}.recordings")
 
 
-def _find_stated_noise(curve: MeasuredCurve, campaign: Campaign) -> float | None:
+def _find_stated_force_noise_or_none(curve: MeasuredCurve, campaign: Campaign) -> float | None:
     """Return the stated noise as a force, N, from the value in the recorded unit if stated; None: to be estimated."""
     force, stress, specimen = campaign.noise.force, campaign.noise.nominal_stress, curve.test.specimen
     if not curve.stressed:

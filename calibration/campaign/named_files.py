@@ -6,16 +6,17 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.experiment.tools.tool import parse_shape_name
+from tissue_sim.experiment.tools.tool import interpret_shape_or_profile_path
 from tissue_sim.specimen import SPECIMENS
 
 
-def get_absolute_path(path: Path) -> str:
+def resolve_path_to_text(path: Path) -> str:
     """Return the absolute path of a file as text, with symbolic links resolved."""
     return str(path.resolve())
 
 
-def replace_file_names(content: Mapping[str, Any], folder: Path, name: Callable[[Path], str]) -> dict[str, Any]:
+def replace_mesh_profile_and_rig_paths(content: Mapping[str, Any], folder: Path,
+                                       name: Callable[[Path], str]) -> dict[str, Any]:
     """Return the content of a campaign with other paths of its specimen meshes, tool profiles and rigs.
 
     Files on disk are not changed.
@@ -27,9 +28,10 @@ def replace_file_names(content: Mapping[str, Any], folder: Path, name: Callable[
     """
     of_specimens = {key for kind in SPECIMENS.values() for key in kind.paths}
 
-    def replace_file_name(key: str, value: Any) -> Any:
+    def replace_profile_or_rig_path(key: str, value: Any) -> Any:
         """Return the value of a key of ``[[test]]`` with the new path if the value names a file."""
-        path = folder / value if key == "rig" else parse_shape_name(value, folder)[1] if key == "tool" else None
+        path = folder / value if key == "rig" else interpret_shape_or_profile_path(value, folder)[1] if key == "tool" \
+            else None
         return value if path is None else name(path)
 
     renamed = dict(content)
@@ -37,14 +39,18 @@ def replace_file_names(content: Mapping[str, Any], folder: Path, name: Callable[
         renamed["specimen"] = [{key: name(folder / value) if key in of_specimens else value
                                 for key, value in table.items()} for table in content["specimen"]]
     if "defaults" in content:
-        renamed["defaults"] = {key: replace_file_name(key, value) for key, value in content["defaults"].items()}
-    renamed["test"] = [{key: replace_file_name(key, value) for key, value in table.items()}
+        renamed["defaults"] = {key: replace_profile_or_rig_path(key, value) for key,
+                               value in content["defaults"].items()}
+    renamed["test"] = [{key: replace_profile_or_rig_path(key, value) for key, value in table.items()}
                        for table in content["test"]]
     return renamed
 
 
-def list_named_files(content: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Return the paths of meshes, tool profiles and rigs that a campaign names; see `replace_file_names`."""
+def list_mesh_profile_and_rig_paths(content: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Return the paths of meshes, tool profiles and rigs that a campaign names.
+
+    See `replace_mesh_profile_and_rig_paths`.
+    """
     found: list[Path] = []
 
     def collect_path(path: Path) -> str:
@@ -52,5 +58,5 @@ def list_named_files(content: Mapping[str, Any], folder: Path) -> list[Path]:
         found.append(path)
         return str(path)
 
-    replace_file_names(content, folder, collect_path)
+    replace_mesh_profile_and_rig_paths(content, folder, collect_path)
     return found

@@ -10,14 +10,14 @@ from functools import cached_property
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TEST, SHARED, CampaignParameter
+from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TEST, SHARED, ScopedCampaignParameter
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import find_law
 from tissue_sim.material.material import Bulk, Material, get_law_parameter_declaration
 from tissue_sim.material.parts import make_material_from_numbers
 from tissue_sim.model import Model
-from tissue_sim.parameters import Declaration, make_parameter_symbol, with_values
+from tissue_sim.parameters import Declaration, make_display_symbol_of_parameter, with_values
 from tissue_sim.rig.rig import Rig
 
 #: Sum of the moduli in simulations whose forces are proportional to the moduli, Pa.
@@ -34,7 +34,7 @@ class FitParameter:
 
     Attributes:
         name: path, followed by ``@`` and the specimen, test or recording if the parameter has several values.
-        path: path of the parameter, see `calibration.campaign.parameters.CampaignParameter`.
+        path: path of the parameter, see `calibration.campaign.parameters.ScopedCampaignParameter`.
         declaration: unit, bounds and symbol of the parameter.
         of_law: whether it is a parameter of the law.
         of_material: whether it is a parameter of the material, including its law.
@@ -52,7 +52,7 @@ class FitParameter:
     recording: str | None = None
     specimen: str | None = None
 
-    def acts_in(self, test: str | None, recording: str | None) -> bool:
+    def applies_to_recording(self, test: str | None, recording: str | None) -> bool:
         """Return whether the parameter applies to a recording of a test; None means any test or recording."""
         return ((self.tests is None or test is None or test in self.tests)
                 and (self.recording is None or recording is None or recording == self.recording))
@@ -61,7 +61,7 @@ class FitParameter:
     def symbol(self) -> str:
         """Symbol in reports, such as ``g1`` or ``gs@needle``."""
         _, at, mark = self.name.partition("@")
-        return make_parameter_symbol(self.path, self.declaration) + at + mark
+        return make_display_symbol_of_parameter(self.path, self.declaration) + at + mark
 
     @property
     def is_modulus(self) -> bool:
@@ -69,7 +69,7 @@ class FitParameter:
         return self.of_material and self.declaration.unit == "Pa"
 
     @property
-    def is_exponent(self) -> bool:
+    def is_dimensionless_law_parameter(self) -> bool:
         """Whether the parameter is a dimensionless parameter of the law, such as an exponent of Ogden's law."""
         return self.of_law and self.declaration.unit == "1"
 
@@ -115,9 +115,10 @@ class ParameterSpace:
         settings, own = campaign.fit, find_law(law)
         all_tests = tuple(test.name for test in campaign.tests)
         parameters = [settings.named.get(name)
-                      or CampaignParameter(name, get_law_parameter_declaration(own, name), True, SHARED, all_tests)
+                      or ScopedCampaignParameter(name, get_law_parameter_declaration(own, name), True, SHARED,
+                                                 all_tests)
                       for name in own.parameters]
-        parameters += [settings.named[path] for path in settings.non_law_paths]
+        parameters += [settings.named[path] for path in settings.stated_non_law_paths]
         unknowns = [unknown for named in parameters
                     for unknown in _make_parameters_of_scope(named, campaign.tests, recordings or {})]
         fixed = {each.name: settings.fixed[each.path] for each in unknowns if each.path in settings.fixed}
@@ -148,16 +149,17 @@ class ParameterSpace:
         """Whether all parameters belong to the material and are the same in all tests."""
         return all(each.of_material and each.tests is None and each.recording is None for each in self.unknowns)
 
-    def find_own_recording(self, test: str, recording: str) -> str | None:
+    def get_recording_if_it_has_own_values(self, test: str, recording: str) -> str | None:
         """Return `recording` if any parameter has a separate value in this recording of the test, otherwise None."""
-        return recording if any(each.recording == recording and each.acts_in(test, recording)
+        return recording if any(each.recording == recording and each.applies_to_recording(test, recording)
                                 for each in self.unknowns) else None
 
     def shapes_mesh(self, test: str) -> bool:
         """Return whether any free parameter that acts in a test changes the geometry of its mesh."""
-        return any(each.declaration.shapes_mesh and each.acts_in(test, None) for each in self.free_parameters)
+        return any(each.declaration.shapes_mesh and each.applies_to_recording(test, None)
+                   for each in self.free_parameters)
 
-    def with_start_geometry(self, values: Mapping[str, float]) -> dict[str, float]:
+    def replace_geometry_by_start_values(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the values with parameters of the geometry replaced by their start values.
 
         The mesh is generated for the start values; its nodes are then moved with the geometry.
@@ -171,11 +173,11 @@ class ParameterSpace:
         return replace(self, free=(), fixed={**self.fixed, **values}, low=empty, high=empty, prior_mean=empty,
                        prior_deviation=empty)
 
-    def find_parameter(self, name: str) -> FitParameter:
+    def get_parameter_by_name(self, name: str) -> FitParameter:
         """Return the parameter with a name; raise `StopIteration` for an unknown name."""
         return next(each for each in self.unknowns if each.name == name)
 
-    def with_specimen_parameters(self, specimen: str, tests: Sequence[str]) -> ParameterSpace:
+    def with_parameters_for_unfitted_specimen(self, specimen: str, tests: Sequence[str]) -> ParameterSpace:
         """Return the space with additional parameters for a specimen without fitted tests.
 
         The space is returned unchanged if the specimen already has parameters or if no parameter differs between
@@ -202,7 +204,7 @@ class ParameterSpace:
     @cached_property
     def free_parameters(self) -> tuple[FitParameter, ...]:
         """Free parameters in the order of `free`."""
-        return tuple(map(self.find_parameter, self.free))
+        return tuple(map(self.get_parameter_by_name, self.free))
 
     def values(self, theta: np.ndarray) -> dict[str, float]:
         """Return the values of all parameters by name, SI.
@@ -220,11 +222,11 @@ class ParameterSpace:
             values: values of all parameters by name, SI.
             test: name of the test; None: the first value of each parameter.
         """
-        acting = self._find_acting_parameters(test, None)
+        acting = self._map_paths_to_acting_parameters(test, None)
         return {path: values[each.name] for path, each in acting.items() if each.of_law}
 
     def build_material(self, values: Mapping[str, float], density: float | None = None, name: str = "", *,
-                 test: str | None = None, recording: str | None = None) -> Material:
+                       test: str | None = None, recording: str | None = None) -> Material:
         """Return the material with these values in a test and a recording.
 
         Args:
@@ -237,7 +239,7 @@ class ParameterSpace:
         Raises:
             InputError: the values are invalid for the material.
         """
-        acting = self._find_acting_parameters(test, recording)
+        acting = self._map_paths_to_acting_parameters(test, recording)
         others = {path: values[each.name] for path, each in acting.items() if each.of_material and not each.of_law}
         own = {path: values[each.name] for path, each in acting.items() if each.of_law}
         if len(own) < len(find_law(self.law).parameters):
@@ -247,7 +249,7 @@ class ParameterSpace:
         return make_material_from_numbers(self.law, own, others, self.bulk, density=density, name=name)
 
     def build_model(self, values: Mapping[str, float], experiment: Experiment, rig: Rig, *, test: str,
-              recording: str | None = None) -> Model:
+                    recording: str | None = None) -> Model:
         """Return the model of a test: material, experiment and rig with these parameter values.
 
         Args:
@@ -261,19 +263,19 @@ class ParameterSpace:
             InputError: the values are invalid for the model.
         """
         model = Model(experiment, self.build_material(values, test=test, recording=recording), rig)
-        others = {path: values[each.name] for path, each in self._find_acting_parameters(test, recording).items()
-                  if not each.of_material}
+        others = {path: values[each.name] for path,
+                  each in self._map_paths_to_acting_parameters(test, recording).items() if not each.of_material}
         return with_values(model, others) if others else model
 
-    def _find_acting_parameters(self, test: str | None, recording: str | None) -> dict[str, FitParameter]:
+    def _map_paths_to_acting_parameters(self, test: str | None, recording: str | None) -> dict[str, FitParameter]:
         """Return path -> parameter for the parameters that apply to a recording of a test; None: any."""
         acting: dict[str, FitParameter] = {}
         for each in self.unknowns:
-            if each.acts_in(test, recording):
+            if each.applies_to_recording(test, recording):
                 acting.setdefault(each.path, each)
         return acting
 
-    def normalise_moduli(self, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
+    def scale_moduli_to_reference_sum(self, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
         """Scale all moduli to the sum `REFERENCE_MODULUS`, so that proportional simulations are reused.
 
         Returns:
@@ -286,7 +288,7 @@ class ParameterSpace:
         return {name: float(f"{value / factor:.{_DIGITS}e}") if name in moduli else value
                 for name, value in values.items()}, factor
 
-    def typical_sizes(self, values: Mapping[str, float]) -> np.ndarray:
+    def compute_typical_parameter_sizes(self, values: Mapping[str, float]) -> np.ndarray:
         """Return the typical size of each free parameter for scaling, SI, shape (p,).
 
         The size is the absolute value, but at least a tenth of the shear modulus for a modulus and a tenth of the file
@@ -298,11 +300,11 @@ class ParameterSpace:
         return np.maximum([abs(values[name]) for name in self.free], floor)
 
 
-def _make_parameters_of_scope(named: CampaignParameter, tests: Sequence[Test],
-                  recordings: Mapping[str, Sequence[str]]) -> list[FitParameter]:
+def _make_parameters_of_scope(named: ScopedCampaignParameter, tests: Sequence[Test],
+                              recordings: Mapping[str, Sequence[str]]) -> list[FitParameter]:
     """Return one fit parameter, or one for each specimen, test or recording, by the scope of `named`."""
     def make_fit_parameter(owner: str = "", where: tuple[str, ...] | None = None, recording: str | None = None,
-                      specimen: str | None = None) -> FitParameter:
+                           specimen: str | None = None) -> FitParameter:
         """Return a parameter with the path of `named`, named ``path@owner`` or without an owner ``path``."""
         name = f"{named.path}@{owner}" if owner else named.path
         return FitParameter(name, named.path, named.declaration, named.of_law, named.of_material, where, recording,

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.campaign.schema import BY_PARAMETER, FitTable
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Material, get_law_parameter_declaration
-from tissue_sim.material.parts import find_material_declaration, find_region_name, make_material_from_numbers
+from tissue_sim.material.parts import find_parameter_path_and_declaration, find_region_name, make_material_from_numbers
 from tissue_sim.parameters import Declaration, parameters
 from tissue_sim.rig.rig import Rig
 
@@ -36,7 +36,7 @@ _NOT_MATERIAL = ("experiment.", "rig.")
 
 
 @dataclass(frozen=True)
-class CampaignParameter:
+class ScopedCampaignParameter:
     """Parameter that ``[fit]`` of a campaign names, with its scope.
 
     Attributes:
@@ -59,7 +59,7 @@ class CampaignParameter:
         return not self.path.startswith(_NOT_MATERIAL)
 
 
-def list_rig_and_experiment_parameters(experiment: Experiment | None, rig: Rig) -> dict[str, Declaration]:
+def get_experiment_and_rig_declarations_by_path(experiment: Experiment | None, rig: Rig) -> dict[str, Declaration]:
     """Return path -> declaration of the parameters of an experiment and a rig; empty without an experiment."""
     if experiment is None:
         return {}
@@ -67,7 +67,8 @@ def list_rig_and_experiment_parameters(experiment: Experiment | None, rig: Rig) 
             for path, each in parameters(whole).items()}
 
 
-def build_stated_material(values: Mapping[str, float], named: Mapping[str, CampaignParameter]) -> Material:
+def build_neo_hookean_with_stated_effects(values: Mapping[str, float],
+                                          named: Mapping[str, ScopedCampaignParameter]) -> Material:
     """Return a neo-Hookean placeholder material with the effects that these values (SI) define.
 
     The material shows whether the tissue has memory or layers; its modulus has no meaning.
@@ -80,13 +81,13 @@ def build_stated_material(values: Mapping[str, float], named: Mapping[str, Campa
     return make_material_from_numbers("neo_hooke", {"C10": 1.0}, others)
 
 
-def resolve_parameter_names(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
-               regions: Mapping[str, Collection[str]]) -> dict[str, CampaignParameter]:
+def resolve_campaign_parameters_by_name(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
+                                        regions: Mapping[str, Collection[str]]) -> dict[str, ScopedCampaignParameter]:
     """Find the parameter for each name in start, fixed, prior, bounds and scope of ``[fit]``.
 
     Args:
         table: table ``[fit]`` of the campaign.
-        around: parameters of experiment and rig of each test, see `list_rig_and_experiment_parameters`.
+        around: parameters of experiment and rig of each test, see `get_experiment_and_rig_declarations_by_path`.
         regions: names of the regions of the specimen of each test.
 
     Returns:
@@ -97,11 +98,11 @@ def resolve_parameter_names(table: FitTable, around: Mapping[str, Mapping[str, D
     """
     laws = {parameter: get_law_parameter_declaration(LAWS[law], parameter) for law in table.laws
             for parameter in LAWS[law].parameters}
-    named: dict[str, CampaignParameter] = {}
+    named: dict[str, ScopedCampaignParameter] = {}
     for key in (*BY_PARAMETER, "scope"):
         for name in getattr(table, key):
             if name not in named:
-                named[name] = _resolve_name(name, f"fit.{key}.{name}", laws, around, regions, table)
+                named[name] = _resolve_campaign_parameter(name, f"fit.{key}.{name}", laws, around, regions, table)
     paths: dict[str, str] = {}
     for name, parameter in named.items():
         if paths.setdefault(parameter.path, name) != name:
@@ -110,46 +111,50 @@ def resolve_parameter_names(table: FitTable, around: Mapping[str, Mapping[str, D
     return named
 
 
-def _resolve_name(name: str, field: str, laws: Mapping[str, Declaration],
-                  around: Mapping[str, Mapping[str, Declaration]], regions: Mapping[str, Collection[str]],
-                  table: FitTable) -> CampaignParameter:
+def _resolve_campaign_parameter(name: str, field: str, laws: Mapping[str, Declaration],
+                                around: Mapping[str, Mapping[str, Declaration]], regions: Mapping[str, Collection[str]],
+                                table: FitTable) -> ScopedCampaignParameter:
     """Return the parameter with a name in the campaign file, with its path, scope and tests."""
     scope = table.scope.get(name)
     everywhere = tuple(around)
     path = name.removeprefix("material.")
     if path in laws:
-        return CampaignParameter(path, laws[path], True, _read_scope(name, scope, everywhere, SHARED), everywhere)
+        return ScopedCampaignParameter(path, laws[path], True, _read_scope(name, scope, everywhere, SHARED), everywhere)
     if path.startswith(_NOT_MATERIAL):
-        own = {test: found for test, known in around.items() if (found := _find_known_path(path, known)) is not None}
+        own = {test: found for test, known in around.items()
+               if (found := _find_path_by_file_key_or_none(path, known)) is not None}
         if not own:
             known = sorted({path for each in around.values() for path in each})
-            raise InputError(f"no test has a parameter {name!r} that is a number{suggest_known_word(name, known)}",
-                             field=field)
+            raise InputError(
+                f"no test has a parameter {name!r} that is a number"
+                f"{make_hint_with_similar_or_known_words(name, known)}",
+                field=field)
         first = next(iter(own))
-        return CampaignParameter(own[first], around[first][own[first]], False,
-                                 _read_scope(name, scope, tuple(own), None),
-                              tuple(own))
+        return ScopedCampaignParameter(own[first], around[first][own[first]], False,
+                                       _read_scope(name, scope, tuple(own), None),
+                                       tuple(own))
     if "." not in path:
-        hint = (suggest_known_word(name, laws)
+        hint = (make_hint_with_similar_or_known_words(name, laws)
                 + '; write other parameters as paths in quotes, such as "viscoelastic.terms[0].g"')
         raise InputError(f"none of the listed laws has a parameter {name!r}{hint}", field=field)
     try:
-        full, declaration = find_material_declaration(path)
+        full, declaration = find_parameter_path_and_declaration(path)
     except InputError as error:
         raise InputError(error.problem, field=field) from None
     if (region := find_region_name(full)) is not None:
         having = tuple(test for test, found in regions.items() if region in found)
         if not having:
             known = list(dict.fromkeys(each for found in regions.values() for each in found))
-            hint = suggest_known_word(region, known) if known else "; the mesh of a specimen names its regions"
+            hint = make_hint_with_similar_or_known_words(region, known) if known \
+                else "; the mesh of a specimen names its regions"
             raise InputError(f"no specimen has a region {region!r}{hint}", field=field)
         # Tests of homogeneous specimens do not have the region: the shared value applies to the other tests only.
         where = _read_scope(name, scope, having, SHARED)
-        return CampaignParameter(full, declaration, False, having if where == SHARED else where, having)
-    return CampaignParameter(full, declaration, False, _read_scope(name, scope, everywhere, SHARED), everywhere)
+        return ScopedCampaignParameter(full, declaration, False, having if where == SHARED else where, having)
+    return ScopedCampaignParameter(full, declaration, False, _read_scope(name, scope, everywhere, SHARED), everywhere)
 
 
-def _find_known_path(path: str, known: Mapping[str, Declaration]) -> str | None:
+def _find_path_by_file_key_or_none(path: str, known: Mapping[str, Declaration]) -> str | None:
     """Return the known path that equals this path, or whose file key equals its last part; None without a match."""
     if path in known:
         return path
@@ -169,16 +174,17 @@ def _read_scope(name: str, stated: str | list[str] | None, tests: Sequence[str],
     if isinstance(stated, str):
         if stated not in SCOPES:
             raise InputError(f"scope must be one of {', '.join(map(repr, SCOPES))}, or a list of tests; got "
-                             f"{stated!r}{suggest_known_word(stated, SCOPES)}", field=f"fit.scope.{name}")
+                             f"{stated!r}{make_hint_with_similar_or_known_words(stated, SCOPES)}",
+                             field=f"fit.scope.{name}")
         return stated
     for test in stated:
         if test not in tests:
-            raise InputError(f"no test {test!r} has this parameter{suggest_known_word(test, tests)}",
+            raise InputError(f"no test {test!r} has this parameter{make_hint_with_similar_or_known_words(test, tests)}",
                              field=f"fit.scope.{name}")
     return tuple(stated)
 
 
-def check_stated_values(table: FitTable, named: Mapping[str, CampaignParameter]) -> None:
+def check_stated_bounds_and_completeness(table: FitTable, named: Mapping[str, ScopedCampaignParameter]) -> None:
     """Require stated values within their bounds, and complete effects of the material (all parameters stated).
 
     Raises:
@@ -209,17 +215,18 @@ def check_stated_values(table: FitTable, named: Mapping[str, CampaignParameter])
         raise InputError(f"{bulk[-1]} and {other} both state the bulk response; keep one of them",
                          field=f"fit.{'start' if bulk[-1] in table.start else 'fixed'}.{bulk[-1]}")
     try:
-        build_stated_material({name: value * named[name].declaration.factor for name, value in stated.items()}, named)
+        build_neo_hookean_with_stated_effects({name: value * named[name].declaration.factor for name,
+                                               value in stated.items()}, named)
     except InputError as error:
         # A missing parameter is reported in fit.start, where the other parameters of the part are.
-        field = f"fit.start.{_format_file_path(error.field or '')}".replace(".[", "[")
+        field = f"fit.start.{_format_parameter_path_with_file_key(error.field or '')}".replace(".[", "[")
         raise InputError(error.problem.replace("add it", "add it to fit.start or fit.fixed"), field=field) from None
 
 
-def _format_file_path(path: str) -> str:
+def _format_parameter_path_with_file_key(path: str) -> str:
     """Return a parameter path whose last part is the key used in files; unchanged for an unknown path."""
     try:
-        full, declaration = find_material_declaration(path)
+        full, declaration = find_parameter_path_and_declaration(path)
     except InputError:
         return path
     return f"{full.rpartition('.')[0]}.{declaration.key}"

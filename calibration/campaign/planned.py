@@ -13,11 +13,11 @@ from calibration.campaign.measured import MeasuredCurve, read_measured_curves
 from calibration.statistics.sensor_noise import SensorNoise
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
-from tissue_sim.recording.segmentation import label_motion, number_repeated_runs
+from tissue_sim.recording.segmentation import label_samples_ramp_hold_unload, number_repeated_runs
 
 
 @dataclass(frozen=True)
-class PlannedRecordingSettings:
+class PlannedRecordingCounts:
     """Numbers of recordings and samples of a planned test.
 
     Attributes:
@@ -31,7 +31,7 @@ class PlannedRecordingSettings:
     samples: int = 500
 
 
-PLANNED = PlannedRecordingSettings()
+PLANNED = PlannedRecordingCounts()
 
 
 def create_planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, replicates: int = PLANNED.replicates,
@@ -47,13 +47,13 @@ def create_planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, re
     """
     time = np.linspace(protocol.time[0], protocol.time[-1], samples)
     displacement = np.interp(time, protocol.time, protocol.displacement)
-    labels = number_repeated_runs(label_motion(time, displacement))
+    labels = number_repeated_runs(label_samples_ramp_hold_unload(time, displacement))
     return tuple(MeasuredCurve(f"{test.name}/planned {number + 1}", test, time, displacement, 1e3 * displacement,
                                labels, Path(), "", noise=noise) for number in range(replicates))
 
 
-def read_or_plan_curves(campaign: Campaign, replicates: int = PLANNED.replicates,
-                 samples: int = PLANNED.samples) -> dict[str, tuple[MeasuredCurve, ...]]:
+def read_or_plan_curves_of_all_tests(campaign: Campaign, replicates: int = PLANNED.replicates,
+                                     samples: int = PLANNED.samples) -> dict[str, tuple[MeasuredCurve, ...]]:
     """Read the recordings of tests that have recordings, and create recordings of the planned tests.
 
     Args:
@@ -90,6 +90,7 @@ def read_or_plan_curves(campaign: Campaign, replicates: int = PLANNED.replicates
     return {test.name: found[test.name] for test in campaign.tests}
 
 
-def with_forces(curves: Sequence[MeasuredCurve], forces: Sequence[np.ndarray]) -> tuple[MeasuredCurve, ...]:
+def replace_forces_of_curves(curves: Sequence[MeasuredCurve],
+                             forces: Sequence[np.ndarray]) -> tuple[MeasuredCurve, ...]:
     """Return copies of the recordings with other forces, N, one array of shape (n,) for each recording."""
     return tuple(replace(curve, force=force) for curve, force in zip(curves, forces, strict=True))

@@ -10,10 +10,10 @@ from typing import Any, Literal, cast
 
 import msgspec
 
-from tissue_sim.decode import decode_struct, read_toml
+from tissue_sim.decode import decode_struct, read_toml_dict
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.experiment.tools.tool import tool_sizes
+from tissue_sim.experiment.tools.tool import list_all_tool_sizes_by_key
 from tissue_sim.files import read_bytes
 from tissue_sim.specimen import SPECIMENS, specimen_sizes, specimen_texts
 
@@ -27,7 +27,7 @@ _WORDS = {"object": "a table, written [name] or { ... }", "array": "a list, writ
 _FIELD_IN_TEST = re.compile(r"^test\[(?P<number>\d+)\]\.(?P<key>\w+)(?P<rest>.*)$")
 #: Tables of ``[fit]`` with one entry per parameter -> form of an entry.
 BY_PARAMETER = {"start": "a number", "fixed": "a number", "prior": "[mean, standard deviation]",
-                 "bounds": "[low, high]"}
+                "bounds": "[low, high]"}
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -35,7 +35,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SpecimenTable(_Table, frozen=True, kw_only=True):
-    """Table ``[[specimen]]`` without the keys of the shapes, which `build_campaign_table_type` adds."""
+    """Table ``[[specimen]]`` without the keys of shapes; `build_campaign_table_type_with_plugin_keys` adds these."""
 
     name: str | None = None
     shape: str = "cylinder"
@@ -56,7 +56,7 @@ class SpecimenTable(_Table, frozen=True, kw_only=True):
 
 
 class TestTable(_Table, frozen=True, kw_only=True):
-    """Table ``[[test]]`` without the sizes of tools, which `build_campaign_table_type` adds."""
+    """Table ``[[test]]`` without the sizes of tools, which `build_campaign_table_type_with_plugin_keys` adds."""
 
     name: str | None = None
     specimen: str | None = None
@@ -90,9 +90,9 @@ class TestTable(_Table, frozen=True, kw_only=True):
     rig: str | None = None
 
     @property
-    def tool_sizes(self) -> dict[str, float]:
-        """Stated sizes of the tool by their keys, see `tissue_sim.experiment.tools.tool.tool_sizes`."""
-        return {key: value for key in tool_sizes() if (value := getattr(self, key)) is not None}
+    def stated_tool_sizes_in_file_units(self) -> dict[str, float]:
+        """Stated sizes of the tool by their keys, see `tissue_sim.experiment.tools.tool.list_all_tool_sizes_by_key`."""
+        return {key: value for key in list_all_tool_sizes_by_key() if (value := getattr(self, key)) is not None}
 
 
 class FitTable(_Table, frozen=True, kw_only=True):
@@ -143,10 +143,10 @@ class CampaignTable(_Table, frozen=True, kw_only=True):
     questions: list[str] = []
 
 
-def build_campaign_table_type() -> type[CampaignTable]:
+def build_campaign_table_type_with_plugin_keys() -> type[CampaignTable]:
     """Make the class of a campaign file, whose keys include the kinds, shapes and sizes that plug-ins register."""
     options: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
-    sizes = [(key, float | None, None) for key in tool_sizes()]
+    sizes = [(key, float | None, None) for key in list_all_tool_sizes_by_key()]
     test = msgspec.defstruct("TestTable", [("kind", Literal[tuple(KINDS)]), *sizes], bases=(TestTable,), **options)
     shapes = [("shape", Literal[(*SPECIMENS, PRISM)], "cylinder"),
               *((key, float | None, None) for key in specimen_sizes()),
@@ -160,7 +160,7 @@ def build_campaign_table_type() -> type[CampaignTable]:
 
 
 @dataclass(frozen=True)
-class TestDefaults:
+class DefaultedTestKeys:
     """Keys of the table ``[defaults]``, which apply to all tests that do not state them.
 
     Attributes:
@@ -171,7 +171,7 @@ class TestDefaults:
     keys: frozenset[str]
     own: tuple[frozenset[str], ...]
 
-    def add_error_location(self, error: InputError, path: Path) -> InputError:
+    def make_error_with_file_and_field(self, error: InputError, path: Path) -> InputError:
         """Return the error with the campaign file, and with the field ``defaults.KEY`` if a default caused the error.
 
         An error in ``test[2].speed_mm_s`` becomes ``defaults.speed_mm_s`` if test 2 does not state this key itself.
@@ -184,7 +184,7 @@ class TestDefaults:
                           field=field)
 
 
-def _copy_defaults_into_tests(content: dict[str, Any], path: Path) -> TestDefaults:
+def _move_defaults_into_test_tables_in_place(content: dict[str, Any], path: Path) -> DefaultedTestKeys:
     """Copy the keys of ``[defaults]`` into the tests of `content` and remove the table.
 
     Default columns do not apply to a test that states a format, and a default format does not apply to a test that
@@ -200,10 +200,10 @@ def _copy_defaults_into_tests(content: dict[str, Any], path: Path) -> TestDefaul
         excludes = {"format": "columns", "columns": "format"}
         skipped = {excludes[key] for key in excludes if key in test}
         test.update({key: value for key, value in defaults.items() if key not in test and key not in skipped})
-    return TestDefaults(frozenset(defaults), own)
+    return DefaultedTestKeys(frozenset(defaults), own)
 
 
-def decode_campaign_file(path: Path) -> tuple[CampaignTable, bytes, TestDefaults]:
+def decode_campaign_tables_bytes_and_defaults(path: Path) -> tuple[CampaignTable, bytes, DefaultedTestKeys]:
     """Read a campaign file and check the types of all keys.
 
     Returns:
@@ -213,23 +213,23 @@ def decode_campaign_file(path: Path) -> tuple[CampaignTable, bytes, TestDefaults
         InputError: missing or unreadable file, invalid TOML (with the line), unknown key (with the most similar known
             key), missing key, or wrong type.
     """
-    content = read_toml(path, "a campaign (TOML)")
+    content = read_toml_dict(path, "a campaign (TOML)")
     for key in ("specimen", "test"):
         if not isinstance(content.get(key, []), list):
             raise InputError(f"{key} must be a list of tables; got {type(content[key]).__name__}. Write [[{key}]].",
                              file=path, field=key)
-    defaults = _copy_defaults_into_tests(content, path)
+    defaults = _move_defaults_into_test_tables_in_place(content, path)
     try:
-        _check_parameter_tables(content.get("fit"))
-        return decode_struct(content, build_campaign_table_type(),
-                      words=_WORDS), read_bytes(path, "a campaign (TOML)"), defaults
+        _check_types_of_parameter_values(content.get("fit"))
+        return decode_struct(content, build_campaign_table_type_with_plugin_keys(),
+                             words=_WORDS), read_bytes(path, "a campaign (TOML)"), defaults
     except InputError as error:
         # TOML has no null; optional keys are left out.
         problem = error.problem.replace(" or null", "")
-        raise defaults.add_error_location(InputError(problem, field=error.field), path) from None
+        raise defaults.make_error_with_file_and_field(InputError(problem, field=error.field), path) from None
 
 
-def _check_parameter_tables(fit: Any) -> None:
+def _check_types_of_parameter_values(fit: Any) -> None:
     """Raise an `InputError` for wrong types of values in ``fit.start``, ``fit.fixed``, ``fit.prior``, ``fit.bounds``.
 
     Their keys are parameters, which the decoder does not name in its errors.

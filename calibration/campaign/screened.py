@@ -11,7 +11,7 @@ from calibration.campaign.campaign import Campaign, Test
 from tissue_sim.errors import InputError
 from tissue_sim.recording.cleaning import remove_outliers_and_saturation
 from tissue_sim.recording.control import analyse_control_and_creep
-from tissue_sim.recording.preload import LoadAtZeroDisplacement, estimate_load_at_zero_displacement
+from tissue_sim.recording.preload import LoadAtZeroAndContactShift, estimate_load_at_zero_displacement
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.screening import Preload, Screening
 
@@ -19,7 +19,7 @@ from tissue_sim.recording.screening import Preload, Screening
 _COVERS = 0.5
 
 
-def remove_unusable_samples(recording: Recording, name: str, test: Test) -> tuple[Recording, Screening]:
+def remove_left_out_and_outlier_samples(recording: Recording, name: str, test: Test) -> tuple[Recording, Screening]:
     """Remove the samples that the test leaves out and the detected outliers.
 
     Args:
@@ -38,7 +38,7 @@ def remove_unusable_samples(recording: Recording, name: str, test: Test) -> tupl
     own = name.removeprefix(f"{test.name}/")
     try:
         return remove_outliers_and_saturation(recording, test.leave_out.get(own, test.leave_out.get("")), zeroed,
-                               None if test.control == "find" else test.control)
+                                              None if test.control == "find" else test.control)
     except InputError as error:
         raise InputError(f"{own}: {error.problem}", file=error.file, field=error.field) from None
 
@@ -65,9 +65,8 @@ def check_recording_names_of_leave_out(test: Test, names: Sequence[str], campaig
                              file=campaign.path, field=f"{field}.{name}")
 
 
-def add_controlled_quantity(screening: Screening, motion: np.ndarray, load: np.ndarray, time: np.ndarray | None,
-                            test: Test
-                     ) -> Screening:
+def add_controlled_quantity_to_screening(screening: Screening, motion: np.ndarray, load: np.ndarray,
+                                         time: np.ndarray | None, test: Test ) -> Screening:
     """Return the findings with the controlled quantity (displacement or force), detected or stated by the test.
 
     Args:
@@ -81,8 +80,8 @@ def add_controlled_quantity(screening: Screening, motion: np.ndarray, load: np.n
     return replace(screening, control=control if test.control == "find" else replace(control, equal_samples=0))
 
 
-def add_load_at_zero(screening: Screening, motion: np.ndarray, load: np.ndarray, campaign: Campaign, *,
-                can_pull: bool, stressed: bool) -> Screening:
+def add_load_at_zero_to_screening(screening: Screening, motion: np.ndarray, load: np.ndarray, campaign: Campaign, *,
+                                  can_pull: bool, stressed: bool) -> Screening:
     """Return the findings with a nonzero load at zero displacement, if a recording starts in contact under load.
 
     Args:
@@ -97,17 +96,20 @@ def add_load_at_zero(screening: Screening, motion: np.ndarray, load: np.ndarray,
     if found is None:
         return screening
     fit = campaign.fit
-    # A default prior is widened to the preload, see `calibration.campaign.measured.scale_offset_defaults`.
+    # A default prior is widened to the preload, see
+    # `calibration.campaign.measured.make_campaign_with_scaled_offset_defaults`.
     covers = fit.offset == "fit" and not stressed and (found.load > 0 or can_pull) and (
         "offset_prior" in fit.offset_usual or fit.offset_prior >= _COVERS * abs(found.shift))
     # An inverse fit has a contact offset in each recording, unless the campaign states a deviation of zero.
     fits_contact = fit.method != "analytical" and campaign.noise.contact_jitter != 0
-    sentence = _describe_force_against_load(found, stressed=stressed, covers=covers) if found.load < 0 else \
-        _describe_preload(found, stressed=stressed, covers=covers, fits_contact=fits_contact)
+    sentence = _describe_negative_initial_load_with_remedy(found, stressed=stressed, covers=covers) if found.load < 0 \
+        else \
+        _describe_preload_with_remedy(found, stressed=stressed, covers=covers, fits_contact=fits_contact)
     return replace(screening, preload=Preload(*found, covers, sentence))
 
 
-def _describe_force_against_load(found: LoadAtZeroDisplacement, *, stressed: bool, covers: bool) -> str:
+def _describe_negative_initial_load_with_remedy(found: LoadAtZeroAndContactShift, *, stressed: bool,
+                                                covers: bool) -> str:
     """Describe a recording that begins under a force against the direction of loading, with cause and remedy."""
     load = f"{1e-3 * found.load:.3g} kPa" if stressed else f"{found.load:.3g} N"
     finding = (f"the recording begins under {load}, {100 * found.fraction:.0f} % of its range, against the direction "
@@ -118,7 +120,8 @@ def _describe_force_against_load(found: LoadAtZeroDisplacement, *, stressed: boo
     return f"{finding}; the moduli are wrong; {remedy}"
 
 
-def _describe_preload(found: LoadAtZeroDisplacement, *, stressed: bool, covers: bool, fits_contact: bool) -> str:
+def _describe_preload_with_remedy(found: LoadAtZeroAndContactShift, *, stressed: bool, covers: bool,
+                                  fits_contact: bool) -> str:
     """Describe a recording that begins under load, with remedy."""
     load, shift = (f"{1e-3 * found.load:.3g} kPa", f"a strain of {found.shift:.3g}") if stressed else \
         (f"{found.load:.3g} N", f"{1e3 * found.shift:.2g} mm")
@@ -134,7 +137,7 @@ def _describe_preload(found: LoadAtZeroDisplacement, *, stressed: bool, covers: 
     return f"{finding}; {effect}; {remedy}"
 
 
-def list_screening_notes(screening: Screening, recording: Recording, *, remembering: bool) -> dict[str, str]:
+def make_screening_notes_by_subject(screening: Screening, recording: Recording, *, remembering: bool) -> dict[str, str]:
     """Return the notes for the user about the signals of a recording, by subject.
 
     Args:
@@ -144,7 +147,7 @@ def list_screening_notes(screening: Screening, recording: Recording, *, remember
     """
     unread = recording.metadata.get("unread_columns")
     names = ", ".join(map(repr, unread)) if isinstance(unread, list | tuple) else ""
-    subjects = {"outliers": [*(each.sentence for each in screening.left_out), *screening.outlier_warnings],
+    subjects = {"outliers": [*(each.sentence for each in screening.left_out), *screening.kept_outlier_warnings],
                 "saturation": [each.sentence for each in screening.saturation],
                 "preload": [screening.preload.sentence] if screening.preload is not None else [],
                 "control": [screening.control.sentence] if screening.control is not None and not remembering else [],

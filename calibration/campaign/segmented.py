@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from tissue_sim.errors import InputError
-from tissue_sim.recording.origin import describe_kind_mismatch, describe_tool_mismatch
+from tissue_sim.recording.origin import get_recorded_kind_if_different_or_empty, get_recorded_tool_if_different_or_empty
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segments import Segmentation, find_segments_of_arrays
 
@@ -85,7 +85,7 @@ def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, t
                                    "0"))
         if contact.has_air_before_contact:
             used, shift = np.arange(displacement.size) >= contact.index, contact.displacement
-            displacement, force = contact.subtract_contact_and_zero(displacement, force, time)
+            displacement, force = contact.get_motion_and_force_from_contact(displacement, force, time)
             # In later cycles the tool may lift off again.
             used &= remembering | (displacement >= 0)
     if not used.any():
@@ -109,7 +109,8 @@ def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, t
     return SegmentedRecording(time, displacement, force, found, used, notes, recorded, shift)
 
 
-def list_notes_and_air_warning(recording: SegmentedRecording, first: int, *, stressed: bool) -> dict[str, str]:
+def get_notes_with_fit_before_contact_warning(recording: SegmentedRecording, first: int, *,
+                                              stressed: bool) -> dict[str, str]:
     """Return the notes of a recording, with a warning if the first fitted sample lies before contact.
 
     Args:
@@ -131,18 +132,18 @@ def list_notes_and_air_warning(recording: SegmentedRecording, first: int, *, str
     return notes
 
 
-def list_notes_on_stated_origin(recording: Recording, test: Test) -> dict[str, str]:
+def make_kind_and_tool_mismatch_notes(recording: Recording, test: Test) -> dict[str, str]:
     """Return notes if the metadata of a recording state another kind of test or another tool than the campaign."""
     notes = {}
-    if kind := describe_kind_mismatch(recording, test.kind.name):
+    if kind := get_recorded_kind_if_different_or_empty(recording, test.kind.name):
         notes["kind"] = f"the file states the kind {kind}; the fit uses {test.kind.name}"
     tool = None if test.experiment is None else test.experiment.tool
-    if tool is not None and (other := describe_tool_mismatch(recording, tool.shape, tool.radius)):
+    if tool is not None and (other := get_recorded_tool_if_different_or_empty(recording, tool.shape, tool.radius)):
         notes["tool"] = f"the file states a {other}; the fit uses another tool"
     return notes
 
 
-def summarise_notes(recordings: Iterable[tuple[str, str, Mapping[str, str]]]) -> str:
+def format_notes_summary_by_test_and_subject(recordings: Iterable[tuple[str, str, Mapping[str, str]]]) -> str:
     """Summarise the notes of all recordings in one sentence per test and subject.
 
     Args:

@@ -15,7 +15,7 @@ from tissue_sim.specimen.specimen import add_article
 SIZE_TOLERANCE = 0.02
 
 
-def check_specimen_metadata(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
+def require_matching_specimen_metadata(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
     """Check that the metadata of a recording state the shape and sizes of the specimen in the campaign.
 
     Metadata with ``radius_mm`` and without a shape mean a cylinder (older files). The shape is not compared if the test

@@ -6,19 +6,19 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from calibration.campaign.checks import require_positive
+from calibration.campaign.checks import require_positive_or_none
 from calibration.campaign.schema import PRISM, CampaignTable, SpecimenTable, TestTable
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.parameters import list_field_declarations
 from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen
-from tissue_sim.specimen.specimen import add_article, get_shape_keys, make_specimen_from_keys
+from tissue_sim.specimen.specimen import add_article, get_required_flags_of_shape_keys, make_specimen_from_keys
 
 #: Keys of a prism -> whether the key is required.
 _PRISM_KEYS = {"area_mm2": True, "height_mm": True}
 
 
-def read_specimens(table: CampaignTable, folder: Path) -> dict[str, Specimen]:
+def read_specimens_by_name(table: CampaignTable, folder: Path) -> dict[str, Specimen]:
     """Return the specimens of a campaign by name.
 
     Args:
@@ -43,13 +43,13 @@ def read_specimens(table: CampaignTable, folder: Path) -> dict[str, Specimen]:
 def _read_specimen(entry: SpecimenTable, name: str, folder: Path, field: str) -> Specimen:
     """Return the specimen of a table ``[[specimen]]``."""
     for key, value in entry.sizes.items():
-        require_positive(value, f"{field}.{key}", " mm")
-    require_positive(entry.density_kg_m3, f"{field}.density_kg_m3", " kg/m3")
+        require_positive_or_none(value, f"{field}.{key}", " mm")
+    require_positive_or_none(entry.density_kg_m3, f"{field}.density_kg_m3", " kg/m3")
     if entry.gravity and entry.density_kg_m3 is None:
         raise InputError("gravity = true requires the density of the specimen; add density_kg_m3",
                          field=f"{field}.density_kg_m3")
     shape = entry.shape
-    has = _PRISM_KEYS if shape == PRISM else get_shape_keys(shape)
+    has = _PRISM_KEYS if shape == PRISM else get_required_flags_of_shape_keys(shape)
     given: dict[str, float | str] = {**entry.sizes, **entry.texts}
     if entry.area_mm2 is not None:
         given["area_mm2"] = entry.area_mm2
@@ -60,7 +60,7 @@ def _read_specimen(entry: SpecimenTable, name: str, folder: Path, field: str) ->
                          field=f"{field}.{others[0]}")
     if shape == PRISM:
         # Homogeneous tests depend on cross-section and height only: a cylinder of the same area is equivalent.
-        require_positive(area := float(given.pop("area_mm2")), f"{field}.area_mm2", " mm2")
+        require_positive_or_none(area := float(given.pop("area_mm2")), f"{field}.area_mm2", " mm2")
         shape, given = "cylinder", given | {"radius_mm": 1e3 * math.sqrt(area * 1e-6 / math.pi)}
     elif entry.texts:
         given |= {key: str(folder / entry.texts[key]) for key in SPECIMENS[shape].paths if key in entry.texts}
@@ -79,8 +79,8 @@ def _read_specimen(entry: SpecimenTable, name: str, folder: Path, field: str) ->
         raise error.with_location(field=field) from None
 
 
-def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: CampaignTable,
-                  field: str) -> Specimen | None:
+def find_suitable_specimen_or_none(entry: TestTable, specimens: Mapping[str, Specimen], table: CampaignTable,
+                                   field: str) -> Specimen | None:
     """Return the specimen of a test; None if the test has no specimen and requires none.
 
     Args:
@@ -93,7 +93,8 @@ def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: Ca
         InputError: the specimen does not exist or does not suit the kind of test and the method.
     """
     if entry.specimen is not None and entry.specimen not in specimens:
-        hint = suggest_known_word(entry.specimen, specimens) if specimens else "; the file has no [[specimen]]"
+        hint = make_hint_with_similar_or_known_words(entry.specimen, specimens) if specimens \
+            else "; the file has no [[specimen]]"
         raise InputError(f"no specimen is named {entry.specimen!r}{hint}", field=f"{field}.specimen")
     if entry.specimen is None and len(specimens) > 1:
         raise InputError(f"specimen must name one of {', '.join(specimens)}", field=f"{field}.specimen")

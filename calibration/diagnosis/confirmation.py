@@ -15,9 +15,9 @@ from calibration.diagnosis.refits import copy_problem
 from calibration.fit.estimate import Estimate, iterate_mesh_correction_and_jitter
 from calibration.fit.fit import RegionMisfitTest
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
-from calibration.fit.predictor import ForcePredictor
+from calibration.fit.predictor import PredictionParameters
 from calibration.fit.problem import GeneralisedProblem
-from calibration.fit.regions import compute_region_misfit_tests
+from calibration.fit.regions import compute_smooth_misfit_tests_of_regions
 from calibration.fit.trust_region import minimise_from_start
 from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.contract import InfeasibleError
@@ -43,7 +43,7 @@ def refit_with_updated_corrections(evidence: FitEvidence) -> FitEvidence:
     return replace(evidence, estimate=estimate) if np.isfinite(estimate.error) else evidence
 
 
-def convert_p_value_to_deviations(region: RegionMisfitTest) -> float:
+def convert_region_p_value_to_deviations(region: RegionMisfitTest) -> float:
     """Return the number of standard deviations of a normal distribution with the p value of a region (two-sided)."""
     if region.p > _SMALLEST:
         return max(float(-special.ndtri(0.5 * region.p)), 0.0) + 0.0  # converts -0.0 to 0.0
@@ -63,49 +63,49 @@ def compare_segment_misfits(before: FitEvidence, after: FitEvidence | None) -> l
         other = later.get((region.test, region.segment))
         curves = [(curve, rows) for curve, rows in zip(before.problem.measured, before.problem.rows, strict=True)
                   if curve.test.name == region.test]
-        inside = _select_segment_samples(curves[0][0], region.segment)
+        inside = _make_segment_mask(curves[0][0], region.segment)
         answers.append(SegmentMisfit(
-            test=region.test, segment=region.segment, speed_mm_s=_compute_mean_speed(curves[0][0], inside),
+            test=region.test, segment=region.segment, speed_mm_s=_compute_mean_speed_mm_s_or_none(curves[0][0], inside),
             cycle=_parse_segment_number(region.segment), before_N=region.misfit_N, largest_before_N=-region.largest_N,
-            before_sigma=convert_p_value_to_deviations(region), adequate_before=region.adequate,
+            before_sigma=convert_region_p_value_to_deviations(region), adequate_before=region.adequate,
             after_N=None if other is None else other.misfit_N,
-            after_sigma=None if other is None else convert_p_value_to_deviations(other),
+            after_sigma=None if other is None else convert_region_p_value_to_deviations(other),
             adequate_after=None if other is None else other.adequate,
-            sentence=_describe_misfit(region, curves, before)))
+            sentence=_describe_region_misfit_and_significance(region, curves, before)))
     return answers
 
 
-def compute_smooth_misfit(evidence: FitEvidence) -> float:
+def compute_smooth_misfit_rms_newton(evidence: FitEvidence) -> float:
     """Return the root mean square of the smooth part of the residuals over all samples, N."""
     weights, total = 0.0, 0.0
     for region in evidence.region_tests:
-        count = sum(int(_select_segment_samples(curve, region.segment).sum()) for curve in evidence.problem.measured
+        count = sum(int(_make_segment_mask(curve, region.segment).sum()) for curve in evidence.problem.measured
                     if curve.test.name == region.test)
         weights += count
         total += count * region.misfit_N**2
     return float(np.sqrt(total / weights)) if weights else 0.0
 
 
-def predict_left_out_recordings(before: FitEvidence, after: FitEvidence | None) -> list[HeldOutPrediction]:
+def predict_last_recordings_from_others(before: FitEvidence, after: FitEvidence | None) -> list[HeldOutPrediction]:
     """Predict the last recording of each test with at least three recordings by fits to the other recordings."""
-    plain = _fit_without_last_recordings(before)
+    plain = _fit_and_split_off_last_recordings_or_none(before)
     if plain is None:
         return []
-    with_effect = None if after is None else _fit_without_last_recordings(after)
+    with_effect = None if after is None else _fit_and_split_off_last_recordings_or_none(after)
     first = _predict_last_recordings(*plain)
     second = [None] * len(first) if with_effect is None else _predict_last_recordings(*with_effect)
     return [_build_held_out_record(test.measured[0].name, "replicate", one, two, test.measured)
             for test, one, two in zip(plain[1].tests, first, second, strict=True)]
 
 
-def predict_held_out_tests(before: FitEvidence, after: FitEvidence | None) -> list[HeldOutPrediction]:
+def predict_held_out_tests_from_fits(before: FitEvidence, after: FitEvidence | None) -> list[HeldOutPrediction]:
     """Predict the tests that the campaign holds out, from the fits without (`before`) and with effects (`after`)."""
     found = []
     for test in before.campaign.tests:
         if not test.hold_out:
             continue
-        first = _predict_held_out_test(before, test.name)
-        second = None if after is None else _predict_held_out_test(after, test.name)
+        first = _compute_held_out_error_or_reason(before, test.name)
+        second = None if after is None else _compute_held_out_error_or_reason(after, test.name)
         found.append(_build_held_out_record(test.name, "test", first or "not predicted", second,
                                             before.measured[test.name]))
     return found
@@ -126,23 +126,22 @@ def _build_held_out_record(name: str, kind: str, before: Prediction | str, after
                              note=note)
 
 
-def _predict_held_out_test(evidence: FitEvidence, name: str) -> Prediction | str:
+def _compute_held_out_error_or_reason(evidence: FitEvidence, name: str) -> Prediction | str:
     """Return root mean square error, N, and adequacy of a predicted test; the reason if the prediction fails."""
     asked = next(test for test in evidence.campaign.tests if test.name == name)
     problem = evidence.problem
     try:
-        own = ForcePredictor.from_estimate(problem.space, evidence.estimate.theta,
-                                           compute_marginal_uncertainty(problem, evidence.evaluation))
-        test, error = GeneralisedLeastSquaresEstimator(evidence.campaign, evidence.measured,
-                                                       problem.solves).build_held_out_test(
-            asked, evidence.estimate, own)
+        own = PredictionParameters.from_minimum_and_uncertainty(
+            problem.space, evidence.estimate.theta, compute_marginal_uncertainty(problem, evidence.evaluation))
+        estimator = GeneralisedLeastSquaresEstimator(evidence.campaign, evidence.measured, problem.solves)
+        test, error = estimator.build_held_out_test_and_mesh_error(asked, evidence.estimate, own)
         unseen = GeneralisedProblem(problem.space, (test,), problem.solves, problem.jitter, (error,))
-        return _compute_prediction_errors(unseen, own.theta, own.covariance)[0]
+        return _compute_test_rms_errors_and_adequacy(unseen, own.theta, own.covariance)[0]
     except (InfeasibleError, InputError) as failure:
         return str(failure)
 
 
-def _fit_without_last_recordings(evidence: FitEvidence) -> tuple[Estimate, GeneralisedProblem] | None:
+def _fit_and_split_off_last_recordings_or_none(evidence: FitEvidence) -> tuple[Estimate, GeneralisedProblem] | None:
     """Return the fit without the last recording of each test with three or more, and the problem of these recordings.
 
     None if no test has three recordings.
@@ -152,18 +151,19 @@ def _fit_without_last_recordings(evidence: FitEvidence) -> tuple[Estimate, Gener
     if not any(repeated):
         return None
 
-    def restrict_to_recordings(test, first: int, last: int | None):
+    def select_recording_range_of_test(test, first: int, last: int | None):
         """Return a copy of a test with its recordings ``[first:last]`` only."""
         changes: dict = {"measured": test.measured[first:last]}
         if hasattr(test, "motion_of"):
             changes["motion_of"] = test.motion_of[first:last]
         return replace(test, **changes)
 
-    rest = GeneralisedProblem(problem.space, tuple(restrict_to_recordings(test, 0, -1) if several else test
+    rest = GeneralisedProblem(problem.space, tuple(select_recording_range_of_test(test, 0, -1) if several else test
                                                    for test, several in zip(problem.tests, repeated, strict=True)),
                               problem.solves, problem.jitter, problem.mesh_error)
     chosen = [i for i, several in enumerate(repeated) if several]
-    last = GeneralisedProblem(problem.space, tuple(restrict_to_recordings(problem.tests[i], -1, None) for i in chosen),
+    last = GeneralisedProblem(problem.space,
+                              tuple(select_recording_range_of_test(problem.tests[i], -1, None) for i in chosen),
                               problem.solves, problem.jitter, tuple(problem.mesh_error[i] for i in chosen))
     descent = minimise_from_start(rest, evidence.estimate.theta, corrected=True)
     estimate = Estimate(1, descent.theta, descent.error, descent.converged, descent.failure, (), {}, 0.0, problem=rest)
@@ -176,13 +176,13 @@ def _predict_last_recordings(estimate: Estimate, last: GeneralisedProblem) -> li
         return [f"no fit to the others: {estimate.failure}"] * len(last.tests)
     covariance = compute_marginal_uncertainty(estimate.problem, estimate.evaluation).covariance
     try:
-        return list(_compute_prediction_errors(last, estimate.theta, covariance))
+        return list(_compute_test_rms_errors_and_adequacy(last, estimate.theta, covariance))
     except InfeasibleError as failure:
         return [str(failure)] * len(last.tests)
 
 
-def _compute_prediction_errors(unseen: GeneralisedProblem, theta: np.ndarray,
-                               covariance: np.ndarray) -> list[Prediction]:
+def _compute_test_rms_errors_and_adequacy(unseen: GeneralisedProblem, theta: np.ndarray,
+                                          covariance: np.ndarray) -> list[Prediction]:
     """Return the root mean square prediction error of each test, N, and whether its residuals are adequate.
 
     Contact offset and zero of each recording are fitted. The covariance of the parameters enters the residual tests as
@@ -203,7 +203,7 @@ def _compute_prediction_errors(unseen: GeneralisedProblem, theta: np.ndarray,
     held = (axes[:, ~known].T / sizes) * 1e6
     rows = np.vstack([root, held])
     judged = replace(evaluation, prior_residual=np.zeros(rows.shape[0]), prior_rates=rows)
-    regions = compute_region_misfit_tests(unseen, judged)
+    regions = compute_smooth_misfit_tests_of_regions(unseen, judged)
     answers = []
     for number, test in enumerate(unseen.tests):
         gaps = np.concatenate([evaluation.force[rows] - unseen.data[rows] for rows, (t, _) in zip(
@@ -213,14 +213,14 @@ def _compute_prediction_errors(unseen: GeneralisedProblem, theta: np.ndarray,
     return answers
 
 
-def _select_segment_samples(curve: MeasuredCurve, segment: str) -> np.ndarray:
+def _make_segment_mask(curve: MeasuredCurve, segment: str) -> np.ndarray:
     """Return the mask of the samples of a segment, shape (n,); all true if the region is a third of a loading."""
     if curve.segment is None or segment not in curve.segment:
         return np.ones(curve.force.size, bool)
     return curve.segment == segment
 
 
-def _compute_mean_speed(curve: MeasuredCurve, inside: np.ndarray) -> float | None:
+def _compute_mean_speed_mm_s_or_none(curve: MeasuredCurve, inside: np.ndarray) -> float | None:
     """Return the mean speed over some samples, mm/s, to three digits; None without time."""
     if curve.time is None or inside.sum() < 2:
         return None
@@ -236,18 +236,18 @@ def _parse_segment_number(segment: str) -> int:
     return int(last) if last.isdigit() else 1
 
 
-def _describe_misfit(region: RegionMisfitTest, curves: Sequence[tuple[MeasuredCurve, slice]],
-                     evidence: FitEvidence) -> str:
+def _describe_region_misfit_and_significance(region: RegionMisfitTest, curves: Sequence[tuple[MeasuredCurve, slice]],
+                                             evidence: FitEvidence) -> str:
     """Describe the misfit of a region: change over a hold, or largest deviation, and its significance."""
     place = f"{region.test} {region.segment}"
     if region.adequate:
         return f"{place} agrees"
-    sigma, stressed = convert_p_value_to_deviations(region), curves[0][0].stressed
+    sigma, stressed = convert_region_p_value_to_deviations(region), curves[0][0].stressed
     what, unit, factor = ("stress", "kPa", 1e-3) if stressed else ("force", "N", 1.0)
     at = f"strain {region.at:.3g}" if stressed else f"{region.at:.3g} mm"
     if region.segment.startswith("hold"):
-        measured, error = _compute_force_change_over_hold(region, curves, evidence, "data")
-        modelled, _ = _compute_force_change_over_hold(region, curves, evidence, "model")
+        measured, error = _compute_mean_hold_change_and_error(region, curves, evidence, "data")
+        modelled, _ = _compute_mean_hold_change_and_error(region, curves, evidence, "model")
         if abs(measured - modelled) > evidence.limits.hold_change * error:
             goes, sign = ("falls", -1) if measured < 0 else ("rises", 1)
             predicted = f"{sign * factor * modelled:.2g} {unit}" if abs(modelled) > 0.1 * error else "nothing"
@@ -258,8 +258,8 @@ def _describe_misfit(region: RegionMisfitTest, curves: Sequence[tuple[MeasuredCu
             f"({sigma:.0f} sigma)")
 
 
-def _compute_force_change_over_hold(region: RegionMisfitTest, curves: Sequence[tuple[MeasuredCurve, slice]],
-                                    evidence: FitEvidence, of: str) -> tuple[float, float]:
+def _compute_mean_hold_change_and_error(region: RegionMisfitTest, curves: Sequence[tuple[MeasuredCurve, slice]],
+                                        evidence: FitEvidence, of: str) -> tuple[float, float]:
     """Return the mean change of the force over a hold, N, and its standard error, N.
 
     Args:
@@ -271,7 +271,7 @@ def _compute_force_change_over_hold(region: RegionMisfitTest, curves: Sequence[t
     force = evidence.problem.data if of == "data" else evidence.evaluation.force
     changes, errors = [], []
     for curve, rows in curves:
-        inside = force[rows][_select_segment_samples(curve, region.segment)]
+        inside = force[rows][_make_segment_mask(curve, region.segment)]
         end = max(int(_END_FRACTION * inside.size), 1)
         changes.append(inside[-end:].mean() - inside[:end].mean())
         errors.append(curve.noise.deviation * np.sqrt(2.0 / end))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.settings import require_positive_settings
+from tissue_sim.settings import require_all_settings_positive
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class DecisionLimits:
     min_mentioned_percent: float = 30.0
 
     def __post_init__(self) -> None:
-        require_positive_settings(self)
+        require_all_settings_positive(self)
 
     @property
     def min_bic_decrease(self) -> float:

@@ -9,15 +9,15 @@ import msgspec
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.measured import MeasuredCurve, scale_offset_defaults
+from calibration.campaign.measured import MeasuredCurve, make_campaign_with_scaled_offset_defaults
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.campaign.planned import with_forces
+from calibration.campaign.planned import replace_forces_of_curves
 from calibration.diagnosis.diagnosis import CandidateStatement
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.proposals import score_effects
 from calibration.diagnosis.statements import list_candidate_statements
 from calibration.diagnosis.verdict import VerdictWithFits
-from calibration.fit.campaign_problem import build_generalised_problem, make_initial_jitter
+from calibration.fit.campaign_problem import build_generalised_problem, make_stated_or_guessed_jitter
 from calibration.fit.estimate import Estimate
 from calibration.fit.identifiability import find_undetermined_parameters
 from calibration.fit.problem import GeneralisedProblem
@@ -82,14 +82,14 @@ def simulate_noise_free_evidence(campaign: Campaign, measured: Mapping[str, tupl
     """Return the evidence of noise-free recordings of a material with the starting values of the campaign.
 
     Args:
-        campaign: campaign from `calibration.diagnosis.evidence.make_whole_recording_campaign`.
+        campaign: campaign from `calibration.diagnosis.evidence.make_one_law_whole_recording_campaign`.
         measured: test -> recordings, of which only the motions are used.
         solves: cache of simulations.
 
     Raises:
         InputError: a parameter has no starting value, or the simulation fails at the starting values.
     """
-    campaign = scale_offset_defaults(campaign, measured)
+    campaign = make_campaign_with_scaled_offset_defaults(campaign, measured)
     law = campaign.fit.laws[0]
     problem = build_generalised_problem(law, campaign, measured, solves)
     space = problem.space
@@ -101,28 +101,29 @@ def simulate_noise_free_evidence(campaign: Campaign, measured: Mapping[str, tupl
     try:
         for test in problem.tests:
             answer = test.solve(space, theta, solves)
-            known[test.name] = with_forces(test.measured, [test.evaluate_force(answer, number, 0.0)[0]
-                                                               for number in range(len(test.measured))])
+            known[test.name] = replace_forces_of_curves(test.measured,
+                                                        [test.evaluate_force_and_derivatives(answer, number, 0.0)[0]
+                                                         for number in range(len(test.measured))])
     except InfeasibleError as failure:
         raise InputError(f"the tests cannot be simulated with this start ({failure}); state another start or a smaller "
                          "depth", file=campaign.path, field="fit.start") from None
     # The default scatter between recordings is proportional to the force, which is known only now.
-    jitter = make_initial_jitter(campaign, [curve for curves in known.values() for curve in curves])
+    jitter = make_stated_or_guessed_jitter(campaign, [curve for curves in known.values() for curve in curves])
     problem = GeneralisedProblem(space, tuple(replace(test, measured=known[test.name]) for test in problem.tests),
                                  solves,
-                                 jitter, tuple(_compute_expected_mesh_error(test, space, theta, solves)
+                                 jitter, tuple(_compute_expected_relative_mesh_error(test, space, theta, solves)
                                                for test in problem.tests))
     evaluation = problem.evaluate(theta)
     estimate = Estimate(1, theta, evaluation.sum_of_squares, True, "", (), {}, 0.0, problem=problem)
     return FitEvidence(campaign, {**measured, **known}, estimate)
 
 
-def _compute_expected_mesh_error(test: ForwardTest, space: ParameterSpace, theta: np.ndarray,
-                                 solves: SimulationCache) -> float:
+def _compute_expected_relative_mesh_error(test: ForwardTest, space: ParameterSpace, theta: np.ndarray,
+                                          solves: SimulationCache) -> float:
     """Return the relative error of the mesh in a fit; see `calibration.forward.forms.compute_mesh_uncertainty`."""
     corrected = replace(test)
     try:
-        corrected.update_mesh_correction(space, theta, solves)
+        corrected.update_mesh_force_difference_and_get_ratio(space, theta, solves)
     except InfeasibleError:
         return compute_mesh_uncertainty(test, FAST_MESH_ERRORS)
     return compute_mesh_uncertainty(corrected, ACCURATE_MESH_ERRORS)
@@ -163,7 +164,8 @@ def compute_experiment_design(campaign: Campaign, measured: Mapping[str, tuple[M
 
 def _summarise_planned_test(name: str, curves: Sequence[MeasuredCurve]) -> PlannedTestSummary:
     """Summarise the recordings of a planned test."""
-    clocks = [curve.sample_times[-1] - curve.sample_times[0] for curve in curves if curve.time is not None]
+    clocks = [curve.required_sample_times[-1] - curve.required_sample_times[0] for curve in curves
+              if curve.time is not None]
     return PlannedTestSummary(
         name=name, recordings=len(curves), samples=max(curve.force.size for curve in curves),
         depth_mm=1e3 * max(float(curve.displacement.max()) for curve in curves),

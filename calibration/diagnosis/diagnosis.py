@@ -39,7 +39,7 @@ class EffectParameter(msgspec.Struct, frozen=True, kw_only=True):
     bound: float | None = None
 
     @property
-    def is_at_bound(self) -> bool:
+    def is_effect_size_at_bound(self) -> bool:
         """Whether the size of the effect ended on a bound, so that its value is not reliable."""
         return self.bound is not None and self.absent is not None
 

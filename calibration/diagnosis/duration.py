@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from calibration.fit.problem import GeneralisedProblem
-from calibration.fit.starts import generate_starting_values
-from calibration.forward.meshes import get_solver_meshes
+from calibration.fit.starts import list_starts_with_varied_exponents
+from calibration.forward.meshes import get_solver_fit_resolutions
 from calibration.forward.simulated import SimulatedTest
-from calibration.forward.simulation_cache import simulate_curve
+from calibration.forward.simulation_cache import simulate_force_or_record_failure
 from tissue_sim.errors import InputError
 from tissue_sim.model import Model
 from tissue_sim.rig.rig import Rig
@@ -35,7 +35,7 @@ class DiagnosisDurationSettings:
 SETTINGS = DiagnosisDurationSettings()
 
 
-def estimate_simulation_seconds(problem: GeneralisedProblem) -> dict[str, float]:
+def measure_solid_simulation_cpu_seconds(problem: GeneralisedProblem) -> dict[str, float]:
     """Measure the processor time of a simulation of each three-dimensional test, without derivatives.
 
     Tests with fast solvers and failed simulations are omitted.
@@ -48,13 +48,13 @@ def estimate_simulation_seconds(problem: GeneralisedProblem) -> dict[str, float]
     """
     found = {}
     for test in problem.tests:
-        if isinstance(test, SimulatedTest) and get_solver_meshes(test.solver).slow:
+        if isinstance(test, SimulatedTest) and get_solver_fit_resolutions(test.solver).slow:
             experiment = replace(test.experiment, protocol=test.motions[0].tool_protocol)
             try:
-                values = problem.space.values(generate_starting_values(problem.space, 1)[0])
+                values = problem.space.values(list_starts_with_varied_exponents(problem.space, 1)[0])
                 material = problem.space.build_material(values, test=test.name)
-                curve = simulate_curve(Model(experiment, material, Rig()), None, [],
-                                       get_solver_meshes(test.solver).fast, test.solver)
+                curve = simulate_force_or_record_failure(Model(experiment, material, Rig()), None, [],
+                                                         get_solver_fit_resolutions(test.solver).fast, test.solver)
             except InputError:
                 continue
             if not curve.problem:
@@ -62,11 +62,11 @@ def estimate_simulation_seconds(problem: GeneralisedProblem) -> dict[str, float]
     return found
 
 
-def describe_expected_duration(seconds: Mapping[str, float]) -> str:
+def describe_expected_duration_or_empty(seconds: Mapping[str, float]) -> str:
     """Describe the expected duration and ways to shorten it; empty for a short diagnosis.
 
     Args:
-        seconds: name of the test -> processor time of a simulation, s, from `estimate_simulation_seconds`.
+        seconds: name of the test -> processor time of a simulation, s, from `measure_solid_simulation_cpu_seconds`.
     """
     each = sum(seconds.values())
     if SETTINGS.max_simulations * each < SETTINGS.min_announced:

@@ -18,13 +18,17 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.fit import RegionMisfitTest
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
 from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
-from calibration.fit.regions import compute_region_misfit_tests
+from calibration.fit.regions import compute_smooth_misfit_tests_of_regions
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import minimise_from_start
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.adequacy import compute_orthonormal_basis
-from calibration.statistics.common_signal import CommonSignal, compute_variance_ratio, find_common_signal
-from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.common_signal import (
+    CommonSignal,
+    compute_f_ratio_and_freedoms,
+    get_most_significant_common_signal,
+)
+from calibration.statistics.jitter import ContactAndForceZeroJitter
 from tissue_sim.errors import ConvergenceError, InputError
 
 #: Largest difference of the displacements of corresponding samples of two recordings, as a fraction of the largest
@@ -34,7 +38,7 @@ _SAME_POSITION = 0.005
 Measured = Mapping[str, tuple[MeasuredCurve, ...]]
 
 
-def make_whole_recording_campaign(campaign: Campaign, law: str | None = None) -> Campaign:
+def make_one_law_whole_recording_campaign(campaign: Campaign, law: str | None = None) -> Campaign:
     """Return the campaign with one law that is fitted to whole recordings, including holds and unloading.
 
     Args:
@@ -98,7 +102,7 @@ class FitEvidence:
         return Situation(self.campaign, self.measured, self.law_name)
 
     @cached_property
-    def whitened_residual(self) -> np.ndarray:
+    def whitened_residual_with_nuisances_and_priors(self) -> np.ndarray:
         """Whitened model minus data, followed by nuisances and priors, shape (M,)."""
         return self.evaluation.full_residual_and_jacobian[0]
 
@@ -111,15 +115,15 @@ class FitEvidence:
     def region_tests(self) -> list[RegionMisfitTest]:
         """Residual tests of all regions; a region is adequate if its p value exceeds `DecisionLimits.region_level`."""
         return [msgspec.structs.replace(region, adequate=region.p > self.limits.region_level)
-                for region in compute_region_misfit_tests(self.problem, self.evaluation)]
+                for region in compute_smooth_misfit_tests_of_regions(self.problem, self.evaluation)]
 
     @property
-    def has_adequate_residuals(self) -> bool:
+    def has_adequate_region_residuals(self) -> bool:
         """Whether no region has a significant smooth misfit; common signals of recordings are not tested."""
         return all(region.adequate for region in self.region_tests)
 
     @cached_property
-    def _replicate_residuals(self) -> dict[str, tuple[MeasuredCurve, np.ndarray]]:
+    def _first_curve_and_residuals_by_test(self) -> dict[str, tuple[MeasuredCurve, np.ndarray]]:
         """Test -> its first recording, and the whitened residuals of its recordings, shape (recordings, n).
 
         Only recordings with the displacements of the first one are included, and only tests with several of them.
@@ -136,41 +140,42 @@ class FitEvidence:
         return found
 
     @cached_property
-    def variance_ratios(self) -> dict[str, tuple[float, int, int]]:
+    def variance_f_ratios_and_freedoms_by_test(self) -> dict[str, tuple[float, int, int]]:
         """Name of a test with several recordings -> F ratio and degrees of freedom of its residuals.
 
-        See `calibration.statistics.common_signal.compute_variance_ratio`.
+        See `calibration.statistics.common_signal.compute_f_ratio_and_freedoms`.
         """
-        return {name: compute_variance_ratio(residuals) for name, (_, residuals) in self._replicate_residuals.items()}
+        return {name: compute_f_ratio_and_freedoms(residuals) for name,
+                (_, residuals) in self._first_curve_and_residuals_by_test.items()}
 
     @cached_property
-    def common_signals(self) -> dict[str, CommonSignal]:
+    def significant_common_signals_by_test(self) -> dict[str, CommonSignal]:
         """Test -> significant common signal in the residuals of its recordings.
 
         A rough common signal is missed by the smooth modes of the regions, and it increases the estimated noise.
         """
         found = {}
-        for name, (curve, residuals) in self._replicate_residuals.items():
-            segments = _find_label_runs(curve.segment, residuals.shape[1])
-            signal = find_common_signal(residuals, segments)
-            if len(self._replicate_residuals) * signal.p < self.limits.common_signal_level:
+        for name, (curve, residuals) in self._first_curve_and_residuals_by_test.items():
+            segments = _slice_equal_label_runs(curve.segment, residuals.shape[1])
+            signal = get_most_significant_common_signal(residuals, segments)
+            if len(self._first_curve_and_residuals_by_test) * signal.p < self.limits.common_signal_level:
                 found[name] = signal
         return found
 
     @property
     def tests_with_common_signal(self) -> list[str]:
         """Names of tests whose residuals have a significant common signal."""
-        return list(self.common_signals)
+        return list(self.significant_common_signals_by_test)
 
     @cached_property
     def common_signal_descriptions(self) -> list[str]:
         """Descriptions of the common signals, such as ``needle (most at 5.1 mm)`` or ``plates (a wave of 17 s)``."""
         words = []
-        for name, each in self.common_signals.items():
-            curve = self._replicate_residuals[name][0]
+        for name, each in self.significant_common_signals_by_test.items():
+            curve = self._first_curve_and_residuals_by_test[name][0]
             inside = slice(each.first, each.last + 1)
             if each.waves and curve.time is not None:
-                words.append(f"{name} (a wave of {np.ptp(curve.sample_times[inside]) / each.waves:.2g} s)")
+                words.append(f"{name} (a wave of {np.ptp(curve.required_sample_times[inside]) / each.waves:.2g} s)")
             elif each.last - each.first + 1 < curve.force.size and not each.waves:
                 place = float(np.mean(curve.displacement[inside]))
                 words.append(f"{name} (most at {f'strain {place:.2g}' if curve.stressed else f'{1e3 * place:.2g} mm'})")
@@ -179,9 +184,9 @@ class FitEvidence:
         return words
 
     @property
-    def is_misfit_explained(self) -> bool:
+    def has_no_misfit_or_common_signal(self) -> bool:
         """Whether the residuals have neither a smooth misfit nor a common signal."""
-        return self.has_adequate_residuals and not self.tests_with_common_signal
+        return self.has_adequate_region_residuals and not self.tests_with_common_signal
 
     @cached_property
     def effective_sample_count(self) -> float:
@@ -190,13 +195,13 @@ class FitEvidence:
         for curve in self.problem.measured:
             correlation = 0.0
             if curve.noise.correlation_time:
-                step = float(np.median(np.diff(curve.sample_times))) if curve.time is not None else 1.0
+                step = float(np.median(np.diff(curve.required_sample_times))) if curve.time is not None else 1.0
                 correlation = float(np.exp(-step / curve.noise.correlation_time))
             total += curve.force.size * (1.0 - correlation) / (1.0 + correlation)
         return max(total, 2.0)
 
 
-def _find_label_runs(labels: np.ndarray | None, size: int) -> list[slice]:
+def _slice_equal_label_runs(labels: np.ndarray | None, size: int) -> list[slice]:
     """Return the runs of equal labels as slices; one slice without labels."""
     if labels is None:
         return [slice(0, size)]
@@ -206,11 +211,11 @@ def _find_label_runs(labels: np.ndarray | None, size: int) -> list[slice]:
 
 def fit_without_effects(campaign: Campaign, measured: Measured, solves: SimulationCache,
                         context: RunContext,
-                    limits: DecisionLimits = LIMITS) -> FitEvidence:
+                        limits: DecisionLimits = LIMITS) -> FitEvidence:
     """Fit the plain model of a campaign, without any effect of the catalogue.
 
     Args:
-        campaign: campaign from `make_whole_recording_campaign`.
+        campaign: campaign from `make_one_law_whole_recording_campaign`.
         measured: test -> its recordings.
         solves: cache of simulations.
         context: workers and listeners.
@@ -226,16 +231,17 @@ def fit_without_effects(campaign: Campaign, measured: Measured, solves: Simulati
         raise ConvergenceError(f"{campaign.path}: no start of {law} can be simulated over the data ({estimate}); state "
                                "another start in fit.start, or a smaller max_strain")
     problem = estimate.problem
-    problem.jitter = compute_jitter_upper_limit(problem, estimate.theta, estimator.get_stated_or_prior_jitter(problem),
-                                        limits.jitter_exceedance)
-    problem.rebuild_nuisance_columns()
+    problem.jitter = compute_jitter_with_upper_limits(problem, estimate.theta,
+                                                      estimator.get_stated_or_prior_jitter(problem),
+                                                      limits.jitter_exceedance)
+    problem.assign_nuisance_columns_and_drop_cache()
     descent = minimise_from_start(problem, estimate.theta, corrected=True)
     estimate = replace(estimate, theta=descent.theta, error=descent.error)
     return FitEvidence(campaign, measured, estimate, limits)
 
 
-def compute_jitter_upper_limit(problem: GeneralisedProblem, theta: np.ndarray, stated: Noise,
-                       exceedance: float = LIMITS.jitter_exceedance) -> ReplicateJitter:
+def compute_jitter_with_upper_limits(problem: GeneralisedProblem, theta: np.ndarray, stated: Noise,
+                                     exceedance: float = LIMITS.jitter_exceedance) -> ContactAndForceZeroJitter:
     """Return an upper confidence limit of an estimated jitter; stated or assumed jitter is returned unchanged.
 
     Few recordings may agree by chance; with too small a jitter, effects that resemble a contact offset or a zero would
@@ -265,4 +271,4 @@ def compute_jitter_upper_limit(problem: GeneralisedProblem, theta: np.ndarray, s
         own_variance, value = float(np.median(several)), getattr(jitter, name)
         larger = np.sqrt((value**2 + own_variance) * factor - own_variance)
         found[name] = value if known[name] is not None else float(larger)
-    return ReplicateJitter(found["contact"], found["zero"], jitter.freedom)
+    return ContactAndForceZeroJitter(found["contact"], found["zero"], jitter.freedom)

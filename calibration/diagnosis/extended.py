@@ -16,8 +16,9 @@ from calibration.forward.simulated import SimulatedTest
 from tissue_sim.errors import InputError
 
 
-def add_effect_to_problem(problem: GeneralisedProblem, campaign: Campaign, candidate: Candidate,
-               values: Mapping[str, float] | None = None, *, free: bool) -> tuple[GeneralisedProblem, Campaign]:
+def add_effect_to_problem_and_campaign(problem: GeneralisedProblem, campaign: Campaign, candidate: Candidate,
+                                       values: Mapping[str, float] | None = None, *,
+                                       free: bool) -> tuple[GeneralisedProblem, Campaign]:
     """Return the problem and the campaign with an effect; mesh corrections and jitter are unchanged.
 
     Args:
@@ -34,7 +35,7 @@ def add_effect_to_problem(problem: GeneralisedProblem, campaign: Campaign, candi
     names = {test.name: [curve.name for curve in test.measured] for test in problem.tests}
     space = ParameterSpace.from_campaign(changed.fit.laws[0], changed, names)
     by_name = {test.name: test for test in changed.tests}
-    layered = bool(changed.fit.placeholder_material.layers)
+    layered = bool(changed.fit.neo_hookean_material_with_effects.layers)
 
     def extend_test_with_effect(test: ForwardTest) -> ForwardTest:
         """Return a test with experiment and rig of the changed campaign; a closed form is returned unchanged."""
@@ -50,7 +51,8 @@ def add_effect_to_problem(problem: GeneralisedProblem, campaign: Campaign, candi
                               problem.mesh_error), changed
 
 
-def select_free_values(space: ParameterSpace, values: Mapping[str, float], sizes: Mapping[str, float]) -> np.ndarray:
+def combine_free_values_with_effect_sizes(space: ParameterSpace, values: Mapping[str, float],
+                                          sizes: Mapping[str, float]) -> np.ndarray:
     """Return the free parameters of a space, SI, shape (p,).
 
     Args:
@@ -61,8 +63,9 @@ def select_free_values(space: ParameterSpace, values: Mapping[str, float], sizes
     return np.array([values[each.name] if each.name in values else sizes[each.path] for each in space.free_parameters])
 
 
-def simulate_force_change_of_effect(problem: GeneralisedProblem, evaluation: ProblemEvaluation, campaign: Campaign,
-                           candidate: Candidate, factor: float = 1.0) -> np.ndarray | str:
+def simulate_whitened_effect_change_or_reason(problem: GeneralisedProblem, evaluation: ProblemEvaluation,
+                                              campaign: Campaign,
+                                              candidate: Candidate, factor: float = 1.0) -> np.ndarray | str:
     """Compute the change of the whitened model by an effect of its trial size.
 
     Args:
@@ -83,7 +86,7 @@ def simulate_force_change_of_effect(problem: GeneralisedProblem, evaluation: Pro
         if t in touched), *(evaluation.nuisances[first:last] for first, last in dict.fromkeys(
             (problem.shared[t].start, problem.shared[t].stop) for t in touched))])
 
-    def fix_parameters(of: GeneralisedProblem) -> GeneralisedProblem:
+    def fix_parameters_of_touched_tests(of: GeneralisedProblem) -> GeneralisedProblem:
         """Return the problem of the tests in `touched`, with all parameters of the fit fixed."""
         # Fixed parameters avoid the computation of derivatives.
         space = of.space.with_all_fixed(dict(zip(problem.space.free, evaluation.theta, strict=True)))
@@ -93,56 +96,62 @@ def simulate_force_change_of_effect(problem: GeneralisedProblem, evaluation: Pro
     try:
         absent = {path: candidate.find_value_without_effect(campaign, path) for path in candidate.sizes}
         sizes = candidate.scale_trial_values(absent, factor)
-        with_it = fix_parameters(add_effect_to_problem(problem, campaign, candidate, sizes, free=False)[0])
+        extended, _ = add_effect_to_problem_and_campaign(problem, campaign, candidate, sizes, free=False)
+        with_it = fix_parameters_of_touched_tests(extended)
         # Both forces must be computed on one mesh and by one method, so that their difference is due to the effect.
-        without = _match_full_motion_simulation(fix_parameters(problem),
-                                                with_it) if not candidate.changes_mesh(campaign) \
-            else fix_parameters(add_effect_to_problem(problem, campaign, candidate, absent, free=False)[0])
-        change = _fit_residual_at_fixed_parameters(with_it, nuisances)
+        if not candidate.has_mesh_changing_shape_parameter(campaign):
+            without = _copy_with_full_motion_of_other_or_none(fix_parameters_of_touched_tests(problem), with_it)
+        else:
+            neutral, _ = add_effect_to_problem_and_campaign(problem, campaign, candidate, absent, free=False)
+            without = fix_parameters_of_touched_tests(neutral)
+        change = _compute_residual_at_given_nuisances(with_it, nuisances)
         # Without changes of mesh and method the residual without the effect is that of the evaluation.
         change -= np.concatenate([evaluation.residual[rows] for rows, (t, _) in zip(
             problem.rows, problem.places, strict=True) if t in touched]) if without is None else \
-            _fit_residual_at_fixed_parameters(without, nuisances)
+            _compute_residual_at_given_nuisances(without, nuisances)
     except (InfeasibleError, NotTestableError, InputError) as error:
         return str(error)
     groups: dict[str, np.ndarray] = {}
     for rows, (t, r) in zip(with_it.rows, with_it.places, strict=True):
-        column = groups.setdefault(_parameter_group_key(with_it.tests[t], candidate), np.zeros(problem.samples))
+        column = groups.setdefault(_get_effect_scope_key_of_test(with_it.tests[t], candidate),
+                                   np.zeros(problem.samples))
         column[problem.rows[problem.places.index((touched[t], r))]] = change[rows]
     return np.column_stack(list(groups.values()))
 
 
-def _match_full_motion_simulation(held: GeneralisedProblem, other: GeneralisedProblem) -> GeneralisedProblem | None:
+def _copy_with_full_motion_of_other_or_none(held: GeneralisedProblem,
+                                            other: GeneralisedProblem) -> GeneralisedProblem | None:
     """Return the problem with the whole motion simulated in the tests for which another problem requires it.
 
     Returns:
         The problem; None if no test changes.
     """
-    def simulate_full_motion(test: ForwardTest, of: ForwardTest) -> ForwardTest:
+    def request_full_motion_if_other_needs_it(test: ForwardTest, of: ForwardTest) -> ForwardTest:
         """Return `test`, with the simulation of the whole motion requested if only `of` requires it."""
         if not (isinstance(test, SimulatedTest) and isinstance(of, SimulatedTest)):
             return test
-        differs = test.uses_position_curve(held.space, np.zeros(0)) and not of.uses_position_curve(
+        differs = test.can_use_position_curve_at_parameters(held.space, np.zeros(0)) \
+            and not of.can_use_position_curve_at_parameters(
             other.space, np.zeros(0))
         return replace(test, full_motion=True) if differs else test
 
-    tests = tuple(map(simulate_full_motion, held.tests, other.tests))
+    tests = tuple(map(request_full_motion_if_other_needs_it, held.tests, other.tests))
     if all(one is test for one, test in zip(tests, held.tests, strict=True)):
         return None
     return GeneralisedProblem(held.space, tests, held.solves, held.jitter, held.mesh_error)
 
 
-def _fit_residual_at_fixed_parameters(held: GeneralisedProblem, nuisances: np.ndarray) -> np.ndarray:
+def _compute_residual_at_given_nuisances(held: GeneralisedProblem, nuisances: np.ndarray) -> np.ndarray:
     """Return the whitened model minus data of a problem without free parameters at given nuisances, shape (N,).
 
     Raises:
         InfeasibleError: see `ForwardTest.solve`.
     """
     answers = [test.solve(held.space, np.zeros(0), held.solves) for test in held.tests]
-    return held._linearise_at_nuisances(answers, nuisances)[0]
+    return held._compute_whitened_terms_at_nuisances(answers, nuisances)[0]
 
 
-def _parameter_group_key(test: ForwardTest, candidate: Candidate) -> str:
+def _get_effect_scope_key_of_test(test: ForwardTest, candidate: Candidate) -> str:
     """Return a key that is equal for tests with common parameters of a candidate."""
     if candidate.scope == "per_test":
         return test.name

@@ -20,7 +20,7 @@ from calibration.effects.effect import Candidate
 from calibration.fit.problem import GeneralisedProblem
 from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import build_forward_test, compute_mesh_uncertainty
+from calibration.forward.forms import build_forward_test_of_inverse_fit, compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
@@ -52,7 +52,7 @@ _SETTINGS = PlannedTestVariationSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class PlannedRamp:
+class PlannedTestVariation:
     """Planned further test: a variation of a test of the campaign.
 
     Attributes:
@@ -81,8 +81,8 @@ def suggest_experiments(before: FitEvidence, proposals: CatalogueScores,
     rivals = [each for each in judgement.refits if each.candidate_name in judgement.indistinguishable]
     found: list[NextExperiment] = []
     if judgement.verdict == "SET" and len(rivals) > 1:
-        for plan in vary_existing_tests(before):
-            closest = _find_least_separated_rivals(plan, before, rivals)
+        for plan in list_variations_of_existing_tests(before):
+            closest = _find_closest_rivals_and_deviation_or_none(plan, before, rivals)
             if closest is not None and closest[1] > 1.0:
                 found.append(NextExperiment(sentence=plan.sentence, separates=closest[0], deviations=closest[1]))
         found.sort(key=lambda each: -(each.deviations or 0.0))
@@ -92,7 +92,7 @@ def suggest_experiments(before: FitEvidence, proposals: CatalogueScores,
                for name, effect in zip(names, effects, strict=True)]
     if judgement.verdict == "UNKNOWN":
         by_hand = [NextExperiment(sentence="repeat the test with another rig or another operator: a misfit that stays "
-                                           "is a property of the tissue")]
+                                  "is a property of the tissue")]
     if judgement.verdict == "NONE":
         silent: dict[str, list[str]] = {}
         for name in proposals.untestable:
@@ -102,7 +102,7 @@ def suggest_experiments(before: FitEvidence, proposals: CatalogueScores,
     return [*found[:_SETTINGS.max_plans], *by_hand]
 
 
-def vary_existing_tests(before: FitEvidence) -> list[PlannedRamp]:
+def list_variations_of_existing_tests(before: FitEvidence) -> list[PlannedTestVariation]:
     """Return variations of the existing tests: hold, higher speed, larger depth, smaller tool or lower specimen."""
     found = []
     faster, smaller = _SETTINGS.speed_factor, _SETTINGS.size_factor
@@ -116,31 +116,35 @@ def vary_existing_tests(before: FitEvidence) -> list[PlannedRamp]:
         held = curve.segment is not None and any(str(name).startswith(("hold", "unload")) for name in curve.segment)
         label = f"{1e3 * depth:.3g} mm"
         if not held:
-            found.append(_make_planned_ramp(f"{test.name} again, to {label}, with a hold of {_SETTINGS.hold:g} s and "
-                                            "unloading", test, depth, speed, hold=True))
-        found.append(_make_planned_ramp(f"{test.name} again {faster:g} times as fast ({1e3 * faster * speed:.3g} mm/s)",
-                                        test, depth, faster * speed, hold=held))
+            found.append(_make_planned_variation_or_none(
+                f"{test.name} again, to {label}, with a hold of {_SETTINGS.hold:g} s and "
+                "unloading", test, depth, speed, hold=True))
+        found.append(_make_planned_variation_or_none(
+            f"{test.name} again {faster:g} times as fast ({1e3 * faster * speed:.3g} mm/s)",
+            test, depth, faster * speed, hold=held))
         height = experiment.specimen.height
         deeper = min(_SETTINGS.depth_factor * depth, _SETTINGS.max_depth * experiment.thickness)
         if deeper > 1.1 * depth:
-            found.append(_make_planned_ramp(f"{test.name} again to {1e3 * deeper:.3g} mm", test, deeper, speed,
-                                            hold=held))
+            found.append(_make_planned_variation_or_none(f"{test.name} again to {1e3 * deeper:.3g} mm", test, deeper,
+                                                         speed, hold=held))
         radius = experiment.tool.radius
         if not experiment.tool.is_plate and radius is not None:
             tool = replace(experiment.tool, radius=smaller * radius)
-            found.append(_make_planned_ramp(f"{test.name} with a tool of {1e3 * smaller * radius:.3g} mm radius",
-                                            replace(test, experiment=replace(experiment, tool=tool)), depth, speed,
-                                            hold=held))
+            found.append(
+                _make_planned_variation_or_none(f"{test.name} with a tool of {1e3 * smaller * radius:.3g} mm radius",
+                                                replace(test, experiment=replace(experiment, tool=tool)), depth, speed,
+                                                hold=held))
         elif "height" in list_field_declarations(type(experiment.specimen)):
             lower = with_values(experiment.specimen, {"height": smaller * height})
             shorter = replace(test, specimen=lower, experiment=replace(experiment, specimen=lower))
-            found.append(_make_planned_ramp(f"{test.name} on a specimen of half the height, to "
-                                            f"{1e3 * smaller * depth:.3g} mm", shorter, smaller * depth, speed,
-                                            hold=held))
+            found.append(_make_planned_variation_or_none(f"{test.name} on a specimen of half the height, to "
+                                                         f"{1e3 * smaller * depth:.3g} mm", shorter, smaller * depth,
+                                                         speed, hold=held))
     return [plan for plan in found if plan is not None]
 
 
-def _make_planned_ramp(sentence: str, test: Test, depth: float, speed: float, *, hold: bool) -> PlannedRamp | None:
+def _make_planned_variation_or_none(sentence: str, test: Test, depth: float, speed: float, *,
+                                    hold: bool) -> PlannedTestVariation | None:
     """Return a planned ramp, with hold and unloading if `hold`; None if the motion or geometry is invalid."""
     ending = f"; hold {_SETTINGS.hold:g}s; unload" if hold else ""
     text = f"ramp {1e3 * depth:.6g}mm @{1e3 * speed:.6g}mm/s{ending}"
@@ -148,13 +152,14 @@ def _make_planned_ramp(sentence: str, test: Test, depth: float, speed: float, *,
         assert test.experiment is not None
         protocol = Protocol.parse(text)
         experiment = replace(test.experiment, protocol=Protocol.ramp(1e-3 * test.experiment.specimen.height, 2))
-        return PlannedRamp(sentence, replace(test, name=f"{test.name} (planned)", experiment=experiment), protocol)
+        return PlannedTestVariation(sentence, replace(test, name=f"{test.name} (planned)", experiment=experiment),
+                                    protocol)
     except InputError:
         return None
 
 
-def _find_least_separated_rivals(plan: PlannedRamp, before: FitEvidence,
-                                 rivals: Sequence[EffectRefit]) -> tuple[list[str], float] | None:
+def _find_closest_rivals_and_deviation_or_none(plan: PlannedTestVariation, before: FitEvidence,
+                                               rivals: Sequence[EffectRefit]) -> tuple[list[str], float] | None:
     """Return the two rivals that a planned test separates least, and their difference in standard deviations.
 
     The difference of the expected forces is taken relative to noise, nuisances and parameter uncertainty: d'V^-1 d with
@@ -166,7 +171,7 @@ def _find_least_separated_rivals(plan: PlannedRamp, before: FitEvidence,
     noise = before.measured[plan.test.name.removesuffix(" (planned)")][0].noise
     curves = create_planned_curves(plan.test, plan.protocol, noise)
     try:
-        expected = [_predict_planned_test(plan.test, curves, before, each) for each in rivals]
+        expected = [_predict_whitened_planned_force_and_changes(plan.test, curves, before, each) for each in rivals]
     except (InfeasibleError, InputError):
         return None
     worst: tuple[list[str], float] | None = None
@@ -181,19 +186,19 @@ def _find_least_separated_rivals(plan: PlannedRamp, before: FitEvidence,
     return worst
 
 
-def _predict_planned_test(test: Test, curves: tuple[MeasuredCurve, ...], before: FitEvidence,
-                          rival: EffectRefit) -> tuple[np.ndarray, np.ndarray]:
+def _predict_whitened_planned_force_and_changes(test: Test, curves: tuple[MeasuredCurve, ...], before: FitEvidence,
+                                                rival: EffectRefit) -> tuple[np.ndarray, np.ndarray]:
     """Return the whitened force that a refit predicts for a planned test, and its uncertainty.
 
     Returns:
         Force, shape (N,), and changes per standard deviation of contact, zero, mesh error and parameters, shape (N, m).
     """
-    candidate = _add_planned_test(rival.proposal.candidate, test)
+    candidate = _extend_candidate_to_planned_test(rival.proposal.candidate, test)
     campaign: Campaign = replace(before.campaign, tests=(*before.campaign.tests, test))
     changed = candidate.add_to_campaign(campaign, free=True)
     asked = changed.tests[-1]
     problem = rival.problem
-    forward = build_forward_test(asked, curves, changed.fit, problem.jitter.contact)
+    forward = build_forward_test_of_inverse_fit(asked, curves, changed.fit, problem.jitter.contact)
     names = {each.name: [curve.name for curve in each.measured] for each in problem.tests}
     space = type(problem.space).from_campaign(changed.fit.laws[0], changed,
                                               {**names, asked.name: [c.name for c in curves]})
@@ -201,7 +206,7 @@ def _predict_planned_test(test: Test, curves: tuple[MeasuredCurve, ...], before:
     planned = GeneralisedProblem(space, (forward,), problem.solves, problem.jitter, (error,))
     theta = np.array([problem.space.values(rival.theta)[name] for name in space.free])
     answers = [forward.solve(space, theta, problem.solves)]
-    residual, rates, columns, _ = planned._linearise_at_nuisances(answers, np.zeros(planned.nuisances))
+    residual, rates, columns, _ = planned._compute_whitened_terms_at_nuisances(answers, np.zeros(planned.nuisances))
     spread = compute_marginal_uncertainty(problem, problem.evaluate(rival.theta))
     order = [problem.space.free.index(name) for name in space.free]
     covariance = spread.covariance[np.ix_(order, order)]
@@ -210,7 +215,7 @@ def _predict_planned_test(test: Test, curves: tuple[MeasuredCurve, ...], before:
     return residual, np.hstack([columns, rates @ root])
 
 
-def _add_planned_test(candidate: Candidate, test: Test) -> Candidate:
+def _extend_candidate_to_planned_test(candidate: Candidate, test: Test) -> Candidate:
     """Return a candidate that also acts in a planned test if it acts in the existing test that the plan varies."""
     if candidate.tests is None:
         return candidate

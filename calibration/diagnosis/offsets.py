@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from calibration.diagnosis.evidence import FitEvidence, fit_without_effects
 from calibration.fit.generalised import INVERSE_WARNINGS
 from calibration.fit.run_context import RunContext
-from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.jitter import ContactAndForceZeroJitter
 from tissue_sim.errors import ConvergenceError
 
 
@@ -28,7 +28,8 @@ class ContactIterationSettings:
 _SETTINGS = ContactIterationSettings()
 
 
-def refit_from_fitted_contacts(evidence: FitEvidence, context: RunContext) -> tuple[FitEvidence, list[str]]:
+def refit_from_far_contacts_and_describe_them(evidence: FitEvidence,
+                                              context: RunContext) -> tuple[FitEvidence, list[str]]:
     """Repeat the fit with displacements counted from the fitted contacts if these are far beyond their prior.
 
     The prior and the linear extrapolation of the simulated force bias such a contact, and the bias may appear as an
@@ -43,7 +44,7 @@ def refit_from_fitted_contacts(evidence: FitEvidence, context: RunContext) -> tu
         The evidence, and a sentence for each contact far beyond its prior.
     """
     scatter, found, shifts = evidence.problem.jitter, evidence, dict[str, float]()
-    if scatter.freedom != 0 or not evidence.is_misfit_explained:
+    if scatter.freedom != 0 or not evidence.has_no_misfit_or_common_signal:
         return evidence, []
     for _ in range(_SETTINGS.max_fits):
         far = {name: contact for name, contact in _read_contact_offsets(found).items()
@@ -58,7 +59,7 @@ def refit_from_fitted_contacts(evidence: FitEvidence, context: RunContext) -> tu
             found = fit_without_effects(evidence.campaign, measured, evidence.problem.solves, context, evidence.limits)
         except ConvergenceError:
             return evidence, []
-    if not found.is_misfit_explained:
+    if not found.has_no_misfit_or_common_signal:
         return evidence, []
     rest = _read_contact_offsets(found)
     stressed = {curve.name: curve.stressed for curve in evidence.problem.measured}
@@ -76,7 +77,7 @@ def _read_contact_offsets(evidence: FitEvidence) -> dict[str, float]:
             for columns, curve in zip(problem.offset_columns, problem.measured, strict=True)}
 
 
-def _describe_contact_offset(name: str, contact: float, scatter: ReplicateJitter, stressed: bool) -> str:
+def _describe_contact_offset(name: str, contact: float, scatter: ContactAndForceZeroJitter, stressed: bool) -> str:
     """Describe a contact offset beyond the assumed scatter."""
     size, assumed = (f"{each:.2g} of strain" if stressed else f"{1e3 * each:.2f} mm"
                      for each in (abs(contact), scatter.contact))

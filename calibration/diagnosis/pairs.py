@@ -12,7 +12,7 @@ from calibration.diagnosis.proposals import (
     CatalogueScores,
     ScoredCandidate,
     recompute_all_scores,
-    recompute_candidate_score,
+    recompute_candidate_score_in_other_fit,
 )
 from calibration.diagnosis.refits import EffectRefit, compute_odds_against, fit_best_scored_effects
 from calibration.fit.run_context import RunContext
@@ -52,7 +52,7 @@ class EffectPair:
     with_first: FitEvidence
 
     @property
-    def bic_decrease(self) -> float:
+    def bic_decrease_of_both_effects(self) -> float:
         """Decrease of the Schwarz criterion (BIC) by both effects, compared with the fit without effects."""
         return self.first.gain + self.second.gain
 
@@ -82,17 +82,17 @@ def find_pairs(evidence: FitEvidence, good: Sequence[EffectRefit], proposals: Ca
                                        f"fits with {first.proposal.candidate.effect.title}", likely) if likely else []
         found += [EffectPair(first, second, with_first) for second in fits if second.gain >= limits.min_pair_gain
                   and not second.is_effect_absent and not second.is_size_at_bound
-                  and _are_both_required(first, second, good, evidence)]
-    found.sort(key=lambda pair: -pair.bic_decrease)
+                  and _are_both_required_and_dissimilar(first, second, good, evidence)]
+    found.sort(key=lambda pair: -pair.bic_decrease_of_both_effects)
     kept: dict[frozenset[str], EffectPair] = {}
     for pair in found:
-        if 0.5 * (found[0].bic_decrease - pair.bic_decrease) < np.log(limits.odds):
+        if 0.5 * (found[0].bic_decrease_of_both_effects - pair.bic_decrease_of_both_effects) < np.log(limits.odds):
             kept.setdefault(frozenset((pair.first.candidate_name, pair.second.candidate_name)), pair)
     return list(kept.values())
 
 
-def _are_both_required(first: EffectRefit, second: EffectRefit, good: Sequence[EffectRefit],
-                       evidence: FitEvidence) -> bool:
+def _are_both_required_and_dissimilar(first: EffectRefit, second: EffectRefit, good: Sequence[EffectRefit],
+                                      evidence: FitEvidence) -> bool:
     """Return whether both effects of a pair are required and change the forces differently.
 
     Two effects with similar changes of the forces could explain a misfit by the difference of their changes, although
@@ -107,7 +107,8 @@ def _are_both_required(first: EffectRefit, second: EffectRefit, good: Sequence[E
     alone = next((each for each in good if each.candidate_name == second.candidate_name), None)
     if alone is not None and alone.gain > first.gain + second.gain - evidence.limits.min_pair_gain:
         return False
-    single, score_with_first = recompute_candidate_score(second.proposal, evidence), second.proposal.signed_score
+    single, score_with_first = recompute_candidate_score_in_other_fit(second.proposal,
+                                                                      evidence), second.proposal.signed_score
     if not single.direction.degrees_of_freedom:
         return False
     if single.signed_score * score_with_first < evidence.limits.min_score_ratio * score_with_first**2:
@@ -116,7 +117,7 @@ def _are_both_required(first: EffectRefit, second: EffectRefit, good: Sequence[E
     return cosine < evidence.limits.max_pair_cosine
 
 
-def find_most_changed_regions(proposal: ScoredCandidate, evidence: FitEvidence, most: int = 2) -> list[str]:
+def find_regions_of_largest_force_change(proposal: ScoredCandidate, evidence: FitEvidence, most: int = 2) -> list[str]:
     """Return the regions in which an effect changes the force most, after projection on the residual space.
 
     Args:

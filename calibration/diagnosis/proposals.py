@@ -11,7 +11,7 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.diagnosis.evidence import FitEvidence
-from calibration.diagnosis.extended import simulate_force_change_of_effect
+from calibration.diagnosis.extended import simulate_whitened_effect_change_or_reason
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import Candidate, Effect, NotTestableError
 from calibration.fit.run_context import RunContext
@@ -22,7 +22,7 @@ _SECOND_ORDER = 0.05
 
 
 @dataclass(frozen=True)
-class JumpSearchSettings:
+class JumpSearchStepFractions:
     """Steps of the search for the displacement at which a force jumps.
 
     Attributes:
@@ -35,7 +35,7 @@ class JumpSearchSettings:
     min_step: float = 0.002
 
 
-_JUMP_SEARCH = JumpSearchSettings()
+_JUMP_SEARCH = JumpSearchStepFractions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class ScoredCandidate:
         return self.signed_score / self.direction.reach if self.direction.reach else 0.0
 
     @cached_property
-    def log_likelihood_ratio(self) -> float:
+    def negative_log_likelihood_gain(self) -> float:
         """Log likelihood ratio -score^2 / 2 for the ranking of candidates; 0 if the sign of the score is impossible."""
         squares = float(np.sum(self.score**2))
         if self.direction.positive and self.direction.degrees_of_freedom == 1 and self.signed_score < 0:
@@ -98,17 +98,18 @@ class CatalogueScores:
     limits: DecisionLimits = LIMITS
 
     @cached_property
-    def best_candidates(self) -> dict[str, ScoredCandidate]:
+    def best_variant_by_candidate_name(self) -> dict[str, ScoredCandidate]:
         """Name of a candidate -> its trial shape values with the highest score; highest scores first."""
         found: dict[str, ScoredCandidate] = {}
-        for each in sorted(self.all, key=lambda one: one.log_likelihood_ratio):
+        for each in sorted(self.all, key=lambda one: one.negative_log_likelihood_gain):
             found.setdefault(each.candidate.name, each)
         return found
 
     @property
     def significant_candidates(self) -> dict[str, ScoredCandidate]:
         """Name -> significant candidates (`DecisionLimits.effect_level`), strongest first."""
-        return {name: each for name, each in self.best_candidates.items() if each.p <= self.limits.effect_level}
+        return {name: each for name, each in self.best_variant_by_candidate_name.items() if each.p
+                <= self.limits.effect_level}
 
     @property
     def significant_candidate_descriptions(self) -> list[str]:
@@ -116,7 +117,7 @@ class CatalogueScores:
         return [f"{each.candidate.effect.title} ({abs(each.signed_score):.2g} standard deviations)"
                 for each in self.significant_candidates.values()]
 
-    def find_indistinguishable_candidates(self, name: str) -> list[str]:
+    def find_names_of_indistinguishable_candidates(self, name: str) -> list[str]:
         """Return the names of indistinguishable candidates of other effects, most similar first."""
         mine = [each for each in self.all if each.candidate.name == name]
         found: dict[str, float] = {}
@@ -152,7 +153,7 @@ def score_effects(evidence: FitEvidence, context: RunContext, words: str = "effe
             untestable[name] = str(reason)
     problem, evaluation = evidence.problem, evidence.evaluation
     tasks = [(problem, evaluation, evidence.campaign, each) for each in candidates]
-    changes = context.run_task_for_all(simulate_force_change_of_effect, tasks, words,
+    changes = context.run_task_for_all(simulate_whitened_effect_change_or_reason, tasks, words,
                                        names=[each.title for each in candidates])
     columns = {number: change for number, change in enumerate(changes) if not isinstance(change, str)}
     failures = {candidates[number].name: change for number, change in enumerate(changes) if isinstance(change, str)}
@@ -161,10 +162,10 @@ def score_effects(evidence: FitEvidence, context: RunContext, words: str = "effe
     # If nearly all of a change lies in the fitted space, the rest may be a nonlinearity. With c(s) = a s + b s^2 the
     # combination 4 c(1/2) - c(1) = a removes the second-order part.
     bent = [number for number, direction in directions.items() if direction.reach < _SECOND_ORDER * direction.length]
-    halves = context.run_task_for_all(simulate_force_change_of_effect,
+    halves = context.run_task_for_all(simulate_whitened_effect_change_or_reason,
                                       [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
-                                      for number in bent], words,
-                          names=[candidates[number].title for number in bent]) if bent else []
+                                       for number in bent], words,
+                                      names=[candidates[number].title for number in bent]) if bent else []
     for number, half in zip(bent, halves, strict=True):
         if not isinstance(half, str):
             columns[number] = 4.0 * half - columns[number]
@@ -173,8 +174,8 @@ def score_effects(evidence: FitEvidence, context: RunContext, words: str = "effe
         if not direction.degrees_of_freedom:
             failures[candidates[number].name] = "the other parameters can absorb its change of the forces" \
                 if direction.length > 1e-6 else "it does not change the forces of these tests"
-    proposals = _score_candidates([(candidates[number], columns[number], direction)
-                                   for number, direction in directions.items()], evidence)
+    proposals = _score_simulated_changes([(candidates[number], columns[number], direction)
+                                          for number, direction in directions.items()], evidence)
     shown = {each.candidate.name for each in proposals}
     untestable |= {name: reason for name, reason in failures.items() if name not in shown}
     return CatalogueScores(proposals, untestable, effects, evidence.limits)
@@ -190,20 +191,21 @@ def recompute_all_scores(proposals: CatalogueScores, evidence: FitEvidence, know
         evidence: fit with the effects.
         known: names of the candidates that the fit contains.
     """
-    return replace(proposals, all=_score_candidates([
+    return replace(proposals, all=_score_simulated_changes([
         (each.candidate, each.change, _make_effect_direction(each.candidate, each.change, evidence))
         for each in proposals.all
         if each.candidate.name not in known], evidence))
 
 
-def recompute_candidate_score(proposal: ScoredCandidate, evidence: FitEvidence) -> ScoredCandidate:
+def recompute_candidate_score_in_other_fit(proposal: ScoredCandidate, evidence: FitEvidence) -> ScoredCandidate:
     """Return a candidate with its score in another fit; the p value is unchanged."""
     direction = _make_effect_direction(proposal.candidate, proposal.change, evidence)
-    return replace(proposal, direction=direction, score=direction.compute_score(evidence.whitened_residual))
+    return replace(proposal, direction=direction,
+                   score=direction.compute_score_components(evidence.whitened_residual_with_nuisances_and_priors))
 
 
-def _score_candidates(asked: Sequence[tuple[Candidate, np.ndarray, EffectDirection]],
-                      evidence: FitEvidence) -> tuple[ScoredCandidate, ...]:
+def _score_simulated_changes(asked: Sequence[tuple[Candidate, np.ndarray, EffectDirection]],
+                             evidence: FitEvidence) -> tuple[ScoredCandidate, ...]:
     """Return scored candidates, without those whose changes lie in the fitted space.
 
     Args:
@@ -213,14 +215,15 @@ def _score_candidates(asked: Sequence[tuple[Candidate, np.ndarray, EffectDirecti
     testable = [(candidate, change, direction) for candidate, change,
                 direction in asked if direction.degrees_of_freedom]
     directions = [direction for *_, direction in testable]
-    scores = [direction.compute_score(evidence.whitened_residual) for direction in directions]
+    scores = [direction.compute_score_components(evidence.whitened_residual_with_nuisances_and_priors)
+              for direction in directions]
     return tuple(ScoredCandidate(candidate, change, direction, score, float(p), {
         path: candidate.find_value_without_effect(evidence.campaign, path) for path in candidate.sizes})
         for (candidate, change, direction), score, p in zip(
             testable, scores, compute_familywise_p_values(directions, scores), strict=True))
 
 
-def refine_jump_position(proposal: ScoredCandidate, evidence: FitEvidence) -> ScoredCandidate:
+def refine_jump_displacement(proposal: ScoredCandidate, evidence: FitEvidence) -> ScoredCandidate:
     """Move the jump of a candidate to the position with the highest score, by steps that are halved down to a sample.
 
     Candidates without a jump are returned unchanged. The p value is unchanged.
@@ -232,30 +235,32 @@ def refine_jump_position(proposal: ScoredCandidate, evidence: FitEvidence) -> Sc
               if candidate.tests is None or curve.test.name in candidate.tests]
     deepest = max(float(curve.displacement.max()) for curve in curves)
     step = _JUMP_SEARCH.first_step * deepest
-    while step > max(find_smallest_sampling_step(curves), _JUMP_SEARCH.min_step * deepest):
+    while step > max(find_smallest_median_displacement_step(curves), _JUMP_SEARCH.min_step * deepest):
         step *= 0.5
         for change_of_depth in (-step, step):
             depth = float(np.clip(candidate.shape[candidate.jump] + change_of_depth, *candidate.bounds.get(
                 candidate.jump, (0.0, deepest))))
             other = replace(candidate, shape={**candidate.shape, candidate.jump: depth})
-            change = simulate_force_change_of_effect(evidence.problem, evidence.evaluation, evidence.campaign, other)
+            change = simulate_whitened_effect_change_or_reason(evidence.problem, evidence.evaluation, evidence.campaign,
+                                                               other)
             if isinstance(change, str):
                 continue
-            found = recompute_candidate_score(replace(proposal, candidate=other, change=change), evidence)
-            if found.direction.degrees_of_freedom and found.log_likelihood_ratio < proposal.log_likelihood_ratio:
+            found = recompute_candidate_score_in_other_fit(replace(proposal, candidate=other, change=change), evidence)
+            if found.direction.degrees_of_freedom and found.negative_log_likelihood_gain \
+                < proposal.negative_log_likelihood_gain:
                 proposal = found
         candidate = proposal.candidate
     return proposal
 
 
-def find_smallest_sampling_step(curves: Sequence[MeasuredCurve]) -> float:
+def find_smallest_median_displacement_step(curves: Sequence[MeasuredCurve]) -> float:
     """Return the smallest median displacement between successive samples of some recordings, m."""
     return min(float(np.median(np.abs(np.diff(curve.displacement[curve.displacement > 0])))) for curve in curves)
 
 
 def _make_effect_direction(candidate: Candidate, change: np.ndarray, evidence: FitEvidence) -> EffectDirection:
     """Return the direction of a change, shape (N, q), with zeros in the rows of nuisances and priors."""
-    rows = evidence.whitened_residual.size - evidence.problem.samples
+    rows = evidence.whitened_residual_with_nuisances_and_priors.size - evidence.problem.samples
     columns = np.vstack([change, np.zeros((rows, change.shape[1]))])
     return EffectDirection.from_whitened_change(columns, evidence.fitted_space_basis,
                                                 positive=_has_one_sided_size(candidate, evidence))
@@ -267,6 +272,6 @@ def _has_one_sided_size(candidate: Candidate, evidence: FitEvidence) -> bool:
         return False
     (path, size), = candidate.sizes.items()
     absent = candidate.find_value_without_effect(evidence.campaign, path)
-    prepared = candidate.with_prepared_tests(evidence.campaign)
+    prepared = candidate.make_campaign_with_prepared_tests(evidence.campaign)
     low, high = candidate.bounds.get(path, candidate.find_parameter_declaration(prepared, path).bounds)
     return (low >= absent - 1e-12 * abs(absent)) if size > absent else (high <= absent + 1e-12 * abs(absent))

@@ -10,12 +10,12 @@ import numpy as np
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.diagnosis.evidence import FitEvidence
-from calibration.diagnosis.extended import add_effect_to_problem, select_free_values
+from calibration.diagnosis.extended import add_effect_to_problem_and_campaign, combine_free_values_with_effect_sizes
 from calibration.diagnosis.proposals import (
     CatalogueScores,
     ScoredCandidate,
-    find_smallest_sampling_step,
-    refine_jump_position,
+    find_smallest_median_displacement_step,
+    refine_jump_displacement,
 )
 from calibration.effects.effect import Candidate, NotTestableError
 from calibration.fit.estimate import Estimate
@@ -111,18 +111,20 @@ class EffectRefit:
         return {each.name: values[each.name] for each in space.unknowns if each.path in mine}
 
     @property
-    def reached_parameter_bounds(self) -> dict[str, float]:
+    def reached_bounds_by_effect_parameter(self) -> dict[str, float]:
         """Name -> bound, SI, for parameters of the effect on a bound other than their absent value."""
-        absent = {name: self.proposal.absent.get(self.problem.space.find_parameter(name).path)
+        absent = {name: self.proposal.absent.get(self.problem.space.get_parameter_by_name(name).path)
                   for name in self.effect_values}
-        met = {name: find_reached_bound(self.problem.space, self.theta, name, value) for name, value in absent.items()}
+        met = {name: find_reached_bound_value_or_none(self.problem.space, self.theta, name, value) for name,
+               value in absent.items()}
         return {name: bound for name, bound in met.items() if bound is not None}
 
     @property
     def is_size_at_bound(self) -> bool:
         """Whether a size of the effect ended on a bound, so that its value is not plausible."""
         sizes = self.proposal.candidate.sizes
-        return any(self.problem.space.find_parameter(name).path in sizes for name in self.reached_parameter_bounds)
+        return any(self.problem.space.get_parameter_by_name(name).path in sizes
+                   for name in self.reached_bounds_by_effect_parameter)
 
     @property
     def is_effect_absent(self) -> bool:
@@ -130,7 +132,7 @@ class EffectRefit:
         values = self.effect_values
         return all(abs(values[name] - self.proposal.absent[path]) <= 1e-6 * abs(size - self.proposal.absent[path])
                    for path, size in self.proposal.candidate.sizes.items()
-                   for name in values if self.problem.space.find_parameter(name).path == path)
+                   for name in values if self.problem.space.get_parameter_by_name(name).path == path)
 
     def make_evidence(self, before: FitEvidence) -> FitEvidence:
         """Return the evidence with the effect; jitter and mesh corrections are those of `before`."""
@@ -139,7 +141,8 @@ class EffectRefit:
         return FitEvidence(self.campaign, before.measured, estimate, before.limits)
 
 
-def find_reached_bound(space: ParameterSpace, theta: np.ndarray, name: str, absent: float | None) -> float | None:
+def find_reached_bound_value_or_none(space: ParameterSpace, theta: np.ndarray, name: str,
+                                     absent: float | None) -> float | None:
     """Return the bound on which a parameter ended, SI; None if it is on no bound, at its absent value, or fixed.
 
     Args:
@@ -152,8 +155,8 @@ def find_reached_bound(space: ParameterSpace, theta: np.ndarray, name: str, abse
         return None
     index = space.free.index(name)
     for bound in (space.low[index], space.high[index]):
-        near = np.isfinite(bound) and abs(theta[index] - bound) <= _SETTINGS.on_bound * max(abs(bound),
-                                                                                          abs(theta[index]))
+        tolerance = _SETTINGS.on_bound * max(abs(bound), abs(theta[index]))
+        near = np.isfinite(bound) and abs(theta[index] - bound) <= tolerance
         if near and bound != absent:
             return float(bound)
     return None
@@ -171,7 +174,8 @@ def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, c
         words: description for progress messages.
         names: names of the candidates; None: those with the highest scores.
     """
-    ranked = [(name, -2.0 * each.log_likelihood_ratio) for name, each in proposals.best_candidates.items()]
+    ranked = [(name, -2.0 * each.negative_log_likelihood_gain) for name,
+              each in proposals.best_variant_by_candidate_name.items()]
     # Rivals of the best effect are fitted even if all scores are small.
     penalty = evidence.limits.min_bic_decrease + float(np.log(evidence.effective_sample_count))
     promising = min(_SETTINGS.promising * penalty,
@@ -184,15 +188,16 @@ def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, c
     tasks = []
     for name in chosen:
         variants = sorted((each for each in proposals.all if each.candidate.name == name),
-                          key=lambda each: each.log_likelihood_ratio)
+                          key=lambda each: each.negative_log_likelihood_gain)
         if variants[0].candidate.jump:
-            variants = [refine_jump_position(variants[0], evidence)]
+            variants = [refine_jump_displacement(variants[0], evidence)]
         tasks += [(evidence.problem, evidence.campaign, variant, evidence.parameter_values, error,
                    evidence.effective_sample_count)
                   for variant in variants[:2]
-                  if variant.log_likelihood_ratio < variants[0].log_likelihood_ratio + 0.5 * _SETTINGS.shape_margin]
+                  if variant.negative_log_likelihood_gain < variants[0].negative_log_likelihood_gain + 0.5
+                  * _SETTINGS.shape_margin]
     titles = [variant.candidate.title for *_, variant, _, _, _ in tasks]
-    found = context.run_task_for_all(fit_effect, tasks, words, names=titles) if tasks else []
+    found = context.run_task_for_all(fit_one_effect_or_none, tasks, words, names=titles) if tasks else []
     fits = [each for each in found if each is not None]
     best: dict[str, EffectRefit] = {}
     for each in sorted(fits, key=lambda one: -one.gain):
@@ -234,17 +239,17 @@ def refit_with_mesh_correction(fitted: EffectRefit, plain: GeneralisedProblem, e
     problem = copy_problem(fitted.problem)
     try:
         for test in problem.tests:
-            test.update_mesh_correction(problem.space, fitted.theta, problem.solves)
+            test.update_mesh_force_difference_and_get_ratio(problem.space, fitted.theta, problem.solves)
     except InfeasibleError:
         return fitted
     problem.mesh_error = tuple(compute_mesh_uncertainty(test, ACCURATE_MESH_ERRORS) for test in problem.tests)
-    problem.rebuild_nuisance_columns()
+    problem.assign_nuisance_columns_and_drop_cache()
     descent = minimise_from_start(problem, fitted.theta, corrected=True, enough=_SETTINGS.gain,
                                   tolerance=_SETTINGS.tolerance)
     if not np.isfinite(descent.error):
         return fitted
     penalty = _compute_bic_penalty(problem, plain, fitted.proposal.candidate, samples)
-    gain = error - _error_with_log_determinant(problem, descent) - penalty
+    gain = error - _compute_error_plus_log_determinant(problem, descent) - penalty
     return replace(fitted, problem=problem, theta=descent.theta, error=descent.error, gain=gain)
 
 
@@ -255,8 +260,8 @@ def copy_problem(problem: GeneralisedProblem) -> GeneralisedProblem:
     return GeneralisedProblem(problem.space, tests, problem.solves, problem.jitter, problem.mesh_error)
 
 
-def fit_effect(problem: GeneralisedProblem, campaign: Campaign, proposal: ScoredCandidate, values: Mapping[str, float],
-               error: float, samples: float) -> EffectRefit | None:
+def fit_one_effect_or_none(problem: GeneralisedProblem, campaign: Campaign, proposal: ScoredCandidate,
+                           values: Mapping[str, float], error: float, samples: float) -> EffectRefit | None:
     """Fit a problem with one effect, starting from the size that its score gives.
 
     Args:
@@ -271,7 +276,7 @@ def fit_effect(problem: GeneralisedProblem, campaign: Campaign, proposal: Scored
         The fit; None if no test has the parameters of the effect.
     """
     candidate = proposal.candidate
-    prepared = candidate.with_prepared_tests(campaign)
+    prepared = candidate.make_campaign_with_prepared_tests(campaign)
     start = {}
     for path, size in proposal.get_parameter_sizes().items():
         low, high = candidate.bounds.get(path, candidate.find_parameter_declaration(prepared, path).bounds)
@@ -285,36 +290,38 @@ def fit_effect(problem: GeneralisedProblem, campaign: Campaign, proposal: Scored
         start[path] = float(np.clip(inside, low + margin if np.isfinite(low) else low,
                                     high - margin if np.isfinite(high) else high))
     try:
-        extended, changed = add_effect_to_problem(problem, campaign, candidate, start, free=True)
+        extended, changed = add_effect_to_problem_and_campaign(problem, campaign, candidate, start, free=True)
     except (NotTestableError, InputError):
         return None
-    theta = _choose_start_below_error(extended, [select_free_values(extended.space, values, {**candidate.shape, **{
+    starts = [combine_free_values_with_effect_sizes(extended.space, values, {**candidate.shape, **{
         path: proposal.absent[path] + fraction * (size - proposal.absent[path]) for path, size in start.items()}})
-        for fraction in _SETTINGS.starts], error)
+        for fraction in _SETTINGS.starts]
+    theta = _choose_start_below_error(extended, starts, error)
     gain, tolerance, stalled = _SETTINGS.gain, _SETTINGS.tolerance, (_SETTINGS.patience, _SETTINGS.gain)
     descent = minimise_from_start(extended, theta, corrected=True, enough=gain, tolerance=tolerance, stalled=stalled)
     if not np.isfinite(descent.error):
         return EffectRefit(proposal, extended, changed, descent.theta, descent.error, -np.inf, descent.failure)
-    shortfall = -2.0 * proposal.log_likelihood_ratio - (error - _error_with_log_determinant(extended, descent))
+    decrease = error - _compute_error_plus_log_determinant(extended, descent)
+    shortfall = -2.0 * proposal.negative_log_likelihood_gain - decrease
     if proposal.direction.degrees_of_freedom == 1 and shortfall > _SETTINGS.shortfall:
         # With nearly dependent parameters a step with a small decrease may precede one with a larger decrease.
         again = minimise_from_start(extended, descent.theta, corrected=True, enough=0.0, tolerance=tolerance,
                                     stalled=stalled)
         descent = again if again.error < descent.error else descent
     for _ in range(_SETTINGS.max_jump_moves if candidate.jump else 0):
-        moved = _refit_with_better_jump(problem, campaign, proposal, extended, descent)
+        moved = _refit_with_better_jump_or_none(problem, campaign, proposal, extended, descent)
         if moved is None:
             break
         proposal, extended, changed, descent = moved
-    gain = error - _error_with_log_determinant(extended, descent) - _compute_bic_penalty(extended, problem, candidate,
-                                                                                         samples)
+    decrease = error - _compute_error_plus_log_determinant(extended, descent)
+    gain = decrease - _compute_bic_penalty(extended, problem, candidate, samples)
     return EffectRefit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure)
 
 
-def _refit_with_better_jump(problem: GeneralisedProblem, campaign: Campaign, proposal: ScoredCandidate,
-                            extended: GeneralisedProblem,
-                            descent: DescentResult) -> tuple[ScoredCandidate, GeneralisedProblem, Campaign,
-                                                             DescentResult] | None:
+def _refit_with_better_jump_or_none(problem: GeneralisedProblem, campaign: Campaign, proposal: ScoredCandidate,
+                                    extended: GeneralisedProblem,
+                                    descent: DescentResult) -> tuple[ScoredCandidate, GeneralisedProblem, Campaign,
+                                                                     DescentResult] | None:
     """Search a better position of the jump at the contacts of the fit, and repeat the fit there.
 
     Args:
@@ -327,15 +334,15 @@ def _refit_with_better_jump(problem: GeneralisedProblem, campaign: Campaign, pro
     Returns:
         Candidate, problem, campaign and end of the new fit; None if no better position is found.
     """
-    candidate, best = proposal.candidate, _error_with_log_determinant(extended, descent)
+    candidate, best = proposal.candidate, _compute_error_plus_log_determinant(extended, descent)
     curves = [curve for curve in problem.measured if candidate.tests is None or curve.test.name in candidate.tests]
     position = candidate.shape[candidate.jump]
     low, high = candidate.bounds.get(candidate.jump, (0.0, max(float(c.displacement.max()) for c in curves)))
     found = None
     for steps in (sign * steps for steps in _SETTINGS.jump_steps for sign in (-1, 1)):
-        depth = float(np.clip(position + steps * find_smallest_sampling_step(curves), low, high))
+        depth = float(np.clip(position + steps * find_smallest_median_displacement_step(curves), low, high))
         other = replace(candidate, shape={**candidate.shape, candidate.jump: depth})
-        moved, changed = add_effect_to_problem(problem, campaign, other, free=True)
+        moved, changed = add_effect_to_problem_and_campaign(problem, campaign, other, free=True)
         try:
             evaluation = moved.evaluate(descent.theta)
         except InfeasibleError:
@@ -350,7 +357,7 @@ def _refit_with_better_jump(problem: GeneralisedProblem, campaign: Campaign, pro
     return (*found, again) if np.isfinite(again.error) else None
 
 
-def _error_with_log_determinant(problem: GeneralisedProblem, descent: DescentResult) -> float:
+def _compute_error_plus_log_determinant(problem: GeneralisedProblem, descent: DescentResult) -> float:
     """Return the sum of squares at the end of a descent plus the log determinant of the covariance there."""
     return descent.error + problem.evaluate(descent.theta).log_determinant
 

@@ -12,7 +12,7 @@ import msgspec
 from calibration.campaign.campaign import Campaign
 from calibration.diagnosis.diagnosis import Diagnosis
 from calibration.output_folder import DIAGNOSIS_FILE, TABLES_OF_DIAGNOSIS
-from tissue_sim.decode import read_json
+from tissue_sim.decode import read_json_value
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def diagnosis_to_json(results: Sequence[DiagnosisResult]) -> dict[str, Any]:
     return {**msgspec.to_builtins(result.diagnosis), "output": str(result.output), "work": result.digest}
 
 
-def read_diagnosis(campaign: Campaign, folder: Path, digest: str) -> DiagnosisResult | None:
+def read_matching_diagnosis_or_none(campaign: Campaign, folder: Path, digest: str) -> DiagnosisResult | None:
     """Read the result of an earlier run with the same inputs.
 
     Args:
@@ -57,7 +57,7 @@ def read_diagnosis(campaign: Campaign, folder: Path, digest: str) -> DiagnosisRe
         The result; None if it is missing, unreadable or incomplete, or belongs to other inputs.
     """
     try:
-        found = read_json(folder / DIAGNOSIS_FILE, "a finished diagnosis")
+        found = read_json_value(folder / DIAGNOSIS_FILE, "a finished diagnosis")
         if found["work"] != digest:
             return None
         diagnosis = msgspec.convert(found, Diagnosis)

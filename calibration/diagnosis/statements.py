@@ -6,9 +6,9 @@ import numpy as np
 
 from calibration.diagnosis.diagnosis import CandidateStatement, EffectParameter, FoundEffect
 from calibration.diagnosis.evidence import FitEvidence
-from calibration.diagnosis.pairs import find_most_changed_regions
+from calibration.diagnosis.pairs import find_regions_of_largest_force_change
 from calibration.diagnosis.proposals import CatalogueScores, ScoredCandidate
-from calibration.diagnosis.refits import EffectRefit, compute_odds_against, find_reached_bound
+from calibration.diagnosis.refits import EffectRefit, compute_odds_against, find_reached_bound_value_or_none
 from calibration.diagnosis.verdict import VerdictWithFits, compute_explained_misfit_fraction
 from calibration.effects.effect import Candidate
 from calibration.fit.uncertainty import compute_marginal_uncertainty
@@ -24,7 +24,8 @@ def list_found_effects(judgement: VerdictWithFits, before: FitEvidence, after: F
     """
     found: dict[str, FoundEffect] = {}
     for each in judgement.added:
-        candidate, numbers = each.proposal.candidate, list_effect_parameters(each.proposal.candidate, after)
+        candidate = each.proposal.candidate
+        numbers = list_fitted_parameters_of_candidate(candidate, after)
         effect = candidate.effect
         if candidate.name in found:
             # A further instance of the effect, such as a second Prony term.
@@ -32,11 +33,11 @@ def list_found_effects(judgement: VerdictWithFits, before: FitEvidence, after: F
         found[candidate.name] = FoundEffect(
             name=effect.name, category=effect.category, title=effect.title,
             tests=list(candidate.tests or ()) if candidate.mark else [], parameters=numbers,
-            acts_in=find_most_changed_regions(each.proposal, before))
+            acts_in=find_regions_of_largest_force_change(each.proposal, before))
     return list(found.values())
 
 
-def list_effect_parameters(candidate: Candidate, evidence: FitEvidence) -> list[EffectParameter]:
+def list_fitted_parameters_of_candidate(candidate: Candidate, evidence: FitEvidence) -> list[EffectParameter]:
     """Return the fitted parameters of a candidate with their standard errors."""
     space = evidence.problem.space
     spread = compute_marginal_uncertainty(evidence.problem, evidence.evaluation)
@@ -47,11 +48,11 @@ def list_effect_parameters(candidate: Candidate, evidence: FitEvidence) -> list[
         if each.path not in mine:
             continue
         error = float(errors.get(each.name, 0.0))
-        absent = candidate.find_value_without_effect(evidence.campaign,
-                                                     each.path) if each.path in candidate.sizes else None
+        absent = candidate.find_value_without_effect(evidence.campaign, each.path) \
+            if each.path in candidate.sizes else None
+        bound = find_reached_bound_value_or_none(space, evidence.estimate.theta, each.name, absent)
         numbers.append(EffectParameter(path=each.name, symbol=space.symbols[each.name], unit=each.declaration.unit,
-                                       value=evidence.parameter_values[each.name], absent=absent,
-                                       bound=find_reached_bound(space, evidence.estimate.theta, each.name, absent),
+                                       value=evidence.parameter_values[each.name], absent=absent, bound=bound,
                                        standard_error=error if np.isfinite(error) else None))
     return numbers
 
@@ -62,7 +63,7 @@ def list_candidate_statements(proposals: CatalogueScores, judgement: VerdictWith
     refits = {each.candidate_name: each for each in judgement.refits}
     best = judgement.refits[0] if judgement.refits else None
     rows = [_make_testable_statement(name, proposal, proposals, refits.get(name), best, before)
-            for name, proposal in proposals.best_candidates.items()]
+            for name, proposal in proposals.best_variant_by_candidate_name.items()]
     rows.sort(key=lambda row: (row.delta_BIC is None, -(row.delta_BIC or 0.0)))
     for name, reason in proposals.untestable.items():
         effect = proposals.effects[name.partition("@")[0]]
@@ -81,20 +82,20 @@ def _make_testable_statement(name: str, proposal: ScoredCandidate, proposals: Ca
     clearest = max(mine, key=lambda each: each.direction.reach)
     smallest = clearest.get_parameter_sizes(before.limits.detectable_score / clearest.direction.reach)
     after = fitted.make_evidence(before) if fitted is not None and finite else None
-    prepared = clearest.candidate.with_prepared_tests(before.campaign)
-    symbols = clearest.candidate.list_symbols(before.campaign)
+    prepared = clearest.candidate.make_campaign_with_prepared_tests(before.campaign)
+    symbols = clearest.candidate.make_symbols_by_path(before.campaign)
     return CandidateStatement(
         name=name, effect=effect.name, category=effect.category, title=effect.title, testable=True, seen_from=smallest,
         symbols={path: symbols[path] for path in smallest}, absent=clearest.absent,
         units={path: clearest.candidate.find_parameter_declaration(prepared, path).unit for path in smallest},
-        twins=proposals.find_indistinguishable_candidates(name), separated_by=effect.separated_by,
+        twins=proposals.find_names_of_indistinguishable_candidates(name), separated_by=effect.separated_by,
         score=proposal.signed_score, p=proposal.p, estimate=proposal.get_parameter_sizes(),
         refitted=fitted is not None, delta_BIC=float(fitted.gain) if fitted is not None and finite else None,
         explained_percent=None if after is None
         else 100.0 * compute_explained_misfit_fraction(before.region_tests, after.region_tests),
         evidence_ratio=compute_odds_against(best, fitted)
         if fitted is not None and best is not None and finite else None,
-        parameters=[] if after is None else list_effect_parameters(proposal.candidate, after),
+        parameters=[] if after is None else list_fitted_parameters_of_candidate(proposal.candidate, after),
         on_bound=[] if fitted is None
-        else [fitted.problem.space.symbols[held] for held in fitted.reached_parameter_bounds],
+        else [fitted.problem.space.symbols[held] for held in fitted.reached_bounds_by_effect_parameter],
         note="" if fitted is None else fitted.failure)

@@ -37,7 +37,8 @@ class VerdictWithFits:
     evidence: FitEvidence
 
 
-def decide_verdict(evidence: FitEvidence, proposals: CatalogueScores, context: RunContext) -> VerdictWithFits:
+def fit_effects_and_decide_verdict(evidence: FitEvidence, proposals: CatalogueScores,
+                                   context: RunContext) -> VerdictWithFits:
     """Fit the significant effects and derive the verdict.
 
     Args:
@@ -45,27 +46,28 @@ def decide_verdict(evidence: FitEvidence, proposals: CatalogueScores, context: R
         proposals: scores of all effects.
         context: workers and listeners.
     """
-    if not proposals.significant_candidates and evidence.has_adequate_residuals:
-        return VerdictWithFits("NONE" if evidence.is_misfit_explained else "UNKNOWN", [], (), [], evidence)
+    if not proposals.significant_candidates and evidence.has_adequate_region_residuals:
+        return VerdictWithFits("NONE" if evidence.has_no_misfit_or_common_signal else "UNKNOWN", [], (), [], evidence)
     limits = evidence.limits
     refits = fit_best_scored_effects(evidence, proposals, context)
     sound = [each for each in refits if not each.is_effect_absent and not each.is_size_at_bound]
     good = [each for each in sound if each.gain >= limits.min_bic_decrease
-            and (each.proposal.p <= limits.effect_level or not evidence.has_adequate_residuals)]
+            and (each.proposal.p <= limits.effect_level or not evidence.has_adequate_region_residuals)]
     if not good:
-        return VerdictWithFits("NONE" if evidence.is_misfit_explained else "UNKNOWN", refits, (), [], evidence)
+        return VerdictWithFits("NONE" if evidence.has_no_misfit_or_common_signal else "UNKNOWN", refits, (), [],
+                               evidence)
     best = good[0]
     rivals = (each.gain for each in good if each.proposal.candidate.effect.name != best.proposal.candidate.effect.name)
     has_rival = next(rivals, 0.0) >= limits.rival_gain_ratio * best.gain
     needed = limits.explained_fraction if has_rival else limits.explained_without_rival
-    added, after = _add_effect_instances(best, evidence, context)
+    added, after = _refit_with_further_instances_of_effect(best, evidence, context)
     rest = recompute_all_scores(proposals, after, [best.candidate_name]).significant_candidates
-    if rest or not after.has_adequate_residuals:
+    if rest or not after.has_adequate_region_residuals:
         pairs = find_pairs(evidence, good, proposals, context)
-        if pairs and pairs[0].bic_decrease > sum(each.gain for each in added) + limits.min_pair_gain:
+        if pairs and pairs[0].bic_decrease_of_both_effects > sum(each.gain for each in added) + limits.min_pair_gain:
             together = refit_with_updated_corrections(pairs[0].second.make_evidence(pairs[0].with_first))
             # A pair is accepted only if it explains the whole misfit.
-            if together.is_misfit_explained:
+            if together.has_no_misfit_or_common_signal:
                 names = list(dict.fromkeys(name for pair in pairs
                                            for name in (pair.first.candidate_name, pair.second.candidate_name)))
                 return VerdictWithFits("SET" if len(names) > 2 else "NAMED", refits, (pairs[0].first, pairs[0].second),
@@ -77,7 +79,7 @@ def decide_verdict(evidence: FitEvidence, proposals: CatalogueScores, context: R
             return VerdictWithFits("UNKNOWN", refits, (), [], evidence)
     # Decrease of BIC that the remaining scores predict.
     gained = sum(each.gain for each in added)
-    left = max((-2.0 * each.log_likelihood_ratio - float(np.log(evidence.effective_sample_count))
+    left = max((-2.0 * each.negative_log_likelihood_gain - float(np.log(evidence.effective_sample_count))
                 for each in rest.values()),
                default=0.0)
     left = max(left, 0.0)
@@ -90,13 +92,12 @@ def decide_verdict(evidence: FitEvidence, proposals: CatalogueScores, context: R
     names = list(dict.fromkeys([*(each.candidate_name for each in possible), *_list_known_twins(best, proposals)]))
     if len(names) > 1:
         return VerdictWithFits("SET", refits, added, names, after)
-    alone = after.is_misfit_explained and left <= (1.0 - limits.explained_fraction) * (gained + left)
+    alone = after.has_no_misfit_or_common_signal and left <= (1.0 - limits.explained_fraction) * (gained + left)
     return VerdictWithFits("NAMED" if alone else "LOOKS_LIKE", refits, added, names, after)
 
 
-def _add_effect_instances(best: EffectRefit, evidence: FitEvidence,
-                          context: RunContext) -> tuple[tuple[EffectRefit, ...],
-                                                                                               FitEvidence]:
+def _refit_with_further_instances_of_effect(best: EffectRefit, evidence: FitEvidence,
+                                            context: RunContext) -> tuple[tuple[EffectRefit, ...], FitEvidence]:
     """Add further instances of the best effect, such as Prony terms, while the residuals require them.
 
     Returns:
@@ -104,7 +105,7 @@ def _add_effect_instances(best: EffectRefit, evidence: FitEvidence,
     """
     effect, added = best.proposal.candidate.effect, [best]
     after = refit_with_updated_corrections(best.make_evidence(evidence))
-    while not after.has_adequate_residuals and len(added) < effect.max_instances:
+    while not after.has_adequate_region_residuals and len(added) < effect.max_instances:
         more = score_effects(after, context, f"more of {effect.title}", only=effect.name)
         fits = fit_best_scored_effects(after, more, context, f"fits with more of {effect.title}",
                                        list(more.significant_candidates)[:1])
@@ -122,11 +123,11 @@ def compute_explained_misfit_fraction(before: Sequence[RegionMisfitTest], after:
         before: regions without effects.
         after: regions with effects.
     """
-    def compute_excess(regions: Sequence[RegionMisfitTest]) -> float:
+    def sum_excess_statistic_of_regions(regions: Sequence[RegionMisfitTest]) -> float:
         return sum(max(region.statistic - region.freedom, 0.0) for region in regions)
 
-    first = compute_excess(before)
-    return 1.0 - compute_excess(after) / first if first > 0 else 0.0
+    first = sum_excess_statistic_of_regions(before)
+    return 1.0 - sum_excess_statistic_of_regions(after) / first if first > 0 else 0.0
 
 
 def compute_explained_common_signal_fraction(before: FitEvidence, after: FitEvidence) -> float:
@@ -136,15 +137,16 @@ def compute_explained_common_signal_fraction(before: FitEvidence, after: FitEvid
         before: fit without effects.
         after: fit with effects.
     """
-    def compute_excess(evidence: FitEvidence) -> float:
-        return sum(max(ratio - 1.0, 0.0) * freedom for ratio, freedom, _ in evidence.variance_ratios.values())
+    def sum_excess_of_variance_ratios(evidence: FitEvidence) -> float:
+        return sum(max(ratio - 1.0, 0.0) * freedom for ratio, freedom,
+                   _ in evidence.variance_f_ratios_and_freedoms_by_test.values())
 
-    first = compute_excess(before)
-    return 1.0 - compute_excess(after) / first if first > 0 else 0.0
+    first = sum_excess_of_variance_ratios(before)
+    return 1.0 - sum_excess_of_variance_ratios(after) / first if first > 0 else 0.0
 
 
 def _list_known_twins(best: EffectRefit, proposals: CatalogueScores) -> list[str]:
     """Return the known twins of the best effect (`Effect.known_twins`) that are indistinguishable in these tests."""
     known = best.proposal.candidate.effect.known_twins
-    return [name for name in proposals.find_indistinguishable_candidates(best.candidate_name)
+    return [name for name in proposals.find_names_of_indistinguishable_candidates(best.candidate_name)
             if name.partition("@")[0] in known]

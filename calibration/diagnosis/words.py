@@ -38,24 +38,24 @@ def describe_effect(effect: FoundEffect) -> str:
     return f"{effect.title}{where} ({', '.join(map(describe_parameter, effect.parameters))})"
 
 
-def describe_bound(number: EffectParameter) -> str:
+def describe_parameter_at_its_bound(number: EffectParameter) -> str:
     """Describe a parameter on its bound, such as ``c = 2 mm/N, the largest that a fit may take``."""
     assert number.bound is not None
     end = "smallest" if number.bound < (number.absent or 0.0) else "largest"
     return f"{describe_parameter(replace(number, standard_error=None))}, the {end} that a fit may take"
 
 
-def _describe_nearest_effect(nearest: CandidateStatement) -> str:
+def _describe_best_rejected_effect(nearest: CandidateStatement) -> str:
     """Describe the effect that explains most of the misfit and was not added, with the reason."""
     title, share = f"{nearest.title[:1].upper()}{nearest.title[1:]}", f"{nearest.explained_percent:.0f} %"
-    beyond = [each for each in nearest.parameters if each.is_at_bound]
+    beyond = [each for each in nearest.parameters if each.is_effect_size_at_bound]
     if not beyond:
         return f"{title} comes nearest and explains {share} of it."
     remedy = f" (here: {nearest.separated_by})" if nearest.separated_by else ""
     return (f"{title} comes nearest and explains {share} of it, but its fit ended on a bound, "
-            f"{join_as_enumeration([describe_bound(each) for each in beyond])}. A value on a bound is not reliable, so "
-            "the effect was not named. Either its size exceeds the bound, which a separate measurement would show"
-            f"{remedy}, or another effect changes the forces in the same way.")
+            f"{join_as_enumeration([describe_parameter_at_its_bound(each) for each in beyond])}. A value on a bound is "
+            "not reliable, so the effect was not named. Either its size exceeds the bound, which a separate "
+            f"measurement would show{remedy}, or another effect changes the forces in the same way.")
 
 
 def summarise_diagnosis(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str],
@@ -100,7 +100,7 @@ def summarise_diagnosis(verdict: Verdict, effects: Sequence[FoundEffect], titles
             return f"Nothing is missing that these tests could show.{silent}"
         case "UNKNOWN":
             worth = nearest is not None and (nearest.explained_percent or 0.0) >= limits.min_mentioned_percent
-            near = f" {_describe_nearest_effect(nearest)}" if nearest is not None and worth else ""
+            near = f" {_describe_best_rejected_effect(nearest)}" if nearest is not None and worth else ""
             if not where:
                 several = f" ({join_as_enumeration(scored[:3])})" if scored else ""
                 return ("The residuals of every region are within the noise. The residuals of all regions together "

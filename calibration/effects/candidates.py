@@ -32,7 +32,7 @@ def require_tests(tests: Sequence[Test], reason: str) -> Sequence[Test]:
 
 
 def make_candidate_per_test(effect: Effect, tests: Sequence[Test], sizes: Callable[[Test], Mapping[str, float]],
-                             **options: Any) -> list[Candidate]:
+                            **options: Any) -> list[Candidate]:
     """Return one candidate per test, each of which acts in its test only.
 
     Args:
@@ -92,7 +92,8 @@ def rig_parameter_candidates(effect: Effect, situation: Situation, path: str, te
     return found
 
 
-def _call_with_former_keyword_both_ways(*args: Any, both_ways: bool = True, **options: Any) -> list[Candidate]:
+def _call_rig_parameter_candidates_with_both_ways(*args: Any, both_ways: bool = True,
+                                                  **options: Any) -> list[Candidate]:
     """Call `rig_parameter_candidates` with its former keyword ``both_ways`` for ``two_sided``."""
     return rig_parameter_candidates(*args, two_sided=both_ways, **options)
 
@@ -102,5 +103,5 @@ def __getattr__(name: str) -> Any:
     if name == "beside_material":
         warnings.warn("calibration.effects.candidates.beside_material is deprecated; use rig_parameter_candidates, "
                       "whose both_ways is named two_sided", DeprecationWarning, stacklevel=2)
-        return _call_with_former_keyword_both_ways
+        return _call_rig_parameter_candidates_with_both_ways
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

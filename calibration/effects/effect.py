@@ -15,16 +15,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 from calibration.campaign.campaign import Campaign, FitSettings, Test
-from calibration.campaign.parameters import SHARED, CampaignParameter, list_rig_and_experiment_parameters
+from calibration.campaign.parameters import SHARED, ScopedCampaignParameter, get_experiment_and_rig_declarations_by_path
 from calibration.effects.situation import NotTestableError as NotTestableError
 from calibration.effects.situation import Situation as Situation
 from calibration.effects.situation import get_experiment as get_experiment
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.laws import find_law
 from tissue_sim.material.material import get_law_parameter_declaration
-from tissue_sim.material.parts import find_material_declaration, with_material_parameters
+from tissue_sim.material.parts import find_parameter_path_and_declaration, with_changed_or_added_parameters
 from tissue_sim.model import Model
-from tissue_sim.parameters import Declaration, make_parameter_symbol, parameters, with_values
+from tissue_sim.parameters import Declaration, make_display_symbol_of_parameter, parameters, with_values
 from tissue_sim.public_names import OldName, adopt_old_names, make_getattr_for_old_names
 
 __getattr__ = make_getattr_for_old_names(__name__, {"experiment_of": "get_experiment"})
@@ -118,9 +118,9 @@ class Candidate:
             law = None if self.law is None else find_law(self.law)
             if law is not None and path in law.parameters:
                 return get_law_parameter_declaration(law, path)
-            return find_material_declaration(path)[1]
+            return find_parameter_path_and_declaration(path)[1]
         for test in campaign.tests:
-            found = list_rig_and_experiment_parameters(test.experiment, test.rig).get(path)
+            found = get_experiment_and_rig_declarations_by_path(test.experiment, test.rig).get(path)
             if found is not None and (self.tests is None or test.name in self.tests):
                 return found
         raise NotTestableError(f"no test has the parameter {path}")
@@ -133,29 +133,29 @@ class Candidate:
         """
         if path in self.absent:
             return self.absent[path]
-        stated = self.find_parameter_declaration(self.with_prepared_tests(campaign), path).absent
+        stated = self.find_parameter_declaration(self.make_campaign_with_prepared_tests(campaign), path).absent
         if stated is None:
             raise TypeError(f"{self.effect.name}: absent must give the value of {path} without the effect; got no "
                             "value. Declare it at the parameter or in Candidate.absent.")
         return stated
 
-    def changes_mesh(self, campaign: Campaign) -> bool:
+    def has_mesh_changing_shape_parameter(self, campaign: Campaign) -> bool:
         """Return whether a parameter of `shape` changes the mesh, even while the effect is absent."""
-        campaign = self.with_prepared_tests(campaign)
+        campaign = self.make_campaign_with_prepared_tests(campaign)
         return any(self.find_parameter_declaration(campaign, path).shapes_mesh for path in self.shape)
 
-    def with_prepared_tests(self, campaign: Campaign) -> Campaign:
+    def make_campaign_with_prepared_tests(self, campaign: Campaign) -> Campaign:
         """Return the campaign with `prepare` applied to the tests in which the effect acts.
 
         `prepare` adds the component that has the parameters, such as an adhesion without force.
         """
         if self.prepare is None:
             return campaign
-        names = self.find_acting_tests(campaign)
+        names = self.find_acting_test_names_or_none_for_all(campaign)
         return replace(campaign, tests=tuple(
             self.prepare(test) if names is None or test.name in names else test for test in campaign.tests))
 
-    def find_acting_tests(self, campaign: Campaign) -> tuple[str, ...] | None:
+    def find_acting_test_names_or_none_for_all(self, campaign: Campaign) -> tuple[str, ...] | None:
         """Return the names of the tests in which the effect acts; None: all tests that have the parameters.
 
         An effect of a rig or specimen also acts in held-out tests that state the same values, because they share this
@@ -167,7 +167,8 @@ class Candidate:
         first = next(test for test in campaign.tests if test.name == self.tests[0])
         shared = [test.name for test in campaign.tests if test.hold_out and test.name not in self.tests
                   and test.experiment is not None and all(
-                      _read_stated_value_or_none(test, path) == _read_stated_value_or_none(first, path)
+                      _read_test_value_or_none_if_lacking(test, path)
+                      == _read_test_value_or_none_if_lacking(first, path)
                                                           for path in self.sizes)]
         return (*self.tests, *shared)
 
@@ -182,8 +183,8 @@ class Candidate:
         Raises:
             NotTestableError: no test has the parameters.
         """
-        tests = self.find_acting_tests(campaign)
-        campaign = self.with_prepared_tests(campaign)
+        tests = self.find_acting_test_names_or_none_for_all(campaign)
+        campaign = self.make_campaign_with_prepared_tests(campaign)
         values = {**self.sizes, **self.shape, **(values or {})}
         settings, everywhere = campaign.fit, tuple(test.name for test in campaign.tests)
         named, bounds = dict(settings.named), dict(settings.bounds)
@@ -192,35 +193,36 @@ class Candidate:
             declaration = self.find_parameter_declaration(campaign, path)
             of_law = path in wider
             names = everywhere if not path.startswith(("experiment.", "rig.")) else tuple(
-                test.name for test in campaign.tests if path in list_rig_and_experiment_parameters(test.experiment,
-                                                                                                   test.rig))
+                test.name for test in campaign.tests if path in get_experiment_and_rig_declarations_by_path(
+                    test.experiment,
+                    test.rig))
             if tests is not None:
                 names = tuple(name for name in tests if name in names)
             scope = self.scope if self.tests is None or self.scope != SHARED else names
-            named[path] = CampaignParameter(path, declaration, of_law, scope, names)
+            named[path] = ScopedCampaignParameter(path, declaration, of_law, scope, names)
             if path in self.bounds:
                 bounds[path] = self.bounds[path]
         # Parameters of the wider law that belong neither to the candidate nor to the fitted law stay 0.
         held = {name: 0.0 for name in wider if name not in find_law(settings.laws[0]).parameters and name not in values}
         for name in held:
-            named[name] = CampaignParameter(name, get_law_parameter_declaration(find_law(str(self.law)), name), True,
-                                            SHARED,
-                                            everywhere)
+            named[name] = ScopedCampaignParameter(name, get_law_parameter_declaration(find_law(str(self.law)), name),
+                                                  True, SHARED, everywhere)
         start, fixed = dict(settings.start), {**settings.fixed, **held}
         for path, value in values.items():
             target, other = (start, fixed) if free and path != self.jump else (fixed, start)
             target[path] = value
             other.pop(path, None)
         laws = settings.laws if self.law is None else (self.law,)
-        changed: FitSettings = replace(settings, laws=laws, named=make_read_only_copy(named),
-                                       start=make_read_only_copy(start),
-                                       fixed=make_read_only_copy(fixed), bounds=make_read_only_copy(bounds))
+        changed: FitSettings = replace(settings, laws=laws, named=make_shallow_read_only_copy(named),
+                                       start=make_shallow_read_only_copy(start),
+                                       fixed=make_shallow_read_only_copy(fixed),
+                                       bounds=make_shallow_read_only_copy(bounds))
         return replace(campaign, fit=changed)
 
-    def list_symbols(self, campaign: Campaign) -> dict[str, str]:
+    def make_symbols_by_path(self, campaign: Campaign) -> dict[str, str]:
         """Return path -> symbol for all parameters of the candidate."""
-        campaign = self.with_prepared_tests(campaign)
-        return {path: make_parameter_symbol(path, self.find_parameter_declaration(campaign, path))
+        campaign = self.make_campaign_with_prepared_tests(campaign)
+        return {path: make_display_symbol_of_parameter(path, self.find_parameter_declaration(campaign, path))
                 for path in {**self.sizes, **self.shape}}
 
 
@@ -284,11 +286,11 @@ class Effect(ABC):
             wider = {**dict.fromkeys(find_law(self.law).parameters, 0.0), **model.material.parameters}
             model = replace(model, material=replace(model.material, law=self.law, parameters=wider))
         if within:
-            model = replace(model, material=with_material_parameters(model.material, within))
+            model = replace(model, material=with_changed_or_added_parameters(model.material, within))
         return with_values(model, around) if around else model
 
 
-def _read_stated_value_or_none(test: Test, path: str) -> float | None:
+def _read_test_value_or_none_if_lacking(test: Test, path: str) -> float | None:
     """Return the value that a test with a tool states for a parameter, SI; None if the test lacks the parameter."""
     part, _, inside = path.partition(".")
     stated = parameters(getattr(test, part)).get(inside)

@@ -39,21 +39,23 @@ class Inertia(Effect):
             raise NotTestableError(
                 f"the tests are quasi-static: at {fastest * 1e3:.3g} mm/s a tool of {self.trial_mass:g} kg changes the "
                 f"force by {self.trial_mass * acceleration:.1g} N, and the noise is {quietest:.1g} N")
-        return rig_parameter_candidates(self, situation, _PATH, [_with_massless_tool(test) for test in tests],
-                                        lambda _: self.trial_mass, two_sided=False, prepare=_with_massless_tool)
+        return rig_parameter_candidates(self, situation, _PATH,
+                                        [_add_massless_inertia_fault_to_test(test) for test in tests],
+                                        lambda _: self.trial_mass, two_sided=False,
+                                        prepare=_add_massless_inertia_fault_to_test)
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
         """Return the model with the mass; a rig without this fault gets it."""
         if "inertia" not in model.rig.faults:
-            model = replace(model, rig=_add_inertia_fault(model.rig))
+            model = replace(model, rig=_add_massless_inertia_fault_to_rig(model.rig))
         return super().apply(model, values)
 
 
-def _with_massless_tool(test: Test) -> Test:
+def _add_massless_inertia_fault_to_test(test: Test) -> Test:
     """Return the test with a fault `tissue_sim.rig.inertia.Inertia` of mass 0 in its rig."""
-    return replace(test, rig=_add_inertia_fault(test.rig))
+    return replace(test, rig=_add_massless_inertia_fault_to_rig(test.rig))
 
 
-def _add_inertia_fault(rig: Any) -> Any:
+def _add_massless_inertia_fault_to_rig(rig: Any) -> Any:
     """Return the rig with the additional fault `tissue_sim.rig.inertia.Inertia` of mass 0."""
     return replace(rig, faults=[*rig.faults.values(), Mass(0.0)])

@@ -26,7 +26,7 @@ class Layer(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate (ratio of moduli) per trial thickness of the layer; the tests must include a needle."""
-        if situation.campaign.fit.placeholder_material.layers:
+        if situation.campaign.fit.neo_hookean_material_with_effects.layers:
             raise NotTestableError("the fitted material includes layers already, so this effect is not tested")
         needles = require_tests(situation.simulated_tests(lambda test: not get_experiment(test).tool.is_plate),
                                 "no test has a needle, and plates show only the mean stiffness of all layers")

@@ -19,19 +19,19 @@ class PartialSlip(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate (slip fraction) for each test with bonded faces."""
-        tests = require_tests(situation.simulated_tests(_can_faces_slip),
+        tests = require_tests(situation.simulated_tests(_can_bonded_faces_be_simulated_free),
                               "no test has bonded faces that can slip; tissue that slides round the sharp edge of a "
                               "needle cannot be simulated")
         return rig_parameter_candidates(self, situation, "experiment.slip", tests, lambda _: self.trial_fraction,
                                         each=True, two_sided=False)
 
 
-def _can_faces_slip(test: Test) -> bool:
+def _can_bonded_faces_be_simulated_free(test: Test) -> bool:
     """Return whether a test has bonded faces and the same test with frictionless faces can be simulated."""
     if get_experiment(test).friction != "bonded":
         return False
     try:
-        get_experiment(test).with_free_faces()
+        get_experiment(test).with_slipping_faces_frictionless()
     except InputError:
         return False
     return True

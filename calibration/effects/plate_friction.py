@@ -23,13 +23,13 @@ class PlateFriction(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidates in the tests between frictionless plates."""
         tests = require_tests(situation.simulated_tests(lambda test: get_experiment(test).tool.is_plate
-                                                  and get_experiment(test).friction == "frictionless"),
+                                                        and get_experiment(test).friction == "frictionless"),
                               "no test is done between frictionless plates")
         return rig_parameter_candidates(self, situation, "experiment.friction", tests, lambda _: self.trial_coefficient,
-                                        two_sided=False, prepare=_with_base_friction_of_tool)
+                                        two_sided=False, prepare=_make_test_with_base_friction_of_tool)
 
 
-def _with_base_friction_of_tool(test: Test) -> Test:
+def _make_test_with_base_friction_of_tool(test: Test) -> Test:
     """Return a test whose base has the friction of the tool."""
     if test.experiment is None:
         return test

@@ -25,7 +25,7 @@ class Poroelasticity(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate (relaxing fraction of the stiffness) per trial diffusivity, m2/s."""
-        if situation.campaign.fit.placeholder_material.poroelasticity is not None:
+        if situation.campaign.fit.neo_hookean_material_with_effects.poroelasticity is not None:
             raise NotTestableError("the fitted material includes poroelasticity already, so this effect is not tested")
         radii = [situation.contact_radius(test) for test in require_tests(
             situation.simulated_tests(), "no test has a tool, so no contact size is known")]

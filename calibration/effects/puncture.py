@@ -21,7 +21,7 @@ class Puncture(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate (relative drop of the force) per trial depth of the puncture by a needle."""
-        if situation.campaign.fit.placeholder_material.puncture is not None:
+        if situation.campaign.fit.neo_hookean_material_with_effects.puncture is not None:
             raise NotTestableError("the fitted material includes a puncture already, so this effect is not tested")
         needles = require_tests(situation.simulated_tests(lambda test: not get_experiment(test).tool.is_plate),
                                 "no test has a needle")

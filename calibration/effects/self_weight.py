@@ -34,7 +34,7 @@ class SelfWeight(Effect):
         tests = require_tests(situation.simulated_tests(lambda test: not get_experiment(test).specimen.gravity),
                               "the specimens have self-weight already")
         return [Candidate(self, {_GRAVITY: STANDARD_GRAVITY}, bounds={_GRAVITY: (0.0, 1.5 * STANDARD_GRAVITY)},
-                          tests=tuple(test.name for test in tests), prepare=_with_density)]
+                          tests=tuple(test.name for test in tests), prepare=_make_test_with_stated_or_water_density)]
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
         """Return the model with gravity; a specimen without a density gets that of the material or of water."""
@@ -44,7 +44,7 @@ class SelfWeight(Effect):
         return super().apply(replace(model, experiment=replace(model.experiment, specimen=specimen)), values)
 
 
-def _with_density(test: Test) -> Test:
+def _make_test_with_stated_or_water_density(test: Test) -> Test:
     """Return a test whose specimen has a density, `DEFAULT_DENSITY` unless stated."""
     if test.experiment is None or get_experiment(test).specimen.density is not None:
         return test

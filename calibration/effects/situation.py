@@ -88,7 +88,7 @@ class Situation:
         """
         if not self.has_time:
             raise NotTestableError("the recordings have no time")
-        clocks = [curve.sample_times for curve in self.fitted_curves()]
+        clocks = [curve.required_sample_times for curve in self.fitted_curves()]
         return float(np.median([np.median(np.diff(clock)) for clock in clocks])), \
             max(float(clock[-1] - clock[0]) for clock in clocks)
 

@@ -22,7 +22,7 @@ class Softening(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate per trial fraction of the strain energy."""
-        if situation.campaign.fit.placeholder_material.softening is not None:
+        if situation.campaign.fit.neo_hookean_material_with_effects.softening is not None:
             raise NotTestableError("the fitted material includes softening already, so this effect is not tested")
         require_tests(situation.simulated_tests(situation.test_has_unloading),
                       "no recording has an unloading, and softening does not change the first loading")

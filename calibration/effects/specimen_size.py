@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from calibration.campaign.campaign import Test
-from calibration.campaign.parameters import list_rig_and_experiment_parameters
+from calibration.campaign.parameters import get_experiment_and_rig_declarations_by_path
 from calibration.effects.candidates import read_stated_value, require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
 
@@ -12,7 +12,7 @@ _MAX_ERROR = 0.2
 
 
 def make_specimen_size_candidates(effect: Effect, situation: Situation, path: str, tests: Sequence[Test],
-                             error: float) -> list[Candidate]:
+                                  error: float) -> list[Candidate]:
     """Make one candidate for each specimen: a relative error of one of its dimensions.
 
     Args:
@@ -28,7 +28,7 @@ def make_specimen_size_candidates(effect: Effect, situation: Situation, path: st
     situation.require_unused_parameter(path)
     size_name = path.rpartition(".")[2]
     tests = require_tests([test for test in tests
-                           if path in list_rig_and_experiment_parameters(test.experiment, test.rig)],
+                           if path in get_experiment_and_rig_declarations_by_path(test.experiment, test.rig)],
                           f"no specimen has a {size_name}")
     groups: dict[str, list[Test]] = {}
     for test in tests:

@@ -1,7 +1,7 @@
 """Strain stiffening beyond the fitted law."""
 
 from calibration.effects.effect import Candidate, Effect, Situation
-from calibration.effects.wider_law import WIDER, find_lowest_missing_power
+from calibration.effects.wider_law import WIDER, find_lowest_missing_coefficient_and_power
 
 
 class StrainStiffening(Effect):
@@ -21,7 +21,7 @@ class StrainStiffening(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidate with the lowest power of I1 - 3 that the fitted law lacks."""
-        path, order = find_lowest_missing_power(situation.law)
+        path, order = find_lowest_missing_coefficient_and_power(situation.law)
         largest = max((situation.largest_strain(test) for test in situation.simulated_tests()), default=0.1)
         # Ratio of the stresses of Cn0 (I1 - 3)^n and C10 (I1 - 3), with C10 = mu / 2 and I1 = 3 + 3 strain^2 to lowest
         # order.

@@ -22,7 +22,7 @@ class Viscoelasticity(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate (one more Prony term) per relaxation time that the recordings resolve."""
-        series = situation.campaign.fit.placeholder_material.viscoelastic
+        series = situation.campaign.fit.neo_hookean_material_with_effects.viscoelastic
         number = 0 if series is None else len(series.terms)
         if number >= self.max_instances:
             raise NotTestableError(f"the fitted material includes {number} Prony terms already, so this effect is not "

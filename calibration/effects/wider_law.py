@@ -9,7 +9,7 @@ from tissue_sim.laws import InvariantLaw, find_law
 WIDER = "biderman"
 
 
-def require_special_case_of_biderman(name: str) -> set[str]:
+def get_parameters_of_biderman_special_case(name: str) -> set[str]:
     """Check that a law is a special case of Biderman's law, and return the names of its parameters.
 
     Args:
@@ -30,7 +30,7 @@ def require_special_case_of_biderman(name: str) -> set[str]:
                            "fit a reduced polynomial or Mooney-Rivlin")
 
 
-def find_lowest_missing_power(name: str) -> tuple[str, int]:
+def find_lowest_missing_coefficient_and_power(name: str) -> tuple[str, int]:
     """Find the lowest power of I1 - 3 that the strain energy of a law lacks.
 
     Args:
@@ -42,7 +42,7 @@ def find_lowest_missing_power(name: str) -> tuple[str, int]:
     Raises:
         NotTestableError: the law has all powers of Biderman's law, or it is not a special case of Biderman's law.
     """
-    known = require_special_case_of_biderman(name)
+    known = get_parameters_of_biderman_special_case(name)
     for order in (2, 3):
         if f"C{order}0" not in known:
             return f"C{order}0", order

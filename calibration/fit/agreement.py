@@ -12,7 +12,7 @@ from calibration.fit.fit import Fit
 Fits = tuple[Campaign, Sequence[Fit]]
 
 
-def describe_method_differences(results: Sequence[Fits]) -> list[str]:
+def compare_method_intervals_in_sentences(results: Sequence[Fits]) -> list[str]:
     """Compare campaigns of different methods that were fitted to the same recordings.
 
     Args:
@@ -25,7 +25,7 @@ def describe_method_differences(results: Sequence[Fits]) -> list[str]:
     return [sentence for one, other in combinations(results, 2)
             if one[0].fit.method != other[0].fit.method
             and _collect_recording_paths(one) == _collect_recording_paths(other)
-            for sentence in _iterate_law_comparisons(one, other)]
+            for sentence in _iterate_law_comparison_sentences(one, other)]
 
 
 def _collect_recording_paths(fits: Fits) -> frozenset:
@@ -33,7 +33,7 @@ def _collect_recording_paths(fits: Fits) -> frozenset:
     return frozenset(path.resolve() for test in fits[0].tests if not test.hold_out for path in test.recordings)
 
 
-def _iterate_law_comparisons(one: Fits, other: Fits) -> Iterator[str]:
+def _iterate_law_comparison_sentences(one: Fits, other: Fits) -> Iterator[str]:
     """Yield a sentence for each law that both campaigns fit."""
     by_law = {fit.law: fit for fit in other[1]}
     for mine in one[1]:
@@ -63,7 +63,7 @@ def _format_campaign_and_method(campaign: Campaign) -> str:
 def _format_interval(fit: Fit, name: str) -> str:
     """Return the 95 % interval of a parameter with its unit, such as ``1390 to 1420 Pa``."""
     low, high = fit.intervals95[name] or (float("nan"), float("nan"))
-    return f"{low:.4g} to {high:.4g} {fit.display_unit(name)}".rstrip()
+    return f"{low:.4g} to {high:.4g} {fit.get_unit_or_empty_if_dimensionless(name)}".rstrip()
 
 
 def _describe_assumptions(mine: Fit, fit: Fit, one: Campaign, other: Campaign) -> str:
@@ -72,7 +72,7 @@ def _describe_assumptions(mine: Fit, fit: Fit, one: Campaign, other: Campaign) -
     inverse, plain = (mine, fit) if one.fit.method == "inverse_fem" else (fit, mine)
     closed = one if plain is mine else other
     if inverse.jitter is not None and closed.fit.offset == "none":
-        contact, zero = inverse.jitter.jitter_with_units
+        contact, zero = inverse.jitter.contact_and_zero_jitter_texts
         reasons.append(f"the inverse method assumes a contact offset ({contact}) and a zero ({zero}) of each "
                        'recording, and the analytical one uses the recorded values unless offset = "fit"')
     if max(mine.noise_ratio, fit.noise_ratio) > 1.5:

@@ -61,14 +61,14 @@ def list_sign_flipped_starts(space: ParameterSpace, theta: np.ndarray) -> list[n
         Unknowns inside their bounds, each of shape (k,); empty for a law without free exponents.
     """
     varied = space.free_parameters
-    paths = list(dict.fromkeys(each.path for each in varied if each.is_exponent))
+    paths = list(dict.fromkeys(each.path for each in varied if each.is_dimensionless_law_parameter))
     found = []
     for signs in product((1.0, -1.0), repeat=len(paths)):
         if all(sign > 0 for sign in signs):
             continue
         start = np.array(theta, dtype=float)
         for place, each in enumerate(varied):
-            if each.is_exponent:
+            if each.is_dimensionless_law_parameter:
                 start[place] *= signs[paths.index(each.path)]
         start[: len(varied)] = np.clip(start[: len(varied)], space.low, space.high)
         if not np.allclose(start, theta):
@@ -76,7 +76,8 @@ def list_sign_flipped_starts(space: ParameterSpace, theta: np.ndarray) -> list[n
     return found
 
 
-def select_minimum_to_report(space: ParameterSpace, minima: Sequence[tuple[float, np.ndarray]]) -> int:
+def find_index_of_best_positive_exponent_minimum(space: ParameterSpace,
+                                                 minima: Sequence[tuple[float, np.ndarray]]) -> int:
     """Return the index of the minimum to report first: of equally good ones, that with most positive exponents.
 
     The choice is a convention, so that the same data always give the same first parameters.
@@ -85,14 +86,14 @@ def select_minimum_to_report(space: ParameterSpace, minima: Sequence[tuple[float
         space: parameter space.
         minima: sum of squares in units of the variance of the residuals, and unknowns, best first.
     """
-    exponents = [place for place, each in enumerate(space.free_parameters) if each.is_exponent]
+    exponents = [place for place, each in enumerate(space.free_parameters) if each.is_dimensionless_law_parameter]
     equal = [i for i, (error, _) in enumerate(minima) if error - minima[0][0] < SETTINGS.equal_rise]
     return max(equal, key=lambda i: (int(np.sum(minima[i][1][exponents] > 0)), -i))
 
 
-def find_alternative_minima(law: Law, parameters: Mapping[str, float],
-                            minima: Sequence[tuple[Minimum, Mapping[str, float]]],
-                            stretches: tuple[float, float]) -> list[AlternativeMinimum]:
+def find_equally_good_different_materials(law: Law, parameters: Mapping[str, float],
+                                          minima: Sequence[tuple[Minimum, Mapping[str, float]]],
+                                          stretches: tuple[float, float]) -> list[AlternativeMinimum]:
     """Return the minima that fit as well as the estimate and describe another material.
 
     Args:
@@ -106,8 +107,9 @@ def find_alternative_minima(law: Law, parameters: Mapping[str, float],
         if minimum.rise >= SETTINGS.rise or not law.mu0(other) > 0:
             continue
         known = [parameters, *(one.parameters_of_law for one in found)]
-        if all(_find_largest_stress_difference(law, one, other, stretches)[0] > SETTINGS.difference for one in known):
-            _, test, stretch, (own, theirs) = _find_largest_stress_difference(law, parameters, other, stretches)
+        if all(_find_test_of_largest_stress_difference(law, one, other, stretches)[0] > SETTINGS.difference
+               for one in known):
+            _, test, stretch, (own, theirs) = _find_test_of_largest_stress_difference(law, parameters, other, stretches)
             found.append(AlternativeMinimum(
                 parameters=minimum.parameters, parameters_of_law=dict(other), R2=minimum.R2, rise=minimum.rise,
                 separated_by=test, at=stretch, stress_Pa=own, alternative_stress_Pa=theirs))
@@ -123,7 +125,7 @@ def describe_alternative_minima(alternatives: Sequence[AlternativeMinimum], symb
                            for name, value in each.parameters.items())
         parts.append(f"{values} fits the data equally well (R2 {each.R2:.5f}); in {each.separated_by} the two differ: "
                      f"nominal stress {each.stress_Pa:.4g} Pa here, {each.alternative_stress_Pa:.4g} Pa there"
-                     f"{each.stress_ratio_text}")
+                     f"{each.stress_ratio_suffix_or_empty}")
     return "; ".join(parts)
 
 
@@ -148,8 +150,9 @@ def set_misleading_errors_to_infinity(space: ParameterSpace, spread: ParameterUn
     return replace(spread, standard_errors=errors)
 
 
-def _find_largest_stress_difference(law: Law, one: Mapping[str, float], other: Mapping[str, float],
-                                    stretches: tuple[float, float]) -> tuple[float, str, float, tuple[float, float]]:
+def _find_test_of_largest_stress_difference(
+        law: Law, one: Mapping[str, float], other: Mapping[str, float],
+        stretches: tuple[float, float]) -> tuple[float, str, float, tuple[float, float]]:
     """Return the largest relative difference of the nominal stresses of two materials over several tests.
 
     Returns:

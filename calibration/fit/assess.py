@@ -8,26 +8,26 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
-from calibration.fit.alternatives import find_alternative_minima, set_misleading_errors_to_infinity
-from calibration.fit.determination import ShearModulusPrecision, assess_modulus_precision
+from calibration.fit.alternatives import find_equally_good_different_materials, set_misleading_errors_to_infinity
+from calibration.fit.determination import ShearModulusPrecision, assess_modulus_error_and_bound_dependence
 from calibration.fit.estimate import Estimate
-from calibration.fit.estimator import EstimateFindings, Estimator
+from calibration.fit.estimator import Estimator, FitFieldInputs
 from calibration.fit.fit import Fit, ProfileLikelihood
 from calibration.fit.identifiability import find_undetermined_parameters
-from calibration.fit.population import describe_differing_specimens, estimate_specimen_population
+from calibration.fit.population import determine_population_and_left_out_specimens, list_warning_if_specimens_differ
 from calibration.fit.population_records import ParameterCovariance
 from calibration.fit.profiles import ProfileSide
-from calibration.fit.self_weight import compute_specimen_sags
+from calibration.fit.self_weight import compute_specimen_sags_mm
 from calibration.fit.trust_region import DescentResult
 from calibration.fit.usability import (
     UsabilityEvidence,
-    compute_test_misfits,
+    compute_misfit_percents_and_noise_ratios,
     describe_instability,
-    evaluate_usability_clauses,
+    evaluate_usability_clauses_and_status,
 )
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
-from calibration.statistics.statistics import compute_correlation_matrix, compute_information_criteria
+from calibration.statistics.statistics import compute_aic_and_bic, compute_correlation_matrix
 from calibration.statistics.uncertainty import ParameterUncertainty
 from tissue_sim.laws import StabilityRange, check_stability, find_law
 from tissue_sim.laws.stability import STRETCH_RANGE
@@ -52,30 +52,28 @@ def build_fit_record(estimator: Estimator, estimate: Estimate, spread: Parameter
     theta = estimate.theta[: len(space.free)]
     values = space.values(theta)
     free = slice(0, len(space.free))
-    specimens = estimate_specimen_population(space, theta, spread.covariance[free, free], spread.standard_errors[free])
-    moduli = space.select_law_parameters(specimens.make_representative_values(space, values))
+    specimens = determine_population_and_left_out_specimens(space, theta, spread.covariance[free, free],
+                                                            spread.standard_errors[free])
+    moduli = space.select_law_parameters(specimens.replace_specimen_values_by_representative(space, values))
     reached = {test.name: test.compute_stretch_range(space, theta) for test in problem.tests}
     stretches = (min(one.principal[0] for one in reached.values()), max(one.principal[1] for one in reached.values()))
     stability = check_stability(law, law.as_array(moduli), (min(STRETCH_RANGE[0], stretches[0]),
                                                             max(STRETCH_RANGE[1], stretches[1])))
     mu0 = law.mu0(moduli)
     units = {each.name: each.declaration.unit for each in space.unknowns}
-    alternatives = find_alternative_minima(law, space.select_law_parameters(values),
-                                     [(minimum, space.select_law_parameters(minimum.parameters))
-                                                   for minimum in estimate.minima], stretches)
+    alternatives = find_equally_good_different_materials(law, space.select_law_parameters(values),
+                                                         [(minimum, space.select_law_parameters(minimum.parameters))
+                                                          for minimum in estimate.minima], stretches)
     determination = _assess_shear_modulus_precision(estimate, spread, mu0, campaign)
-    clauses, status, unusable = evaluate_usability_clauses(UsabilityEvidence(estimate, stability, reached, mu0,
-                                                                             specimens,
-                                                                    alternatives,
-                                                                             determination, space.symbols, units,
-                                                                             limits))
+    clauses, status, unusable = evaluate_usability_clauses_and_status(UsabilityEvidence(
+        estimate, stability, reached, mu0, specimens, alternatives, determination, space.symbols, units, limits))
     loose = find_undetermined_parameters(space, spread)
     spread = set_misleading_errors_to_infinity(space, spread, theta, alternatives)
     errors: dict[str, float | None] = dict.fromkeys(space.fixed, 0.0)
     errors |= {name: float(e) if np.isfinite(e) else None
                for name, e in zip(space.free, spread.standard_errors, strict=False)}
-    profiles, intervals, notes = _collect_profiles_and_intervals(estimate, spread, sides)
-    aic, bic = compute_information_criteria(*spread.criteria, problem.bounds[0].size)
+    profiles, intervals, notes = _collect_profiles_intervals_and_notes(estimate, spread, sides)
+    aic, bic = compute_aic_and_bic(*spread.criteria, problem.bounds[0].size)
     order = list(space.names)
     covariance = np.zeros((len(order), len(order)))
     indices = [order.index(name) for name in space.free]
@@ -92,17 +90,19 @@ def build_fit_record(estimator: Estimator, estimate: Estimate, spread: Parameter
         "mu0": mu0, "stable_from": stability.stable_from, "stable_to": stability.stable_to,
         "stability": stability.describe(), "stretch_range": (float(stretches[0]), float(stretches[1])),
         "minima": list(estimate.minima), "starts": len(descents),
-        "misfits": compute_test_misfits(estimate)[0], "status": status, "unusable": unusable, "cpu_s": 0.0,
+        "misfits": compute_misfit_percents_and_noise_ratios(estimate)[0], "status": status, "unusable": unusable,
+        "cpu_s": 0.0,
         "interval_notes": notes, "profiles": profiles,
         "iterations": sum(len(descent.history) for descent in descents) + len(estimate.history),
         "population": specimens.population, "material_of": list(specimens.material_of),
         "left_out_specimens": dict(specimens.left_out),
         "material_file": f"{law.name}.material.json" if mu0 > 0 and not specimens.missing_population_reason else None}
-    lost = [*law.describe_parameters_at_limit(moduli), *_describe_unmeasured_instability(stability, reached, stretches),
-            *describe_differing_specimens(estimate), *specimens.list_specimen_warnings(unusable)]
-    found = EstimateFindings(estimate, spread, descents, values, loose, status, unusable, lost)
-    fit = Fit(**shared | estimator.derive_fit_fields(found))
-    return replace(fit, sag_mm=compute_specimen_sags(fit, campaign))
+    lost = [*law.describe_parameters_at_limit(moduli),
+            *_describe_instability_in_unmeasured_modes(stability, reached, stretches),
+            *list_warning_if_specimens_differ(estimate), *specimens.list_specimen_warnings(unusable)]
+    found = FitFieldInputs(estimate, spread, descents, values, loose, status, unusable, lost)
+    fit = Fit(**shared | estimator.make_method_specific_fit_fields(found))
+    return replace(fit, sag_mm=compute_specimen_sags_mm(fit, campaign))
 
 
 def _assess_shear_modulus_precision(estimate: Estimate, spread: ParameterUncertainty, mu0: float,
@@ -116,7 +116,7 @@ def _assess_shear_modulus_precision(estimate: Estimate, spread: ParameterUncerta
         return None
     law = find_law(space.law)
     stated = {each.name for each in space.free_parameters if each.path in campaign.fit.bounds}
-    return assess_modulus_precision(
+    return assess_modulus_error_and_bound_dependence(
         estimate, spread, lambda theta: law.mu0(space.select_law_parameters(space.values(theta))), stated)
 
 
@@ -124,12 +124,12 @@ def _classify_derivative_methods(estimate: Estimate, theta: np.ndarray) -> dict[
     """Return free parameter -> ``"difference"`` if any test uses finite differences for it, otherwise ``"exact"``."""
     problem, names = estimate.problem, set()
     for test in problem.tests:
-        names |= test.list_differenced_parameters(test.solve(problem.space, theta, problem.solves))
+        names |= test.list_finite_difference_parameters(test.solve(problem.space, theta, problem.solves))
     return {name: "difference" if name in names else "exact" for name in problem.space.free}
 
 
-def _describe_unmeasured_instability(stability: StabilityRange, reached: Mapping[str, StretchRange],
-                                     stretches: tuple[float, float]) -> list[str]:
+def _describe_instability_in_unmeasured_modes(stability: StabilityRange, reached: Mapping[str, StretchRange],
+                                              stretches: tuple[float, float]) -> list[str]:
     """Return a warning if the law is unstable in other modes of loading within the measured stretches."""
     measured = {one.mode for one in reached.values()}
     found = [loss for mode in stability.limits if mode not in measured
@@ -137,7 +137,8 @@ def _describe_unmeasured_instability(stability: StabilityRange, reached: Mapping
     return [f"not stable {' and '.join(found)}, which was not measured"] if found else []
 
 
-def _collect_profiles_and_intervals(estimate: Estimate, spread: ParameterUncertainty, sides: Sequence[ProfileSide]):
+def _collect_profiles_intervals_and_notes(estimate: Estimate, spread: ParameterUncertainty,
+                                          sides: Sequence[ProfileSide]):
     """Return profiles, 95 % intervals and notes on the intervals, each by name of the parameter."""
     space, theta = estimate.problem.space, estimate.theta
     values = space.values(theta[: len(space.free)])

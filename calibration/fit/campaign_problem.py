@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.measured import MeasuredCurve, get_default_contact_deviation
+from calibration.campaign.measured import MeasuredCurve, compute_smallest_default_contact_deviation
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import GeneralisedProblem
-from calibration.forward.forms import build_forward_test, compute_mesh_uncertainty
+from calibration.forward.forms import build_forward_test_of_inverse_fit, compute_mesh_uncertainty
 from calibration.forward.meshes import FAST_MESH_ERRORS
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.jitter import ContactAndForceZeroJitter
 
 
 def build_generalised_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]],
@@ -30,14 +30,15 @@ def build_generalised_problem(law: str, campaign: Campaign, measured: Mapping[st
     names = {test: [curve.name for curve in curves] for test, curves in measured.items()}
     space = ParameterSpace.from_campaign(law, campaign, names)
     fitted = [test for test in campaign.tests if not test.hold_out]
-    jitter = make_initial_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
-    tests = tuple(build_forward_test(test, measured[test.name], campaign.fit, jitter.contact) for test in fitted)
+    jitter = make_stated_or_guessed_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
+    tests = tuple(build_forward_test_of_inverse_fit(test, measured[test.name], campaign.fit, jitter.contact)
+                  for test in fitted)
     # With the error of the fast mesh in the covariance, offsets do not compensate for this error.
     return GeneralisedProblem(space, tests, solves, jitter,
                               tuple(compute_mesh_uncertainty(test, FAST_MESH_ERRORS) for test in tests))
 
 
-def make_initial_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> ReplicateJitter:
+def make_stated_or_guessed_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> ContactAndForceZeroJitter:
     """Return one jitter for all tests: stated values, or first guesses of values that are estimated later."""
     fit, noise = campaign.fit, campaign.noise
     contact, zero, freedom = noise.contact_jitter, noise.zero_jitter, None
@@ -46,7 +47,7 @@ def make_initial_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> 
         noisiest = max(curve.noise.deviation for curve in curves)
         contact, zero = fit.offset_prior, fit.zero_prior or OFFSET_DEFAULTS.zero_prior * noisiest
     if contact is None:
-        contact, freedom = get_default_contact_deviation(curves), 0
+        contact, freedom = compute_smallest_default_contact_deviation(curves), 0
     if zero is None:
         zero, freedom = OFFSET_DEFAULTS.first_zero * largest, 0
-    return ReplicateJitter(contact, zero, freedom)
+    return ContactAndForceZeroJitter(contact, zero, freedom)

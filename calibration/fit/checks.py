@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign
 from calibration.fit.problem import GeneralisedProblem
-from calibration.fit.starts import generate_starting_values
+from calibration.fit.starts import list_starts_with_varied_exponents
 from calibration.forward.contract import InfeasibleError
 from tissue_sim.errors import InputError
 from tissue_sim.laws import check_stability, find_law
@@ -16,7 +16,7 @@ from tissue_sim.laws import check_stability, find_law
 UNSEEN = 0.1
 
 
-def simulate_and_check_start(problem: GeneralisedProblem, campaign: Campaign, number: int) -> None:
+def require_fittable_start(problem: GeneralisedProblem, campaign: Campaign, number: int) -> None:
     """Simulate the tests with the first starting values, and check that a fit can start from these values.
 
     Args:
@@ -33,7 +33,7 @@ def simulate_and_check_start(problem: GeneralisedProblem, campaign: Campaign, nu
         raise InputError(f"the tests must have more samples than the {len(space.free)} unknown parameters of "
                          f"{law.name}; got {problem.samples}. Increase max_strain, or choose a law with fewer "
                          "parameters", file=campaign.path, field=f"fit.laws[{number}]")
-    theta = generate_starting_values(space, 1)[0]
+    theta = list_starts_with_varied_exponents(space, 1)[0]
     values = space.values(theta)
     stated = [name for name in space.select_law_parameters(values) if name in campaign.fit.start
               or name in campaign.fit.fixed]
@@ -44,7 +44,7 @@ def simulate_and_check_start(problem: GeneralisedProblem, campaign: Campaign, nu
         raise InputError(f"the values must give a valid material of {law.name}; got: {error.problem}. Change them",
                          file=campaign.path, field=f"fit.{key}") from None
     if stated:
-        _require_stable_law(problem, theta, campaign, key)
+        _require_stable_law_in_homogeneous_tests(problem, theta, campaign, key)
     try:
         evaluation = problem.evaluate(theta)
     except InfeasibleError as error:
@@ -52,7 +52,7 @@ def simulate_and_check_start(problem: GeneralisedProblem, campaign: Campaign, nu
             raise InputError(f"the simulation of the tests with these parameter values fails ({error}). State other "
                              "values, or reduce max_strain", file=campaign.path, field=f"fit.{key}") from None
         return
-    seen = np.linalg.norm(evaluation.rates, axis=0) * space.typical_sizes(values)
+    seen = np.linalg.norm(evaluation.rates, axis=0) * space.compute_typical_parameter_sizes(values)
     for name, size in zip(space.free, seen, strict=True):
         if size < UNSEEN and not np.isfinite(space.prior_deviation[space.free.index(name)]):
             field = f"fit.start.{name}" if name in campaign.fit.start else f"fit.laws[{number}]"
@@ -62,7 +62,8 @@ def simulate_and_check_start(problem: GeneralisedProblem, campaign: Campaign, nu
                              file=campaign.path, field=field)
 
 
-def _require_stable_law(problem: GeneralisedProblem, theta: np.ndarray, campaign: Campaign, key: str) -> None:
+def _require_stable_law_in_homogeneous_tests(problem: GeneralisedProblem, theta: np.ndarray, campaign: Campaign,
+                                             key: str) -> None:
     """Raise an `InputError` if stated values make the law unstable within the data of a homogeneous test."""
     law, space = find_law(problem.space.law), problem.space
     own = law.as_array(space.select_law_parameters(space.values(theta)))

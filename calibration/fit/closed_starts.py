@@ -9,8 +9,8 @@ from itertools import combinations_with_replacement
 import numpy as np
 from scipy.optimize import nnls
 
-from calibration.fit.ordinary_problem import OrdinaryProblem, evaluate_if_feasible
-from calibration.fit.variables import LongTermVariables
+from calibration.fit.ordinary_problem import OrdinaryProblem, evaluate_or_none_if_infeasible
+from calibration.fit.variables import LongTermPronyVariables
 from tissue_sim.laws import find_law
 
 #: Grid of exponents and other dimensionless parameters. The grid includes 0, the limit of a power law: in simple shear
@@ -48,7 +48,7 @@ def compute_analytical_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
         Unknowns inside their bounds, SI, each of shape (k,); empty if no start gives a finite stress.
     """
     space = problem.space
-    relaxing = problem.long_term_variables
+    relaxing = problem.long_term_variables_or_none
     found = _compute_elastic_starts(problem) if relaxing is None else _compute_viscoelastic_starts(problem, relaxing)
     if found and problem.shifted:
         # A contact offset moves samples across first contact, so the sum of squares may have several minima.
@@ -79,7 +79,7 @@ def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     space = problem.space
     of_law = [each.of_law for each in space.free_parameters]
     moduli = [i for i, each in enumerate(space.free_parameters) if each.of_law and each.is_modulus]
-    exponents = [i for i, each in enumerate(space.free_parameters) if each.is_exponent]
+    exponents = [i for i, each in enumerate(space.free_parameters) if each.is_dimensionless_law_parameter]
     # The exponents of all specimens have the same starting values.
     paths = [space.free_parameters[i].path for i in exponents]
     kinds = list(dict.fromkeys(paths))
@@ -88,7 +88,7 @@ def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     weightless = problem.without_self_weight
     solves = [weightless] if all(test.is_force_proportional_to_moduli
                                  for test in problem.tests) else [weightless, problem, problem]
-    strain = max(float(np.ptp(np.concatenate([test.convert_displacement_to_strain(curve.displacement)
+    strain = max(float(np.ptp(np.concatenate([test.convert_displacement_to_stretch_or_shear(curve.displacement)
                                               for curve in test.measured])))
                  for test in problem.tests)
     largest = float(np.abs(problem.data / problem.area).max())
@@ -102,7 +102,7 @@ def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
         unknowns[exponents] = [grid[kinds.index(path)] for path in paths]
         tried = [np.clip(unknowns, low, high)]
         for solved_on in solves if moduli else ():
-            evaluation = evaluate_if_feasible(solved_on, tried[-1])
+            evaluation = evaluate_or_none_if_infeasible(solved_on, tried[-1])
             if evaluation is None:
                 break
             step = np.linalg.lstsq(evaluation.rates[:, moduli], -evaluation.residual, rcond=1e-9)[0]
@@ -110,7 +110,7 @@ def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
             solved[moduli] = np.clip(solved[moduli] + step, low[moduli], high[moduli])
             tried.append(solved)
         # With unsuitable exponents all moduli are zero, and such a start is omitted.
-        evaluations = [(evaluate_if_feasible(problem, trial), trial) for trial in tried
+        evaluations = [(evaluate_or_none_if_infeasible(problem, trial), trial) for trial in tried
                        if not moduli or trial[moduli].any()]
         candidates += sorted(((e.sum_of_squares, i, trial) for i,
                               (e, trial) in enumerate(evaluations) if e is not None),
@@ -135,10 +135,10 @@ class _RelaxationModel:
         self.law = find_law(problem.space.law)
         self.moduli = np.array([self.law.units[name] != "1" for name in self.law.parameters])
         self.data = problem.data / problem.area
-        self.histories = [(problem.tests[t].kind.sign, problem.tests[t].build_deformation_history(r)) for t,
+        self.histories = [(problem.tests[t].kind.sign, problem.tests[t].get_homogeneous_history(r)) for t,
                           r in problem.places]
 
-    def compute_stress_components(self, values: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    def compute_elastic_and_relaxing_stresses(self, values: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Return elastic and relaxing stresses, positive under load, Pa, shape (n, 1 + terms).
 
         Args:
@@ -146,11 +146,12 @@ class _RelaxationModel:
             tau: relaxation times, s, shape (terms,).
         """
         with np.errstate(all="ignore"):
-            parts = [(sign, *history.compute_stress_parts(self.law, values, tau)) for sign, history in self.histories]
+            parts = [(sign, *history.compute_elastic_and_relaxing_stress(self.law, values, tau)) for sign,
+                     history in self.histories]
         return np.concatenate([sign * np.column_stack([elastic, relaxing]) for sign, elastic, relaxing in parts])
 
-    def solve_moduli_and_ratios(self, exponents: np.ndarray, grid: np.ndarray) -> tuple[float, np.ndarray,
-                                                                                        np.ndarray] | None:
+    def solve_moduli_and_ratios_or_none(self, exponents: np.ndarray,
+                                        grid: np.ndarray) -> tuple[float, np.ndarray, np.ndarray] | None:
         """Solve for moduli and ratios by alternating linear least squares with given exponents.
 
         Args:
@@ -166,13 +167,13 @@ class _RelaxationModel:
             for index in np.flatnonzero(self.moduli):
                 alone = np.where(self.moduli, 0.0, values)
                 alone[index] = 1.0
-                columns.append(self.compute_stress_components(alone, grid) @ np.append(1.0, ratios))
+                columns.append(self.compute_elastic_and_relaxing_stresses(alone, grid) @ np.append(1.0, ratios))
             matrix = np.column_stack(columns)
             if not np.isfinite(matrix).all():
                 return None
             values = np.array(values)
             values[self.moduli] = np.linalg.lstsq(matrix, self.data, rcond=1e-9)[0]
-            matrix = self.compute_stress_components(values, grid)
+            matrix = self.compute_elastic_and_relaxing_stresses(values, grid)
             if not np.isfinite(matrix).all():
                 return None
             weights, misfit = nnls(matrix, self.data)
@@ -183,23 +184,23 @@ class _RelaxationModel:
         return misfit, values, ratios
 
 
-def _compute_viscoelastic_starts(problem: OrdinaryProblem, variables: LongTermVariables) -> list[np.ndarray]:
+def _compute_viscoelastic_starts(problem: OrdinaryProblem, variables: LongTermPronyVariables) -> list[np.ndarray]:
     """Return starts of a law with Prony terms, smallest misfit of a fit on a grid of relaxation times first."""
     model = _RelaxationModel(problem)
     terms = variables.g.size
-    shortest, longest = problem.sampling_interval_and_duration
+    shortest, longest = problem.median_interval_and_longest_duration
     count = int(np.clip(_SETTINGS.times_per_decade * np.log10(longest / shortest), terms + 1, 16))
     grid = np.geomspace(shortest, longest, count)
     candidates = []
     for exponents in _iterate_exponent_combinations(int((~model.moduli).sum())):
         values = np.ones(model.moduli.size)
         values[~model.moduli] = exponents
-        if (solved := model.solve_moduli_and_ratios(values, grid)) is not None:
+        if (solved := model.solve_moduli_and_ratios_or_none(values, grid)) is not None:
             candidates.append(solved)
     candidates.sort(key=lambda item: item[0])
     found = []
     for _, values, ratios in candidates[:_SETTINGS.relaxing_starts]:
-        for r, log_tau in (_merge_neighbouring_relaxation_times(grid, ratios, terms),
+        for r, log_tau in (_merge_neighbouring_times_into_terms(grid, ratios, terms),
                            _sum_ratios_in_time_bins(grid, ratios, terms)):
             order, factor = np.argsort(log_tau), 1.0 + r.sum()
             unknowns = np.empty(len(problem.space.free))
@@ -210,7 +211,7 @@ def _compute_viscoelastic_starts(problem: OrdinaryProblem, variables: LongTermVa
     return found
 
 
-def _merge_neighbouring_relaxation_times(grid: np.ndarray, ratios: np.ndarray,
+def _merge_neighbouring_times_into_terms(grid: np.ndarray, ratios: np.ndarray,
                                          terms: int) -> tuple[np.ndarray, np.ndarray]:
     """Merge neighbouring relaxation times with positive ratios, and return the largest `terms` groups.
 
@@ -238,7 +239,7 @@ def _merge_neighbouring_relaxation_times(grid: np.ndarray, ratios: np.ndarray,
 def _sum_ratios_in_time_bins(grid: np.ndarray, ratios: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
     """Divide the grid of relaxation times into equal bins, and sum the ratios in each bin.
 
-    Arguments and results are those of `_merge_neighbouring_relaxation_times`.
+    Arguments and results are those of `_merge_neighbouring_times_into_terms`.
     """
     nearest = np.arange(grid.size) * terms // grid.size
     log_tau = np.array([np.log(grid[nearest == i]).mean() for i in range(terms)])

@@ -11,7 +11,7 @@ from tissue_sim.recording.contact_error import relative_modulus_error_from_conta
 from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
 
 
-def describe_uncertain_contacts(estimate: Estimate) -> str:
+def describe_worst_uncertain_contact_or_empty(estimate: Estimate) -> str:
     """Describe the recordings whose contact is not known well enough; empty if there are none.
 
     The standard errors of the parameters include the uncertainty of a fitted contact offset.

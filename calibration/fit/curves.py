@@ -9,13 +9,13 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.deviations import ModelDeviations, compute_model_deviations
+from calibration.fit.deviations import ModelBiasScatterAndNoise, compute_model_bias_scatter_and_noise
 from calibration.fit.estimate import Estimate
-from calibration.fit.predictor import ForcePredictor
+from calibration.fit.predictor import PredictionParameters
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.bands import KNOWN_VARIANCE, ScatterComponent, compute_prediction_bands
-from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.jitter import ContactAndForceZeroJitter
 from calibration.statistics.uncertainty import ParameterUncertainty
 
 
@@ -67,8 +67,8 @@ class TestCurves:
 
 
 def compute_test_curves(estimate: Estimate, spread: ParameterUncertainty, tests: Sequence[tuple[ForwardTest, float]],
-                        scatter: ReplicateJitter | None,
-                        predictors: Mapping[str, ForcePredictor] | None = None) -> list[TestCurves]:
+                        scatter: ContactAndForceZeroJitter | None,
+                        predictors: Mapping[str, PredictionParameters] | None = None) -> list[TestCurves]:
     """Compute the curves of tests; NaN if the simulation fails.
 
     The bands of a fitted test include the deviations of its recordings from the model. The bands of a held-out test
@@ -82,16 +82,17 @@ def compute_test_curves(estimate: Estimate, spread: ParameterUncertainty, tests:
         predictors: test -> predictor, for tests that are not predicted by the estimate itself.
     """
     problem, found = estimate.problem, []
-    own, others = ForcePredictor.from_estimate(problem.space, estimate.theta, spread), predictors or {}
+    own, others = PredictionParameters.from_minimum_and_uncertainty(problem.space, estimate.theta, spread), predictors \
+        or {}
     along = estimate.evaluation.force
     fitted = {curve.name: along[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
     for test, mesh_error in tests:
-        path = _build_model_path(test)
+        path = _build_model_path_as_forceless_recording(test)
         time = path.time if test.is_path_dependent else None
         try:
             predictor = others.get(test.name, own)
             answer = test.solve(predictor.space, predictor.theta, problem.solves)
-            seen = [test.evaluate_force(answer, number, 0.0) for number in range(len(test.measured))]
+            seen = [test.evaluate_force_and_derivatives(answer, number, 0.0) for number in range(len(test.measured))]
             models = tuple(fitted.get(curve.name, force)
                            for curve, (force, *_) in zip(test.measured, seen, strict=True))
             gaps = [curve.force - force for curve, (force, *_) in zip(test.measured, seen, strict=True)]
@@ -99,10 +100,11 @@ def compute_test_curves(estimate: Estimate, spread: ParameterUncertainty, tests:
             # With enough recordings their observed scatter is used, which includes more than contact and zero.
             is_observed = known and count >= _SETTINGS.min_recordings and not (scatter and scatter.freedom is None)
             used = None if is_observed else scatter
-            deviations = compute_model_deviations(test.measured, gaps, [contact for *_, contact in seen], path, used) \
+            deviations = compute_model_bias_scatter_and_noise(test.measured, gaps, [contact for *_, contact in seen],
+                                                              path, used) \
                 if known else None
-            force, error, bands = _predict_force_along_path(problem.solves, predictor, test, path, mesh_error, used,
-                                                            deviations)
+            force, error, bands = _predict_force_error_and_bands_along_path(problem.solves, predictor, test, path,
+                                                                            mesh_error, used, deviations)
         except InfeasibleError:
             force = error = np.full(path.displacement.size, np.nan)
             bands = force, force
@@ -112,17 +114,18 @@ def compute_test_curves(estimate: Estimate, spread: ParameterUncertainty, tests:
     return found
 
 
-def _predict_force_along_path(solves: SimulationCache, predictor: ForcePredictor, test: ForwardTest,
-                              path: MeasuredCurve,
-                              mesh_error: float, scatter: ReplicateJitter | None, deviations: ModelDeviations | None):
+def _predict_force_error_and_bands_along_path(solves: SimulationCache, predictor: PredictionParameters,
+                                              test: ForwardTest, path: MeasuredCurve,
+                                              mesh_error: float, scatter: ContactAndForceZeroJitter | None,
+                                              deviations: ModelBiasScatterAndNoise | None):
     """Return the force along a path, its standard error, and the half widths of both prediction bands."""
     # The test is evaluated for one recording that follows the path.
     seen: ForwardTest = replace(test, measured=(path,))
     answer = seen.solve(predictor.space, predictor.theta, solves)
-    force, rates, contact = seen.evaluate_force(answer, 0, 0.0)
-    first, *sampled = predictor.predict_force_scatter(rates)
+    force, rates, contact = seen.evaluate_force_and_derivatives(answer, 0, 0.0)
+    first, *sampled = predictor.compute_force_scatter_components(rates)
     unsure = [ScatterComponent(np.column_stack([first.columns, mesh_error * force])), *sampled]
-    found = deviations or ModelDeviations(np.zeros(force.size), [], np.full(force.size, path.noise.deviation))
+    found = deviations or ModelBiasScatterAndNoise(np.zeros(force.size), [], np.full(force.size, path.noise.deviation))
     scatters, count = list(found.scatters), len(test.measured)
     # Variance of a new recording about the mean of the recordings: 1 + 1 / count.
     mean_errs = np.sqrt(1.0 + 1.0 / count) if scatters else 1.0
@@ -142,14 +145,14 @@ def _predict_force_along_path(solves: SimulationCache, predictor: ForcePredictor
     return force, error, compute_prediction_bands(bias, scatters, found.noise, float(samples))
 
 
-def _build_model_path(test: ForwardTest) -> MeasuredCurve:
+def _build_model_path_as_forceless_recording(test: ForwardTest) -> MeasuredCurve:
     """Return the path of the model as a recording without force: the motion of the first recording, or one loading."""
     first, segment = test.measured[0], None
     time: np.ndarray | None = None
     reached = np.concatenate([curve.displacement for curve in test.measured])
     if test.is_path_dependent:
-        even = np.linspace(first.sample_times[0], first.sample_times[-1], 4 * _SETTINGS.points)
-        time, displacement = even, np.interp(even, first.sample_times, first.displacement)
+        even = np.linspace(first.required_sample_times[0], first.required_sample_times[-1], 4 * _SETTINGS.points)
+        time, displacement = even, np.interp(even, first.required_sample_times, first.displacement)
         segment = np.full(displacement.size, "")
     else:
         # A gripped specimen may be loaded in both directions.
@@ -157,6 +160,6 @@ def _build_model_path(test: ForwardTest) -> MeasuredCurve:
         displacement = np.linspace(start, max(0.0, float(reached.max())), _SETTINGS.points)
         if first.time is not None:
             order = np.argsort(first.displacement, kind="stable")
-            time = np.interp(displacement, first.displacement[order], first.sample_times[order])
+            time = np.interp(displacement, first.displacement[order], first.required_sample_times[order])
     return replace(first, time=time, displacement=displacement, force=np.zeros_like(displacement), segment=segment,
                    interpolation=None)

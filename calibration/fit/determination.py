@@ -61,8 +61,9 @@ class ShearModulusPrecision:
         return self.relative_error <= SETTINGS.relative_error
 
 
-def assess_modulus_precision(estimate: Estimate, spread: ParameterUncertainty, modulus: Callable[[np.ndarray], float],
-                             stated: Collection[str]) -> ShearModulusPrecision:
+def assess_modulus_error_and_bound_dependence(estimate: Estimate, spread: ParameterUncertainty,
+                                              modulus: Callable[[np.ndarray], float],
+                                              stated: Collection[str]) -> ShearModulusPrecision:
     """Compute the standard error of the shear modulus, and its dependence on bounds.
 
     Args:
@@ -74,13 +75,13 @@ def assess_modulus_precision(estimate: Estimate, spread: ParameterUncertainty, m
     space = estimate.problem.space
     count = len(space.free)
     theta = estimate.theta[:count]
-    sizes = space.typical_sizes(space.values(theta))
+    sizes = space.compute_typical_parameter_sizes(space.values(theta))
     slope = np.zeros(estimate.theta.size)
     slope[:count] = _differentiate_shear_modulus(modulus, theta, sizes) / abs(modulus(theta))
     residual, jacobian = estimate.evaluation.projected_residual_and_jacobian
     slope = slope[: jacobian.shape[1]]
     held = spread.on_bound[: jacobian.shape[1]]
-    _, flat = _solve_linearised_least_squares(jacobian[:, ~held], np.zeros(residual.size), slope[~held])
+    _, flat = _solve_step_and_undetermined_modulus_change(jacobian[:, ~held], np.zeros(residual.size), slope[~held])
     variance = float(slope[:count] @ spread.covariance[:count, :count] @ slope[:count])
     error = np.inf if flat > SETTINGS.rounding else float(np.sqrt(max(variance, 0.0)))
     suspects = [i for i in range(count) if held[i] and space.free[i] not in stated]
@@ -89,7 +90,7 @@ def assess_modulus_precision(estimate: Estimate, spread: ParameterUncertainty, m
     released = ~held
     released[suspects] = True
     columns = jacobian[:, released]
-    step, flat = _solve_linearised_least_squares(columns, residual, slope[released])
+    step, flat = _solve_step_and_undetermined_modulus_change(columns, residual, slope[released])
     change = float("inf") if flat > SETTINGS.rounding else float(slope[released] @ step)
     decrease = float(residual @ residual - np.sum((residual + columns @ step)**2))
     depends = abs(change) > SETTINGS.change and decrease > SETTINGS.significance * max(spread.ratio, 1.0)**2
@@ -103,8 +104,8 @@ def _differentiate_shear_modulus(modulus: Callable[[np.ndarray], float], theta: 
     return np.array([(modulus(theta + step) - modulus(theta - step)) / (2.0 * step.max()) for step in steps])
 
 
-def _solve_linearised_least_squares(jacobian: np.ndarray, residual: np.ndarray,
-                                    slope: np.ndarray) -> tuple[np.ndarray, float]:
+def _solve_step_and_undetermined_modulus_change(jacobian: np.ndarray, residual: np.ndarray,
+                                                slope: np.ndarray) -> tuple[np.ndarray, float]:
     """Solve the linearised least-squares problem.
 
     Args:

@@ -10,12 +10,12 @@ from scipy.ndimage import gaussian_filter1d
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.statistics.bands import ScatterComponent
-from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.jitter import ContactAndForceZeroJitter
 
 
 @dataclass(frozen=True)
 class ModelDeviationSettings:
-    """Settings of `compute_model_deviations`.
+    """Settings of `compute_model_bias_scatter_and_noise`.
 
     Attributes:
         max_modes: largest number of modes per segment. More modes resolve shorter features of the bias.
@@ -37,7 +37,7 @@ SETTINGS = ModelDeviationSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class ModelDeviations:
+class ModelBiasScatterAndNoise:
     """Deviations of the recordings of one test from its model at the points of a path.
 
     Attributes:
@@ -51,9 +51,10 @@ class ModelDeviations:
     noise: np.ndarray
 
 
-def compute_model_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarray],
-                             contacts: Sequence[np.ndarray],
-                             path: MeasuredCurve, scatter: ReplicateJitter | None) -> ModelDeviations:
+def compute_model_bias_scatter_and_noise(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarray],
+                                         contacts: Sequence[np.ndarray],
+                                         path: MeasuredCurve, scatter: ContactAndForceZeroJitter
+                                         | None) -> ModelBiasScatterAndNoise:
     """Compute mean, scatter and noise of data minus model along a path.
 
     The deviation of each recording is fitted by smooth modes along each segment. The mean amplitudes over the
@@ -68,15 +69,15 @@ def compute_model_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[n
         scatter: known scatter of contact and zero; None: unknown.
     """
     if scatter is not None:
-        own = np.array([_fit_contact_offset_and_zero(*each, scatter)
+        own = np.array([_estimate_scaled_contact_offset_and_zero(*each, scatter)
                         for each in zip(gaps, contacts, measured, strict=True)])
         # A common offset, and offsets far beyond the scatter, are errors of the model and stay in the deviations.
         own = np.clip(own - own.mean(axis=0) if len(own) > 1 else own,
                       -SETTINGS.max_scatter, SETTINGS.max_scatter)
-        gaps = [gap - _compute_offset_force_columns(contact, scatter) @ weights
+        gaps = [gap - _compute_force_changes_per_offset_deviation(contact, scatter) @ weights
                 for gap, contact, weights in zip(gaps, contacts, own, strict=True)]
-    segments = [_find_segment_of_each_sample(curve) for curve in measured]
-    path_segments, count = _find_segment_of_each_sample(path, measured[0]), len(measured)
+    segments = [_get_segment_label_of_each_sample(curve) for curve in measured]
+    path_segments, count = _get_segment_label_of_each_sample(path, measured[0]), len(measured)
     bias, noise = np.zeros(path_segments.size), np.empty(path_segments.size)
     spread = np.zeros((path_segments.size, count))
     for name in dict.fromkeys(path_segments.tolist()):
@@ -111,33 +112,33 @@ def compute_model_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[n
             factor = np.sqrt(np.divide(smooth, variance, out=np.zeros_like(variance), where=variance > 0))
             spread[here] = difference * factor[:, None]
     if count == 1:
-        return ModelDeviations(bias, [], noise)
+        return ModelBiasScatterAndNoise(bias, [], noise)
     # The factor 1 + 1 / count includes the variance of the mean.
     spread *= np.sqrt((1.0 + 1.0 / count) / (count - 1))
-    return ModelDeviations(bias, [ScatterComponent(spread, count - 1.0)], noise)
+    return ModelBiasScatterAndNoise(bias, [ScatterComponent(spread, count - 1.0)], noise)
 
 
-def _compute_offset_force_columns(contact: np.ndarray, scatter: ReplicateJitter) -> np.ndarray:
+def _compute_force_changes_per_offset_deviation(contact: np.ndarray, scatter: ContactAndForceZeroJitter) -> np.ndarray:
     """Return the change of the force per standard deviation of contact offset and zero, N, shape (n, 2)."""
     return np.column_stack([scatter.contact * contact, np.full(contact.size, scatter.zero)])
 
 
-def _fit_contact_offset_and_zero(gap: np.ndarray, contact: np.ndarray, curve: MeasuredCurve,
-                                 scatter: ReplicateJitter) -> np.ndarray:
+def _estimate_scaled_contact_offset_and_zero(gap: np.ndarray, contact: np.ndarray, curve: MeasuredCurve,
+                                             scatter: ContactAndForceZeroJitter) -> np.ndarray:
     """Return the most probable contact offset and zero of a recording in units of their scatter, shape (2,)."""
-    columns = _compute_offset_force_columns(contact, scatter) / curve.noise.deviation
+    columns = _compute_force_changes_per_offset_deviation(contact, scatter) / curve.noise.deviation
     return np.linalg.solve(np.eye(2) + columns.T @ columns, columns.T @ gap / curve.noise.deviation)
 
 
-def _find_segment_of_each_sample(curve: MeasuredCurve, first: MeasuredCurve | None = None) -> np.ndarray:
+def _get_segment_label_of_each_sample(curve: MeasuredCurve, first: MeasuredCurve | None = None) -> np.ndarray:
     """Return the segment of each sample of a curve, shape (n,); taken from `first` at the same time if given."""
     labelled = curve if first is None else first
     if labelled.segment is None:
         return np.full(curve.displacement.size, "")
     if first is None:
         return labelled.segment
-    return labelled.segment[np.clip(np.searchsorted(first.sample_times, curve.sample_times), 0,
-                                    first.sample_times.size - 1)]
+    return labelled.segment[np.clip(np.searchsorted(first.required_sample_times, curve.required_sample_times), 0,
+                                    first.required_sample_times.size - 1)]
 
 
 def _evaluate_chebyshev_polynomials(curve: MeasuredCurve, part: np.ndarray, name: str, count: int) -> np.ndarray:
@@ -145,7 +146,7 @@ def _evaluate_chebyshev_polynomials(curve: MeasuredCurve, part: np.ndarray, name
 
     The polynomials have large slopes at the ends of a segment, where models often deviate most.
     """
-    along = curve.displacement[part] if curve.segment is None else curve.sample_times[part]
+    along = curve.displacement[part] if curve.segment is None else curve.required_sample_times[part]
     position = (along - along.min()) / max(float(np.ptp(along)), 1e-300)
     if name.startswith("hold"):
         position = np.log1p(position / SETTINGS.logarithmic_from) / np.log1p(1.0 / SETTINGS.logarithmic_from)

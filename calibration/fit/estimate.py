@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from calibration.campaign.campaign import Noise
-from calibration.fit.fit import DescentIteration, Minimum
+from calibration.fit.fit import DescentEvaluation, Minimum
 from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
 from calibration.fit.trust_region import DescentResult, Listener, minimise_from_start
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.forms import compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
-from calibration.statistics.jitter import ReplicateJitter, estimate_jitter
+from calibration.statistics.jitter import ContactAndForceZeroJitter, estimate_jitter
 
 
 @dataclass(frozen=True)
@@ -75,29 +75,30 @@ def iterate_mesh_correction_and_jitter(problem: GeneralisedProblem, theta: np.nd
         past: see `calibration.fit.trust_region.minimise_from_start`.
         listen: see `calibration.fit.trust_region.minimise_from_start`.
     """
-    spent = problem.solves.start_effort_meter()
-    history: list[DescentIteration] = []
+    spent = problem.solves.make_effort_since_now_function()
+    history: list[DescentEvaluation] = []
     differences: tuple[float, ...] = ()
     warnings: list[str] = []
     if None in (stated.contact_jitter, stated.zero_jitter):
-        _estimate_jitter(problem, theta, stated)
+        _update_jitter_of_problem_if_repeated(problem, theta, stated)
         descent = minimise_from_start(problem, theta, start=start, listen=listen, past=past)
         history += descent.history
         theta = descent.theta
     refreshes = 0
     while True:
-        differences = _update_mesh_corrections(problem, theta, warnings)
+        differences = _update_mesh_corrections_and_errors_of_problem(problem, theta, warnings)
         refreshes += 1
         jitter = problem.jitter
         if None in (stated.contact_jitter, stated.zero_jitter):
-            _estimate_jitter(problem, theta, stated)
-        problem.rebuild_nuisance_columns()
+            _update_jitter_of_problem_if_repeated(problem, theta, stated)
+        problem.assign_nuisance_columns_and_drop_cache()
         descent = minimise_from_start(problem, theta, start=start, corrected=True, listen=listen,
                                       past=past + len(history))
         history += descent.history
         if not np.isfinite(descent.error):
             break
-        moved = np.abs(descent.theta - theta) / problem.space.typical_sizes(problem.space.values(theta))
+        moved = np.abs(descent.theta
+                       - theta) / problem.space.compute_typical_parameter_sizes(problem.space.values(theta))
         theta = descent.theta
         # The correction is nearly proportional to the parameters, so the next change is about this one times the
         # relative difference of the meshes.
@@ -112,7 +113,8 @@ def iterate_mesh_correction_and_jitter(problem: GeneralisedProblem, theta: np.nd
                     problem=problem, differences=differences, refreshes=refreshes, warnings=tuple(warnings))
 
 
-def _update_mesh_corrections(problem: GeneralisedProblem, theta: np.ndarray, warnings: list[str]) -> tuple[float, ...]:
+def _update_mesh_corrections_and_errors_of_problem(problem: GeneralisedProblem, theta: np.ndarray,
+                                                   warnings: list[str]) -> tuple[float, ...]:
     """Update the mesh correction of each test, and return the relative differences of the meshes.
 
     A test whose accurate mesh fails has no correction and the larger error of the fast mesh.
@@ -120,10 +122,10 @@ def _update_mesh_corrections(problem: GeneralisedProblem, theta: np.ndarray, war
     found, errors = [], []
     for test in problem.tests:
         try:
-            found.append(test.update_mesh_correction(problem.space, theta, problem.solves))
+            found.append(test.update_mesh_force_difference_and_get_ratio(problem.space, theta, problem.solves))
             errors.append(compute_mesh_uncertainty(test, ACCURATE_MESH_ERRORS))
         except InfeasibleError:
-            test.remove_mesh_correction()
+            test.remove_mesh_force_difference()
             found.append(float("nan"))
             errors.append(compute_mesh_uncertainty(test, FAST_MESH_ERRORS))
             warning = f"{test.name}: the accurate mesh does not converge, so the error of the fast mesh is used"
@@ -133,17 +135,17 @@ def _update_mesh_corrections(problem: GeneralisedProblem, theta: np.ndarray, war
     return tuple(found)
 
 
-def _estimate_jitter(problem: GeneralisedProblem, theta: np.ndarray, stated: Noise) -> None:
+def _update_jitter_of_problem_if_repeated(problem: GeneralisedProblem, theta: np.ndarray, stated: Noise) -> None:
     """Estimate the jitter of a problem; without repeated recordings the first guess stays (0 degrees of freedom)."""
     if all(len(test.measured) < 2 for test in problem.tests):
         return
-    problem.rebuild_nuisance_columns()
+    problem.assign_nuisance_columns_and_drop_cache()
     replicates = problem.linearise_replicates(theta)
     problem.jitter = estimate_jitter(replicates, contact=stated.contact_jitter, zero=stated.zero_jitter)
-    problem.rebuild_nuisance_columns()
+    problem.assign_nuisance_columns_and_drop_cache()
 
 
-def _are_jitters_equal(one: ReplicateJitter, other: ReplicateJitter) -> bool:
+def _are_jitters_equal(one: ContactAndForceZeroJitter, other: ContactAndForceZeroJitter) -> bool:
     """Return whether two jitters agree within `MeshIterationSettings.jitter_tolerance`."""
-    return all(abs(a - b) <= _SETTINGS.jitter_tolerance * max(a, b) for a, b in ((one.contact, other.contact),
-                                                                     (one.zero, other.zero)))
+    pairs = (one.contact, other.contact), (one.zero, other.zero)
+    return all(abs(a - b) <= _SETTINGS.jitter_tolerance * max(a, b) for a, b in pairs)

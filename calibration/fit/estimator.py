@@ -10,19 +10,19 @@ from typing import Any
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
-from calibration.fit.predictor import ForcePredictor
+from calibration.fit.predictor import PredictionParameters
 from calibration.fit.problem import ProblemEvaluation
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import DescentResult
 from calibration.forward.contract import ForwardTest
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.jitter import ContactAndForceZeroJitter
 from calibration.statistics.uncertainty import ParameterUncertainty
 
 
 @dataclass(frozen=True, eq=False)
-class EstimateFindings:
-    """Results of an estimate from which `Estimator.derive_fit_fields` derives text and further fields.
+class FitFieldInputs:
+    """Results of an estimate from which `Estimator.make_method_specific_fit_fields` derives text and further fields.
 
     Attributes:
         estimate: minimum of the fit.
@@ -63,12 +63,12 @@ class Estimator(ABC):
         self.campaign, self.measured, self.solves = campaign, measured, solves
 
     @property
-    def pooled_stress_noise(self) -> float | None:
+    def pooled_sensor_stress_noise_or_none(self) -> float | None:
         """Pooled noise of the nominal stress, Pa; None if each test has its own noise."""
         return None
 
     @abstractmethod
-    def check_law(self, law: str, number: int) -> None:
+    def require_fittable_law(self, law: str, number: int) -> None:
         """Check that a law can be fitted.
 
         Args:
@@ -94,16 +94,16 @@ class Estimator(ABC):
 
     @property
     @abstractmethod
-    def uncertainty_function(self) -> Callable[[Any, ProblemEvaluation], ParameterUncertainty]:
+    def problem_uncertainty_function(self) -> Callable[[Any, ProblemEvaluation], ParameterUncertainty]:
         """Function that returns the uncertainty of a problem at its minimum; it can be pickled for worker processes."""
 
     @abstractmethod
-    def derive_fit_fields(self, found: EstimateFindings) -> dict[str, Any]:
+    def make_method_specific_fit_fields(self, found: FitFieldInputs) -> dict[str, Any]:
         """Return name -> value of the fields of `Fit` with messages, and of those that only this estimator computes."""
 
     @abstractmethod
-    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: ForcePredictor) -> tuple[ForwardTest,
-                                                                                                      float]:
+    def build_held_out_test_and_mesh_error(self, test: Test, estimate: Estimate,
+                                           predictor: PredictionParameters) -> tuple[ForwardTest, float]:
         """Return the forward model of a held-out test, and the relative error of its mesh.
 
         Args:
@@ -112,6 +112,6 @@ class Estimator(ABC):
             predictor: parameters for the prediction.
         """
 
-    def get_replicate_jitter(self, estimate: Estimate) -> ReplicateJitter | None:
+    def get_replicate_jitter_or_none(self, estimate: Estimate) -> ContactAndForceZeroJitter | None:
         """Return the scatter of contact and zero between recordings; None: unknown."""
         return None

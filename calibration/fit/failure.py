@@ -15,7 +15,7 @@ LAW_ERRORS = (ConvergenceError, InfeasibleError, ArithmeticError, ValueError)
 
 
 @dataclass(frozen=True)
-class CalibrationFailure:
+class CalibrationFailureRecord:
     """Failure of the calibration of one law, which does not end the calibration of the other laws.
 
     Attributes:
@@ -26,16 +26,16 @@ class CalibrationFailure:
 
 
 def call_and_catch_law_errors(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function and convert exceptions of `LAW_ERRORS` to a `CalibrationFailure`.
+    """Call a function and convert exceptions of `LAW_ERRORS` to a `CalibrationFailureRecord`.
 
     Args:
         function: function to call.
         arguments: arguments of the function.
 
     Returns:
-        Result of the function, or a `CalibrationFailure`.
+        Result of the function, or a `CalibrationFailureRecord`.
     """
     try:
         return function(*arguments)
     except LAW_ERRORS as error:
-        return CalibrationFailure(str(error) or type(error).__name__)
+        return CalibrationFailureRecord(str(error) or type(error).__name__)

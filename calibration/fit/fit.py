@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import msgspec
 
 from calibration.fit.population_records import ParameterCovariance, PopulationStatement
-from calibration.fit.usability_records import AlternativeMinimum, UsabilityClause
+from calibration.fit.usability_records import AlternativeMinimum, UsabilityClauseResult
 from tissue_sim.public_names import OldName
 
 
@@ -78,7 +78,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True):
     parameters: dict[str, float] = {}
 
 
-class DescentIteration(msgspec.Struct, frozen=True, kw_only=True):
+class DescentEvaluation(msgspec.Struct, frozen=True, kw_only=True):
     """Evaluation of an inverse fit: simulation of all tests at one set of parameters.
 
     Attributes:
@@ -212,7 +212,7 @@ class ReplicateJitterStatement(msgspec.Struct, frozen=True, kw_only=True):
     stressed: bool = False
 
     @property
-    def jitter_with_units(self) -> tuple[str, str]:
+    def contact_and_zero_jitter_texts(self) -> tuple[str, str]:
         """Jitter of contact and of zero as two texts with units, such as ``30 µm`` and ``5 mN``."""
         if self.stressed:
             return f"{self.contact_mm * 1e-3:.2g} of strain", f"{self.zero_N:.2g} Pa"
@@ -352,7 +352,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     misfits: dict[str, float] = {}
     status: str
     unusable: str | None = None
-    clauses: list[UsabilityClause] = []
+    clauses: list[UsabilityClauseResult] = []
     warnings: list[str] = []
     message: str
     iterations: int
@@ -368,7 +368,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     interval_notes: dict[str, str] = {}
     profiles: dict[str, ProfileLikelihood] = {}
     regions: list[RegionMisfitTest] = []
-    history: list[DescentIteration] = []
+    history: list[DescentEvaluation] = []
     condition: float | None = None
     directions: list[WeakDirection] = []
     suggestions: list[SuggestedTest] = []
@@ -377,11 +377,11 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     left_out: float | None = None
     estimate_cpu_s: float = 0.0
 
-    unit = OldName("display_unit")
+    unit = OldName("get_unit_or_empty_if_dimensionless")
     held = OldName("parameters_on_bounds")
     in_symbols = OldName("format_symbols")
 
-    def display_unit(self, name: str) -> str:
+    def get_unit_or_empty_if_dimensionless(self, name: str) -> str:
         """Return the SI unit of a parameter; an empty text for a dimensionless parameter."""
         return "" if self.units[name] == "1" else self.units[name]
 

@@ -10,30 +10,34 @@ import numpy as np
 
 from calibration.campaign.campaign import Noise, Test
 from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
-from calibration.fit.alternatives import list_sign_flipped_starts, select_minimum_to_report
+from calibration.fit.alternatives import find_index_of_best_positive_exponent_minimum, list_sign_flipped_starts
 from calibration.fit.campaign_problem import build_generalised_problem
-from calibration.fit.checks import simulate_and_check_start
+from calibration.fit.checks import require_fittable_start
 from calibration.fit.estimate import Estimate, iterate_mesh_correction_and_jitter
-from calibration.fit.estimator import EstimateFindings, Estimator
+from calibration.fit.estimator import Estimator, FitFieldInputs
 from calibration.fit.fit import MeshCorrectionSummary, Minimum, Nuisance, ReplicateJitterStatement
-from calibration.fit.identifiability import find_weak_directions, information_condition_number, suggest_further_tests
-from calibration.fit.predictor import ForcePredictor
+from calibration.fit.identifiability import (
+    compute_information_condition_or_none,
+    find_weak_directions,
+    suggest_further_tests,
+)
+from calibration.fit.predictor import PredictionParameters
 from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
-from calibration.fit.regions import compute_region_misfit_tests, name_regions_with_misfit
+from calibration.fit.regions import compute_smooth_misfit_tests_of_regions, format_regions_with_misfit
 from calibration.fit.run_context import RunContext
-from calibration.fit.starts import generate_starting_values
+from calibration.fit.starts import list_starts_with_varied_exponents
 from calibration.fit.trust_region import DESCENT, DescentResult, Listener, find_distinct_minima, minimise_from_start
 from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
-from calibration.forward.forms import build_forward_test, compute_mesh_uncertainty
+from calibration.forward.forms import build_forward_test_of_inverse_fit, compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
-from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.jitter import ContactAndForceZeroJitter
 from calibration.statistics.statistics import NOISE_RATIOS, compute_r_squared
 from calibration.statistics.uncertainty import ParameterUncertainty
 
 
 @dataclass(frozen=True)
-class InverseWarningSettings:
+class NuisanceAndJitterWarningLimits:
     """Limits above which an inverse fit warns.
 
     Attributes:
@@ -46,7 +50,7 @@ class InverseWarningSettings:
     few_degrees_of_freedom: int = 6
 
 
-INVERSE_WARNINGS = InverseWarningSettings()
+INVERSE_WARNINGS = NuisanceAndJitterWarningLimits()
 
 
 class GeneralisedLeastSquaresEstimator(Estimator):
@@ -59,25 +63,26 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         """Return the least-squares problem of one law over all tests that are not held out."""
         return build_generalised_problem(law, self.campaign, self.measured, self.solves)
 
-    def check_law(self, law: str, number: int) -> None:
-        """Simulate the first start of a law; errors are those of `calibration.fit.checks.simulate_and_check_start`."""
-        simulate_and_check_start(self.build_law_problem(law), self.campaign, number)
+    def require_fittable_law(self, law: str, number: int) -> None:
+        """Simulate the first start of a law; errors are those of `calibration.fit.checks.require_fittable_start`."""
+        require_fittable_start(self.build_law_problem(law), self.campaign, number)
 
     def fit_laws(self, laws: Sequence[str],
                  context: RunContext) -> dict[str, tuple[list[DescentResult], Estimate | str]]:
         """Fit laws: descents from all starts of all laws in parallel, then all mesh corrections in parallel."""
         problems = {law: self.build_law_problem(law) for law in laws}
         keys = [(law, number, theta) for law in laws
-                for number, theta in enumerate(generate_starting_values(problems[law].space, self.campaign.fit.starts),
-                                               1)]
+                for number,
+                theta in enumerate(list_starts_with_varied_exponents(problems[law].space, self.campaign.fit.starts),
+                                   1)]
         ends = context.run_descents(descend_from_start, [law for law, *_ in keys],
-                              [(problems[law], number, theta) for law, number, theta in keys],
-                              f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
+                                    [(problems[law], number, theta) for law, number, theta in keys],
+                                    f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
         descents: dict[str, list[DescentResult]] = {law: [] for law in laws}
         for (law, *_), end in zip(keys, ends, strict=True):
             descents[law].append(end)
         self._add_sign_flipped_descents(laws, problems, descents, context)
-        best = {law: _select_best_descent(descents[law], problems[law]) for law in laws}
+        best = {law: _select_best_descent_or_failed_one(descents[law], problems[law]) for law in laws}
         usable = [law for law in laws if np.isfinite(best[law].error)]
         settled = context.run_descents(
             compute_estimate_from_minimum, usable,
@@ -102,7 +107,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
                 keys += [(law, len(descents[law]) + number, theta, limit)
                          for number, theta in enumerate(list_sign_flipped_starts(problems[law].space, best.theta), 1)]
         if keys:
-            ends = context.run_descents(descend_from_sign_flipped_start, [law for law, *_ in keys],
+            ends = context.run_descents(descend_unless_start_exceeds_limit, [law for law, *_ in keys],
                                         [(problems[law], *rest) for law, *rest in keys],
                                         "other signs of the exponents")
             for (law, *_), end in zip(keys, ends, strict=True):
@@ -115,19 +120,20 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         return self.campaign.noise
 
     @property
-    def uncertainty_function(self) -> Callable[[GeneralisedProblem, ProblemEvaluation], ParameterUncertainty]:
+    def problem_uncertainty_function(self) -> Callable[[GeneralisedProblem, ProblemEvaluation], ParameterUncertainty]:
         """Function that returns the uncertainty of the parameters with the nuisances marginalised."""
         return compute_marginal_uncertainty
 
-    def derive_fit_fields(self, found: EstimateFindings) -> dict[str, Any]:
-        """Return messages and fields of an inverse fit; see `Estimator.derive_fit_fields`."""
+    def make_method_specific_fit_fields(self, found: FitFieldInputs) -> dict[str, Any]:
+        """Return messages and fields of an inverse fit; see `Estimator.make_method_specific_fit_fields`."""
         estimate, spread, evaluation = found.estimate, found.spread, found.estimate.evaluation
         problem, space = estimate.problem, estimate.problem.space
         on_bound = [name for name, hit in zip(space.free, spread.on_bound, strict=True) if hit]
-        regions = compute_region_misfit_tests(problem, evaluation)
+        regions = compute_smooth_misfit_tests_of_regions(problem, evaluation)
         directions = find_weak_directions(space, spread)
         held = [f"{space.symbols[name]} ended on its bound {found.values[name]:.6g}" for name in on_bound]
-        warnings = [*estimate.warnings, *held, *found.lost, *_collect_fit_warnings(problem, evaluation, spread)]
+        warnings = [*estimate.warnings, *held, *found.lost,
+                    *_list_residual_and_nuisance_warnings(problem, evaluation, spread)]
         stressed = [curve for curve in problem.measured if curve.test.specimen is None]
         residual = evaluation.force - problem.data
         root = float(np.sqrt(np.mean(residual**2)))
@@ -138,7 +144,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         count = len(found.descents)
         parts = [f"converged; {same} of {count} start{'s' if count != 1 else ''} ended there"
                  if found.unusable is None else found.unusable]
-        if bad := name_regions_with_misfit(regions):
+        if bad := format_regions_with_misfit(regions):
             parts.append(f"a smooth misfit remains in {bad}")
         elif regions:
             parts.append("no smooth misfit remains in any test")
@@ -149,7 +155,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
             "RMSE_Pa": root if len(stressed) == len(problem.measured) else None, "on_bound": on_bound,
             "nuisances": _build_nuisance_records(problem, evaluation), "warnings": warnings,
             "message": "; ".join([*parts, *warnings]), "history": history, "regions": regions,
-            "condition": information_condition_number(spread), "directions": directions,
+            "condition": compute_information_condition_or_none(spread), "directions": directions,
             "suggestions": suggest_further_tests(problem, estimate.theta, spread)
             if (found.loose or directions) and not on_bound else [],
             "jitter": _build_jitter_record(problem),
@@ -159,20 +165,21 @@ class GeneralisedLeastSquaresEstimator(Estimator):
                      for test, difference, error in zip(problem.tests, estimate.differences, problem.mesh_error,
                                                         strict=True)]}
 
-    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: ForcePredictor) -> tuple[ForwardTest,
-                                                                                                      float]:
+    def build_held_out_test_and_mesh_error(self, test: Test, estimate: Estimate,
+                                           predictor: PredictionParameters) -> tuple[ForwardTest, float]:
         """Return a held-out test with its mesh correction, and its relative mesh error."""
         problem = estimate.problem
-        found = build_forward_test(test, self.measured[test.name], self.campaign.fit, problem.jitter.contact)
+        found = build_forward_test_of_inverse_fit(test, self.measured[test.name], self.campaign.fit,
+                                                  problem.jitter.contact)
         try:
-            found.update_mesh_correction(predictor.space, predictor.theta, self.solves)
+            found.update_mesh_force_difference_and_get_ratio(predictor.space, predictor.theta, self.solves)
             error = ACCURATE_MESH_ERRORS
         except InfeasibleError:
-            found.remove_mesh_correction()
+            found.remove_mesh_force_difference()
             error = FAST_MESH_ERRORS
         return found, compute_mesh_uncertainty(found, error)
 
-    def get_replicate_jitter(self, estimate: Estimate) -> ReplicateJitter | None:
+    def get_replicate_jitter_or_none(self, estimate: Estimate) -> ContactAndForceZeroJitter | None:
         """Return the jitter over which the fit marginalises."""
         return estimate.problem.jitter
 
@@ -183,10 +190,10 @@ def descend_from_start(problem: GeneralisedProblem, number: int, theta: np.ndarr
     return minimise_from_start(problem, theta, start=number, enough=DESCENT.min_gain_of_start, listen=listen)
 
 
-def descend_from_sign_flipped_start(problem: GeneralisedProblem, number: int, theta: np.ndarray, limit: float,
-                                    listen: Listener | None = None) -> DescentResult:
+def descend_unless_start_exceeds_limit(problem: GeneralisedProblem, number: int, theta: np.ndarray, limit: float,
+                                       listen: Listener | None = None) -> DescentResult:
     """Run a descent from one start; return a failed result if the sum of squares at the start exceeds `limit`."""
-    spent = problem.solves.start_effort_meter()
+    spent = problem.solves.make_effort_since_now_function()
     try:
         error = problem.evaluate(theta).sum_of_squares
     except InfeasibleError as failure:
@@ -197,23 +204,24 @@ def descend_from_sign_flipped_start(problem: GeneralisedProblem, number: int, th
     return descend_from_start(problem, number, theta, listen)
 
 
-def _select_best_descent(descents: Sequence[DescentResult], problem: GeneralisedProblem) -> DescentResult:
+def _select_best_descent_or_failed_one(descents: Sequence[DescentResult], problem: GeneralisedProblem) -> DescentResult:
     """Return the best descent; of equally good ones that with most positive exponents; a failed one if all failed."""
     ordered = sorted(descents, key=lambda end: end.error)
     if not np.isfinite(ordered[0].error):
         return ordered[0]
     finite = [end for end in ordered if np.isfinite(end.error)]
-    scale = _compute_residual_variance_ratio(finite[0].error, problem)
-    return finite[select_minimum_to_report(problem.space, [(end.error / scale, end.theta) for end in finite])]
+    scale = _compute_variance_ratio_of_at_least_one(finite[0].error, problem)
+    return finite[find_index_of_best_positive_exponent_minimum(problem.space,
+                                                               [(end.error / scale, end.theta) for end in finite])]
 
 
-def _compute_residual_variance_ratio(error: float, problem: GeneralisedProblem) -> float:
+def _compute_variance_ratio_of_at_least_one(error: float, problem: GeneralisedProblem) -> float:
     """Return the variance of the residuals in units of the noise, at least 1."""
     return max(1.0, error / max(problem.samples - len(problem.space.free), 1))
 
 
 def compute_estimate_from_minimum(problem: GeneralisedProblem, best: DescentResult, stated: Noise,
-                 listen: Listener | None = None) -> Estimate:
+                                  listen: Listener | None = None) -> Estimate:
     """Compute the estimate from the best minimum; see `calibration.fit.estimate.iterate_mesh_correction_and_jitter`."""
     return iterate_mesh_correction_and_jitter(problem, best.theta, stated, start=best.start, past=len(best.history),
                                               listen=listen)
@@ -226,8 +234,8 @@ def _build_jitter_record(problem: GeneralisedProblem) -> ReplicateJitterStatemen
                                     stressed=all(curve.stressed for curve in problem.measured))
 
 
-def _collect_fit_warnings(problem: GeneralisedProblem, evaluation: ProblemEvaluation,
-                      spread: ParameterUncertainty) -> list[str]:
+def _list_residual_and_nuisance_warnings(problem: GeneralisedProblem, evaluation: ProblemEvaluation,
+                                         spread: ParameterUncertainty) -> list[str]:
     """Return warnings on unused samples, jitter, large residuals and large nuisances."""
     warnings, jitter = [], problem.jitter
     if later := sum(curve.later for curve in problem.measured):
@@ -243,8 +251,9 @@ def _collect_fit_warnings(problem: GeneralisedProblem, evaluation: ProblemEvalua
     if jitter.freedom == 0:
         assumed = _build_jitter_record(problem)
         of_strain = " (1000 times strain, and Pa)" if assumed.stressed else ""
+        contact, zero = assumed.contact_and_zero_jitter_texts
         warnings.append("no test has two recordings, so the scatter between recordings is not known and was assumed: "
-                        f"contact {assumed.jitter_with_units[0]}, zero {assumed.jitter_with_units[1]}; state "
+                        f"contact {contact}, zero {zero}; state "
                         f"contact_jitter_mm and zero_jitter_N{of_strain}")
     if spread.ratio > NOISE_RATIOS.model_error:
         warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model is incomplete, and the standard "
@@ -289,5 +298,5 @@ def _collect_distinct_minima(descents: Sequence[DescentResult], problem: General
     return [Minimum(parameters=problem.space.values(descent.theta),
                     R2=1.0 - descent.history[-1].RMSE_N**2 * problem.data.size / total, starts=count,
                     rise=(descent.error - kept[0][0].error)
-                    / _compute_residual_variance_ratio(kept[0][0].error, problem))
+                    / _compute_variance_ratio_of_at_least_one(kept[0][0].error, problem))
             for descent, count in kept]

@@ -8,21 +8,21 @@ from pathlib import Path
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
-from calibration.campaign.measured import MeasuredCurve, add_noise_to_curve
-from calibration.campaign.parameters import SHARED, CampaignParameter
+from calibration.campaign.measured import MeasuredCurve, make_interpolated_curve_with_noise_level
+from calibration.campaign.parameters import SHARED, ScopedCampaignParameter
 from calibration.fit.assess import build_fit_record
 from calibration.fit.estimate import Estimate
-from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator, fit_law_analytically
+from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator, fit_law_to_descents_and_estimate
 from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.material.parts import find_material_declaration
+from tissue_sim.material.parts import find_parameter_path_and_declaration
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
 from tissue_sim.recording.recording import Recording
 
 
 @dataclass(frozen=True)
-class HoldFitSettings:
+class HoldDriftLimitAndShearStrain:
     """Settings of the fit of a hold.
 
     Attributes:
@@ -35,7 +35,7 @@ class HoldFitSettings:
     shear_strain: float = 1e-6
 
 
-_SETTINGS = HoldFitSettings()
+_SETTINGS = HoldDriftLimitAndShearStrain()
 #: Law of the equivalent solid.
 _LAW = "neo_hooke"
 
@@ -101,16 +101,17 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     start = {name: value for i, (g, tau) in enumerate(paths) for name, value in (
         (g, 0.5 / terms), (tau, float(np.ptp(time)) * 10.0 ** (i - terms)))}
     test = Test("hold", KINDS["simple_shear"], None, (Path("hold"),))
-    named = {path: CampaignParameter(path, find_material_declaration(path)[1], False, SHARED, (test.name,))
+    named = {path: ScopedCampaignParameter(path, find_parameter_path_and_declaration(path)[1], False, SHARED,
+                                           (test.name,))
              for path in start}
     campaign = Campaign(Path("hold"), {}, (test,), FitSettings((_LAW,), named=named, start=start), Noise(), "")
     curve = MeasuredCurve(test.name, test, time, strain, force, np.full(force.size, "hold"), Path("hold"), "", True)
-    noisy = replace(curve, noise=add_noise_to_curve(curve, campaign).noise)
+    noisy = replace(curve, noise=make_interpolated_curve_with_noise_level(curve, campaign).noise)
     estimator = OrdinaryLeastSquaresEstimator(campaign, {test.name: (noisy,)}, SimulationCache())
-    descents, estimate = fit_law_analytically(estimator.build_law_problem(_LAW))
+    descents, estimate = fit_law_to_descents_and_estimate(estimator.build_law_problem(_LAW))
     if not isinstance(estimate, Estimate):
         raise ConvergenceError("no start gives a finite force over the hold; check the units of force and time")
-    spread = estimator.uncertainty_function(estimate.problem, estimate.evaluation)
+    spread = estimator.problem_uncertainty_function(estimate.problem, estimate.evaluation)
     fit = build_fit_record(estimator, estimate, spread, descents, (), campaign)
     material = estimate.problem.space.build_material(fit.parameters)
     size = 2.0 * _SETTINGS.shear_strain

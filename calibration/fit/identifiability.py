@@ -12,8 +12,8 @@ from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import SuggestedTest, WeakDirection
 from calibration.fit.problem import GeneralisedProblem
 from calibration.forward.contract import ForwardTest
-from calibration.forward.meshes import get_solver_meshes
-from calibration.forward.motion import compute_offset_derivative
+from calibration.forward.meshes import get_solver_fit_resolutions
+from calibration.forward.motion import compute_force_derivative_by_offset
 from calibration.forward.simulated import SimulatedTest
 from calibration.statistics.uncertainty import ParameterUncertainty
 from tissue_sim.differentiation import sensitivities
@@ -63,7 +63,7 @@ _SETTINGS = SuggestedTestSettings()
 _SPECIMEN = Cylinder(0.040, 0.070)
 
 
-def information_condition_number(spread: ParameterUncertainty) -> float | None:
+def compute_information_condition_or_none(spread: ParameterUncertainty) -> float | None:
     """Return the condition number of the scaled Fisher information; None if it is singular."""
     free = ~spread.on_bound
     if not free.any():
@@ -113,10 +113,10 @@ def suggest_further_tests(problem: GeneralisedProblem, theta: np.ndarray,
     noise, jitter = (_SETTINGS.noise, _SETTINGS.jitter) if not mechanical else (
         float(np.median(mechanical)), (problem.jitter.contact, problem.jitter.zero))
     about = problem.space.free_parameters[free[np.argmax(np.abs(axis))]]
-    acting = [test for test in problem.tests if about.acts_in(test.name, None)] or list(problem.tests)
+    acting = [test for test in problem.tests if about.applies_to_recording(test.name, None)] or list(problem.tests)
     of = next((test for test in acting if test.specimen is not None), acting[0])
     for words, experiment in _build_candidate_tests(problem, theta, of):
-        gained = _compute_test_information(problem, theta, experiment, of.name, spread, noise, jitter)
+        gained = _compute_scaled_test_information_or_none(problem, theta, experiment, of.name, spread, noise, jitter)
         if gained is None:
             continue
         together = information + gained[np.ix_(free, free)]
@@ -165,9 +165,9 @@ def _build_candidate_motions(depth: float, ageing: bool) -> list[tuple[str, Prot
                 text.replace(f"@{STUDY_SPEED * 1e3:.6g}", f"@{STUDY_SPEED * 1e4:.6g}"), points=points))]
 
 
-def _compute_test_information(problem: GeneralisedProblem, theta: np.ndarray, experiment: Experiment, test: str,
-                              spread: ParameterUncertainty,
-                              noise: float, jitter: tuple[float, float]) -> np.ndarray | None:
+def _compute_scaled_test_information_or_none(problem: GeneralisedProblem, theta: np.ndarray, experiment: Experiment,
+                                             test: str, spread: ParameterUncertainty,
+                                             noise: float, jitter: tuple[float, float]) -> np.ndarray | None:
     """Return the scaled information of a further test with the jitter marginalised, shape (p, p).
 
     Args:
@@ -185,11 +185,11 @@ def _compute_test_information(problem: GeneralisedProblem, theta: np.ndarray, ex
     space = problem.space
     try:
         own = [i for i, each in enumerate(space.free_parameters) if each.of_material and each.recording is None
-               and each.acts_in(test, None)]
+               and each.applies_to_recording(test, None)]
         solver = ROUND_SOLVER if experiment.specimen.is_round else SPACE_SOLVER
         answer = sensitivities(Model(experiment, space.build_material(space.values(theta), test=test)),
                                [space.free_parameters[i].path for i in own], solver=solver,
-                               resolution=get_solver_meshes(solver).fast)
+                               resolution=get_solver_fit_resolutions(solver).fast)
     except (ConvergenceError, InputError):
         return None
     recording = answer.recording
@@ -197,7 +197,7 @@ def _compute_test_information(problem: GeneralisedProblem, theta: np.ndarray, ex
     rates = np.zeros((recording.force.size, len(space.free)))
     rates[:, own] = weight * answer.values * spread.sizes[own]
     contact, zero = jitter
-    columns = weight * np.column_stack([contact * compute_offset_derivative(recording),
+    columns = weight * np.column_stack([contact * compute_force_derivative_by_offset(recording),
                                         zero * np.ones_like(recording.force)])
     inner = np.linalg.inv(np.eye(2) + columns.T @ columns)
     return _SETTINGS.replicates * (rates.T @ rates - rates.T @ columns @ inner @ columns.T @ rates)

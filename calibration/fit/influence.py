@@ -12,12 +12,12 @@ from scipy import special
 from calibration.fit.fit import Fit, WindowFit
 from calibration.fit.problem import LeastSquaresProblem, ProblemEvaluation
 from calibration.fit.trust_region import minimise_from_start
-from calibration.statistics.uncertainty import compute_pseudo_inverse_root
+from calibration.statistics.uncertainty import get_inverse_root_and_undetermined_mask
 from tissue_sim.recording.recording import MIN_POINTS
 
 
 @dataclass(frozen=True)
-class InfluenceSettings:
+class OutlierTestAndWindowFitSettings:
     """Settings of the test for outlying recordings and of the fits in windows.
 
     Attributes:
@@ -38,14 +38,14 @@ class InfluenceSettings:
     window_solves: int = 30
 
 
-_SETTINGS = InfluenceSettings()
+_SETTINGS = OutlierTestAndWindowFitSettings()
 #: Fractions of the largest displacement for which the parameters are estimated again.
 WINDOWS = (0.4, 0.6, 0.8)
 
 
 def add_influence_to_fit(fit: Fit, problem: LeastSquaresProblem, evaluation: ProblemEvaluation) -> Fit:
     """Return the fit with the influence of recordings and windows, and with a warning for outlying recordings."""
-    influence = estimate_without_each_recording(problem, evaluation)
+    influence = estimate_without_each_recording_in_one_step(problem, evaluation)
     odd = find_outlying_recordings(influence, fit)
     single = len(odd) == 1
     words = [f"{', '.join(odd)} disagree{'s' if single else ''} with the other recordings: without "
@@ -58,13 +58,15 @@ def add_influence_to_fit(fit: Fit, problem: LeastSquaresProblem, evaluation: Pro
 
 def _describe_parameter_changes(fit: Fit, without: Mapping[str, float]) -> str:
     """Describe the parameters without a recording, such as ``C10 is 1400 instead of 1600 Pa``."""
-    changes = (f"{fit.symbols[name]} is {value:.4g} instead of {fit.parameters[name]:.4g} {fit.display_unit(name)}"
-               for name, value in without.items() if _is_parameter_influenced(fit.parameters[name], value))
+    changes = (
+        f"{fit.symbols[name]} is {value:.4g} instead of {fit.parameters[name]:.4g} "
+        f"{fit.get_unit_or_empty_if_dimensionless(name)}"
+        for name, value in without.items() if _is_parameter_changed_above_rounding(fit.parameters[name], value))
     return ", ".join(map(str.rstrip, changes))
 
 
-def estimate_without_each_recording(problem: LeastSquaresProblem,
-                                    evaluation: ProblemEvaluation) -> dict[str, dict[str, float]]:
+def estimate_without_each_recording_in_one_step(problem: LeastSquaresProblem,
+                                                evaluation: ProblemEvaluation) -> dict[str, dict[str, float]]:
     """Estimate the parameters without each recording by one linear step from the estimate (deletion diagnostics).
 
     Args:
@@ -86,7 +88,7 @@ def estimate_without_each_recording(problem: LeastSquaresProblem,
         if len(problem.tests[number].measured) < _SETTINGS.min_recordings:
             continue
         rest, gap = np.delete(design, np.r_[rows], axis=0), np.delete(residual, np.r_[rows])
-        root, _ = compute_pseudo_inverse_root(rest.T @ rest)
+        root, _ = get_inverse_root_and_undetermined_mask(rest.T @ rest)
         step = -(root @ (root.T @ (rest.T @ gap)))[:free] / np.where(sizes > 0, sizes, 1.0)[:free]
         values = np.clip(evaluation.theta[:free] + step, problem.space.low, problem.space.high)
         found[curve.name] = dict(zip(problem.space.free, values.tolist(), strict=True))
@@ -100,7 +102,7 @@ def find_outlying_recordings(influence: Mapping[str, Mapping[str, float]], fit: 
     and scatter of the other recordings by Student's t with Bonferroni's correction.
 
     Args:
-        influence: recording -> parameters without it, from `estimate_without_each_recording`.
+        influence: recording -> parameters without it, from `estimate_without_each_recording_in_one_step`.
         fit: fit of all recordings.
 
     Source: Tukey, Annals of Mathematical Statistics 29 (1958) 614; Cook and Weisberg, Residuals and Influence in
@@ -110,7 +112,7 @@ def find_outlying_recordings(influence: Mapping[str, Mapping[str, float]], fit: 
     asked: dict[tuple[str, str], list[str]] = {}
     for name, parameters in influence.items():
         for parameter, value in parameters.items():
-            if _is_parameter_influenced(fit.parameters[parameter], value):
+            if _is_parameter_changed_above_rounding(fit.parameters[parameter], value):
                 asked.setdefault((name.rpartition("/")[0], parameter), []).append(name)
     asked = {place: names for place, names in asked.items() if len(names) >= _SETTINGS.min_recordings}
     questions, odd = sum(map(len, asked.values())), []
@@ -131,7 +133,7 @@ def find_outlying_recordings(influence: Mapping[str, Mapping[str, float]], fit: 
     return odd
 
 
-def _is_parameter_influenced(value: float, without: float) -> bool:
+def _is_parameter_changed_above_rounding(value: float, without: float) -> bool:
     """Return whether a parameter without a recording differs from its value by more than rounding (1e-9)."""
     return abs(without - value) > 1e-9 * abs(value)
 
@@ -149,7 +151,7 @@ def fit_displacement_windows(problem: LeastSquaresProblem, theta: np.ndarray) ->
         return []
     free = len(problem.space.free)
 
-    def fit_window(fraction: float, values: np.ndarray) -> WindowFit:
+    def make_window_record(fraction: float, values: np.ndarray) -> WindowFit:
         """Return the record of a window from its fitted unknowns `values`; nothing is fitted here."""
         return WindowFit(share=fraction, parameters=dict(zip(problem.space.free, values[:free].tolist(), strict=True)))
 
@@ -161,5 +163,5 @@ def fit_displacement_windows(problem: LeastSquaresProblem, theta: np.ndarray) ->
         descent = minimise_from_start(narrow, theta, corrected=True, enough=_SETTINGS.window_gain,
                                       max_solves=_SETTINGS.window_solves)
         if descent.converged:
-            found.append(fit_window(fraction, descent.theta))
-    return [*found, fit_window(1.0, theta)]
+            found.append(make_window_record(fraction, descent.theta))
+    return [*found, make_window_record(1.0, theta)]

@@ -9,7 +9,11 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.replicates import compute_mean_forces, find_common_displacement_range, split_into_stiffness_groups
+from calibration.fit.replicates import (
+    compute_mean_forces_or_none,
+    find_common_upper_range_or_none,
+    find_stiffness_group_disagreement_or_none,
+)
 
 
 @dataclass(frozen=True)
@@ -49,12 +53,12 @@ def find_test_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> 
     groups: dict[tuple, dict[str, Sequence[MeasuredCurve]]] = {}
     for name, curves in measured.items():
         if curves:
-            groups.setdefault(_comparison_key(curves[0].test), {})[name] = curves
+            groups.setdefault(_make_kind_tool_and_size_key(curves[0].test), {})[name] = curves
     return [found for tests in groups.values() if len(tests) > 1
             and (found := _find_disagreement_of_kind(tests)) is not None]
 
 
-def _comparison_key(test: Test) -> tuple:
+def _make_kind_tool_and_size_key(test: Test) -> tuple:
     """Return a key that tests with comparable stiffnesses share: the kind, and without a closed form tool and size."""
     specimen = test.specimen
     if _is_homogeneous(test):
@@ -72,22 +76,23 @@ def _is_homogeneous(test: Test) -> bool:
 def _find_disagreement_of_kind(tests: Mapping[str, Sequence[MeasuredCurve]]) -> SameKindDisagreement | None:
     """Return the disagreement of the tests of one kind; None if there is none."""
     first = next(iter(tests.values()))[0].test
-    scaled = {name: [_convert_to_strain_and_stress(curve) for curve in curves] for name, curves in tests.items()}
+    scaled = {name: [_get_strain_stress_or_displacement_force(curve) for curve in curves] for name,
+              curves in tests.items()}
     every = [pair for pairs in scaled.values() for pair in pairs]
-    span, forces = find_common_displacement_range([motion for motion, _ in every]), compute_mean_forces(every)
+    span, forces = find_common_upper_range_or_none([motion for motion, _ in every]), compute_mean_forces_or_none(every)
     if span is None or forces is None:
         return None
     index = np.repeat(np.arange(len(tests)), [len(pairs) for pairs in scaled.values()])
     means = np.array([forces[index == number].mean() for number in range(len(tests))])
-    if split_into_stiffness_groups(first.kind.name, list(tests), means,
-                                   _estimate_log_force_scatter(forces, index)) is None:
+    if find_stiffness_group_disagreement_or_none(first.kind.name, list(tests), means,
+                                                 _estimate_log_force_scatter(forces, index)) is None:
         return None
     middle = 0.5 * (span[0] + span[1])
     return SameKindDisagreement(first.kind.name, dict(zip(tests, (means / middle).tolist(), strict=True)),
                                 _is_homogeneous(first), *span)
 
 
-def _convert_to_strain_and_stress(curve: MeasuredCurve) -> tuple[np.ndarray, np.ndarray]:
+def _get_strain_stress_or_displacement_force(curve: MeasuredCurve) -> tuple[np.ndarray, np.ndarray]:
     """Return nominal strain and stress of a homogeneous test, otherwise displacement, m, and force, N."""
     specimen = curve.test.specimen
     if specimen is None or not _is_homogeneous(curve.test):

@@ -12,11 +12,11 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.problem import LeastSquaresProblem
-from tissue_sim.recording.segmentation import label_motion
+from tissue_sim.recording.segmentation import label_samples_ramp_hold_unload
 
 
 @dataclass(frozen=True)
-class LackOfFitSettings:
+class LackOfFitSampleCounts:
     """Settings of the lack of fit.
 
     Attributes:
@@ -28,11 +28,11 @@ class LackOfFitSettings:
     min_samples: int = 8
 
 
-_SETTINGS = LackOfFitSettings()
+_SETTINGS = LackOfFitSampleCounts()
 
 
 @dataclass(frozen=True)
-class LackOfFit:
+class LackOfFitR2AndRelativeError:
     """Lack of fit in one test, over the samples in which the displacement moves.
 
     Attributes:
@@ -45,7 +45,8 @@ class LackOfFit:
     relative_error: float
 
 
-def compute_lack_of_fit(problem: LeastSquaresProblem, gap: np.ndarray, number: int) -> LackOfFit:
+def compute_lack_of_fit_r2_and_relative_error(problem: LeastSquaresProblem, gap: np.ndarray,
+                                              number: int) -> LackOfFitR2AndRelativeError:
     """Compute the lack of fit in one test of a problem.
 
     Args:
@@ -59,32 +60,33 @@ def compute_lack_of_fit(problem: LeastSquaresProblem, gap: np.ndarray, number: i
     parts = [(curve, gap[place], find_moving_samples(curve)) for place, curve in rows]
     parts = [(curve, mine, moving) for curve, mine, moving in parts if moving.sum() >= _SETTINGS.min_samples]
     if not parts:
-        return LackOfFit(None, 0.0)
+        return LackOfFitR2AndRelativeError(None, 0.0)
     if len(parts) == 1:
         curve, mine, moving = parts[0]
         squares = float(np.mean(mine[moving]**2)) - curve.noise.deviation**2
         variance = float(np.var(curve.force[moving]))
     else:
-        squares, variance = _compute_mean_recording_misfit(parts, problem.tests[number].is_path_dependent)
+        squares, variance = _compute_mean_curve_lack_and_force_variance(parts, problem.tests[number].is_path_dependent)
     squares = max(squares, 0.0)
     R2 = 1.0 - squares / variance if variance > 0 else None
-    return LackOfFit(R2, float(np.sqrt(squares)) / largest)
+    return LackOfFitR2AndRelativeError(R2, float(np.sqrt(squares)) / largest)
 
 
 def find_moving_samples(curve: MeasuredCurve) -> np.ndarray:
     """Return the mask of the samples outside holds, shape (n,); all true without increasing time or motion."""
-    if curve.time is None or np.ptp(curve.sample_times) == 0 or bool(np.any(np.diff(curve.sample_times) < 0)):
+    if curve.time is None or np.ptp(curve.required_sample_times) == 0 \
+        or bool(np.any(np.diff(curve.required_sample_times) < 0)):
         return np.ones(curve.force.size, bool)
-    moving = label_motion(curve.sample_times, curve.displacement) != "hold"
+    moving = label_samples_ramp_hold_unload(curve.required_sample_times, curve.displacement) != "hold"
     return moving if moving.any() else np.ones(curve.force.size, bool)
 
 
-def _compute_mean_recording_misfit(parts: list[tuple[MeasuredCurve, np.ndarray, np.ndarray]],
-                                   timed: bool) -> tuple[float, float]:
+def _compute_mean_curve_lack_and_force_variance(parts: list[tuple[MeasuredCurve, np.ndarray, np.ndarray]],
+                                                timed: bool) -> tuple[float, float]:
     """Return the mean square lack of fit of the mean recording, N^2, and the variance of its force, N^2."""
     gaps, forces = [], []
-    courses = [curve.sample_times[moving] - curve.sample_times[0] if timed else curve.displacement[moving]
-               for curve, _, moving in parts]
+    courses = [curve.required_sample_times[moving] - curve.required_sample_times[0] if timed
+               else curve.displacement[moving] for curve, _, moving in parts]
     grid = np.linspace(max(course.min() for course in courses), min(course.max() for course in courses),
                        _SETTINGS.points)
     for course, (curve, mine, moving) in zip(courses, parts, strict=True):

@@ -13,24 +13,24 @@ from calibration.campaign.campaign import Campaign, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
-from calibration.fit.alternatives import list_sign_flipped_starts, select_minimum_to_report
+from calibration.fit.alternatives import find_index_of_best_positive_exponent_minimum, list_sign_flipped_starts
 from calibration.fit.closed_starts import compute_analytical_starts
 from calibration.fit.estimate import Estimate
-from calibration.fit.estimator import EstimateFindings, Estimator
-from calibration.fit.failure import CalibrationFailure, call_and_catch_law_errors
+from calibration.fit.estimator import Estimator, FitFieldInputs
+from calibration.fit.failure import CalibrationFailureRecord, call_and_catch_law_errors
 from calibration.fit.fit import Minimum, Nuisance
-from calibration.fit.ordinary_problem import OrdinaryProblem, evaluate_if_feasible
-from calibration.fit.predictor import ForcePredictor
+from calibration.fit.ordinary_problem import OrdinaryProblem, evaluate_or_none_if_infeasible
+from calibration.fit.predictor import PredictionParameters
 from calibration.fit.problem import ProblemEvaluation
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import DESCENT, DescentResult, find_distinct_minima, minimise_from_start
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.contract import ForwardTest
-from calibration.forward.forms import build_analytical_test
+from calibration.forward.forms import build_closed_form_or_column_test
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.jitter import ContactAndForceZeroJitter
 from calibration.statistics.statistics import NOISE_RATIOS, compute_r_squared
-from calibration.statistics.uncertainty import ParameterUncertainty, compute_sandwich_covariance
+from calibration.statistics.uncertainty import ParameterUncertainty, compute_cluster_robust_uncertainty
 from tissue_sim.errors import InputError
 
 
@@ -79,27 +79,27 @@ class OrdinaryLeastSquaresEstimator(Estimator):
     def build_law_problem(self, law: str) -> OrdinaryProblem:
         """Return the least-squares problem of one law over all tests that are not held out."""
         tests = [self._build_closed_form_test(test) for test in self.campaign.tests if not test.hold_out]
-        return OrdinaryProblem.with_pooled_noise(self._build_parameter_space(law), tests, self.campaign.fit,
-                                                 self.solves)
+        return OrdinaryProblem.build_with_pooled_noise(self._build_parameter_space_without_offsets(law), tests,
+                                                       self.campaign.fit, self.solves)
 
     @property
-    def pooled_stress_noise(self) -> float | None:
+    def pooled_sensor_stress_noise_or_none(self) -> float | None:
         """Pooled noise of the nominal stress over all samples, Pa."""
         return self.build_law_problem(self.campaign.fit.laws[0]).noise
 
-    def _build_parameter_space(self, law: str) -> ParameterSpace:
+    def _build_parameter_space_without_offsets(self, law: str) -> ParameterSpace:
         """Return the parameter space of a law, which contains no contact offsets and zeros."""
         return ParameterSpace.from_campaign(law, self.campaign, {name: [curve.name for curve in curves]
-                                                      for name, curves in self.measured.items()})
+                                                                 for name, curves in self.measured.items()})
 
     def _build_closed_form_test(self, test: Test) -> ClosedFormTest:
         """Return the forward model of a test that computes the force by a closed form."""
-        return build_analytical_test(test, self.measured[test.name], self.campaign.fit)
+        return build_closed_form_or_column_test(test, self.measured[test.name], self.campaign.fit)
 
-    def check_law(self, law: str, number: int) -> None:
+    def require_fittable_law(self, law: str, number: int) -> None:
         """Raise an `InputError` unless the tests have more samples than the law has parameters."""
         samples = sum(curve.force.size for curve in self.fitted)
-        unknowns = len(self._build_parameter_space(law).names)
+        unknowns = len(self._build_parameter_space_without_offsets(law).names)
         if samples <= unknowns:
             raise InputError(f"the tests must have more samples than the {unknowns} parameters of {law}; got "
                              f"{samples}. Increase max_strain, or choose a law with fewer parameters",
@@ -112,17 +112,17 @@ class OrdinaryLeastSquaresEstimator(Estimator):
         for law in laws:
             plural = "s" if len(self.fitted) != 1 else ""
             context.report_progress(f"fitting {law} to {len(self.fitted)} recording{plural}")
-            answer = call_and_catch_law_errors(fit_law_analytically, self.build_law_problem(law))
-            found[law] = ([], answer.reason) if isinstance(answer, CalibrationFailure) else answer
+            answer = call_and_catch_law_errors(fit_law_to_descents_and_estimate, self.build_law_problem(law))
+            found[law] = ([], answer.reason) if isinstance(answer, CalibrationFailureRecord) else answer
         return found
 
     @property
-    def uncertainty_function(self) -> Callable[[OrdinaryProblem, ProblemEvaluation], ParameterUncertainty]:
+    def problem_uncertainty_function(self) -> Callable[[OrdinaryProblem, ProblemEvaluation], ParameterUncertainty]:
         """Function that returns the sandwich covariance of the unknowns."""
         return partial(compute_sandwich_uncertainty, stated=self.campaign.noise)
 
-    def derive_fit_fields(self, found: EstimateFindings) -> dict[str, Any]:
-        """Return messages and fields of an analytical fit; see `Estimator.derive_fit_fields`."""
+    def make_method_specific_fit_fields(self, found: FitFieldInputs) -> dict[str, Any]:
+        """Return messages and fields of an analytical fit; see `Estimator.make_method_specific_fit_fields`."""
         problem, spread = found.estimate.problem, found.spread
         on_bound = [name for name, hit in zip(problem.space.free, spread.on_bound, strict=False) if hit]
         nuisances = _build_nuisance_records(problem, found.estimate.theta, spread)
@@ -139,10 +139,10 @@ class OrdinaryLeastSquaresEstimator(Estimator):
             "RMSE_N": float(np.sqrt(np.mean((stress * problem.area)**2))) if all(recorded) else None,
             "RMSE_Pa": float(np.sqrt(np.mean(stress**2))), "on_bound": [*on_bound, *held],
             "nuisances": nuisances, "warnings": warnings,
-            "message": "; ".join([*self._list_analytical_fit_remarks(found), *_list_relaxation_remarks(problem, found),
-                                  *warnings])}
+            "message": "; ".join([*self._list_convergence_and_error_remarks(found),
+                                  *_list_relaxation_and_residual_remarks(problem, found), *warnings])}
 
-    def _list_analytical_fit_remarks(self, found: EstimateFindings) -> list[str]:
+    def _list_convergence_and_error_remarks(self, found: FitFieldInputs) -> list[str]:
         """Return remarks on convergence, noise, standard errors and undetermined parameters."""
         spread, count = found.spread, len(found.descents)
         parts = [f"converged from {count} start{'s' if count != 1 else ''}" if found.unusable is None
@@ -159,19 +159,20 @@ class OrdinaryLeastSquaresEstimator(Estimator):
             parts.append(f"the data do not determine {found.estimate.problem.space.format_symbols(found.loose)}")
         return parts
 
-    def get_replicate_jitter(self, estimate: Estimate) -> ReplicateJitter | None:
+    def get_replicate_jitter_or_none(self, estimate: Estimate) -> ContactAndForceZeroJitter | None:
         """Return the stated jitter; None if none is stated."""
         noise = self.campaign.noise
         stated = noise.contact_jitter or noise.zero_jitter
-        return ReplicateJitter(noise.contact_jitter or 0.0, noise.zero_jitter or 0.0, None) if stated else None
+        return ContactAndForceZeroJitter(noise.contact_jitter or 0.0, noise.zero_jitter or 0.0, None) if stated \
+            else None
 
-    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: ForcePredictor) -> tuple[ForwardTest,
-                                                                                                      float]:
+    def build_held_out_test_and_mesh_error(self, test: Test, estimate: Estimate,
+                                           predictor: PredictionParameters) -> tuple[ForwardTest, float]:
         """Return the closed form of a held-out test, whose mesh error is 0."""
         return self._build_closed_form_test(test), 0.0
 
 
-def fit_law_analytically(problem: OrdinaryProblem) -> tuple[list[DescentResult], Estimate | str]:
+def fit_law_to_descents_and_estimate(problem: OrdinaryProblem) -> tuple[list[DescentResult], Estimate | str]:
     """Fit one law: descents from all starts on thinned samples, then the best minima on all samples.
 
     Args:
@@ -180,10 +181,10 @@ def fit_law_analytically(problem: OrdinaryProblem) -> tuple[list[DescentResult],
     Returns:
         All descents, and the estimate or the reason of the failure.
     """
-    spent, law = problem.solves.start_effort_meter(), problem.space.law
+    spent, law = problem.solves.make_effort_since_now_function(), problem.space.law
     # The stress of a material with memory depends on the whole motion, so its samples are not thinned.
     stride = 1 if problem.is_history_dependent else -(-problem.samples // _SETTINGS.thinned_points)
-    thin = problem if stride == 1 else problem.with_fewer_samples(stride)
+    thin = problem if stride == 1 else problem.with_thinned_and_merged_recordings(stride)
 
     def run_descent(target: OrdinaryProblem, start: np.ndarray, number: int, most: int,
                     tolerance: float = _SETTINGS.tolerance) -> DescentResult:
@@ -191,32 +192,35 @@ def fit_law_analytically(problem: OrdinaryProblem) -> tuple[list[DescentResult],
         return minimise_from_start(target, start, start=number, enough=0.0, tolerance=tolerance, gradient=tolerance,
                                    max_solves=most)
 
-    def are_minima_equal(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    def compare_minima_by_parameter(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Return for each free parameter whether two minima agree, bool, shape (p,)."""
         return (np.abs(one - other) <= DESCENT.same_minimum * np.abs(other) + 1e-9)[: len(problem.space.free)]
 
-    limits = (_SETTINGS.relaxing_solves, _SETTINGS.relaxing_tolerance) if problem.long_term_variables else \
+    limits = (_SETTINGS.relaxing_solves, _SETTINGS.relaxing_tolerance) if problem.long_term_variables_or_none else \
         (_SETTINGS.thinned_solves, _SETTINGS.thinned_tolerance)
     starts = compute_analytical_starts(thin)
     descents = [run_descent(thin, start, number, *limits) for number, start in enumerate(starts, 1)]
-    ends = find_distinct_minima([(d, 1) for d in descents if np.isfinite(d.error)], are_minima_equal)
-    refined = ends if problem.long_term_variables else [(run_descent(problem, end.theta, end.start, _SETTINGS.solves),
-                                                         count)
-                                                        for end, count in ends[:_SETTINGS.max_minima]]
+    ends = find_distinct_minima([(d, 1) for d in descents if np.isfinite(d.error)], compare_minima_by_parameter)
+    refined = ends if problem.long_term_variables_or_none \
+        else [(run_descent(problem, end.theta, end.start, _SETTINGS.solves),
+               count)
+              for end, count in ends[:_SETTINGS.max_minima]]
     refined = sorted((item for item in refined if np.isfinite(item[0].error)), key=lambda item: item[0].error)
     if not refined:
         hint = "" if all(test.specimen is None for test in problem.tests) else \
             "; the specimen may be too heavy for it, so check density_kg_m3"
         return descents, f"no start of {law} gives a finite stress over the data; state one in fit.start{hint}"
     for start in list_sign_flipped_starts(problem.space, refined[0][0].theta):
-        if problem.long_term_variables and not _is_promising_start(problem, start, refined[0][0].error):
+        if problem.long_term_variables_or_none and not _is_promising_start(problem, start, refined[0][0].error):
             continue
         descents.append(run_descent(thin, start, len(descents) + 1, *limits))
         if np.isfinite(descents[-1].error):
             refined.append((run_descent(problem, descents[-1].theta, descents[-1].start, _SETTINGS.solves), 1))
-    refined = find_distinct_minima([item for item in refined if np.isfinite(item[0].error)], are_minima_equal)
+    refined = find_distinct_minima([item for item in refined if np.isfinite(item[0].error)],
+                                   compare_minima_by_parameter)
     scale = max(1.0, refined[0][0].error / max(problem.samples - problem.bounds[0].size, 1))
-    best = refined[select_minimum_to_report(problem.space, [(d.error / scale, d.theta) for d, _ in refined])][0]
+    best = refined[find_index_of_best_positive_exponent_minimum(problem.space,
+                                                                [(d.error / scale, d.theta) for d, _ in refined])][0]
     stress = problem.data / problem.area
     total = float(np.sum((stress - stress.mean())**2))
     minima = []
@@ -232,7 +236,7 @@ def fit_law_analytically(problem: OrdinaryProblem) -> tuple[list[DescentResult],
 
 def _is_promising_start(problem: OrdinaryProblem, start: np.ndarray, best: float) -> bool:
     """Return whether the sum of squares at a start is close enough to the best one to follow the start."""
-    evaluation = evaluate_if_feasible(problem, start)
+    evaluation = evaluate_or_none_if_infeasible(problem, start)
     limit = ALTERNATIVES.promising_ratio * max(best, problem.samples)
     return evaluation is not None and evaluation.sum_of_squares < limit
 
@@ -247,16 +251,17 @@ def compute_sandwich_uncertainty(problem: OrdinaryProblem, evaluation: ProblemEv
         stated: noise and jitter of the campaign.
     """
     theta = evaluation.theta
-    on_bound = problem.find_unknowns_on_bound(theta)
+    on_bound = problem.make_mask_of_unknowns_on_bound(theta)
     noise = np.array([curve.noise.deviation / problem.tests[t].area
                       for (t, _), curve in zip(problem.places, problem.measured, strict=True)])
     correlation = compute_residual_autocorrelation(problem, evaluation)
     # Smooth residuals are autocorrelated, which reduces the number of independent samples by (1 - r) / (1 + r)
     # (Bayley and Hammersley 1946).
     repeats = (1.0 + max(correlation, 0.0)) / (1.0 - min(correlation, 0.999)) if problem.is_history_dependent else 1.0
-    spread = compute_sandwich_covariance(
-        evaluation.rates * problem.noise, evaluation.residual * problem.noise, problem.recording_indices, noise,
-        1.0 / problem.prior_deviation**2, problem.compute_jitter_columns(theta, stated),
+    spread = compute_cluster_robust_uncertainty(
+        evaluation.rates * problem.noise, evaluation.residual * problem.noise, problem.recording_index_of_each_sample,
+        noise,
+        1.0 / problem.prior_deviation**2, problem.compute_stress_changes_per_jitter_or_none(theta, stated),
         [curve.interpolation for curve in problem.measured], on_bound, repeats)
     squares, samples = spread.criteria
     priors = float(evaluation.prior_residual @ evaluation.prior_residual)
@@ -265,17 +270,18 @@ def compute_sandwich_uncertainty(problem: OrdinaryProblem, evaluation: ProblemEv
 
 def compute_residual_autocorrelation(problem: OrdinaryProblem, evaluation: ProblemEvaluation) -> float:
     """Return the lag-1 autocorrelation of the residuals within recordings."""
-    residual, same = evaluation.residual, np.diff(problem.recording_indices) == 0
+    residual, same = evaluation.residual, np.diff(problem.recording_index_of_each_sample) == 0
     squares = float(residual @ residual)
     return float(residual[:-1][same] @ residual[1:][same]) / squares if squares else 0.0
 
 
-def _list_relaxation_remarks(problem: OrdinaryProblem, found: EstimateFindings) -> list[str]:
+def _list_relaxation_and_residual_remarks(problem: OrdinaryProblem, found: FitFieldInputs) -> list[str]:
     """Return remarks on the relaxation times and the smoothness of the residuals of a material with memory."""
     if not problem.is_history_dependent:
         return []
-    shortest, longest = problem.sampling_interval_and_duration
-    times = [] if problem.long_term_variables is None else found.estimate.theta[problem.long_term_variables.tau]
+    shortest, longest = problem.median_interval_and_longest_duration
+    times = [] if problem.long_term_variables_or_none is None \
+        else found.estimate.theta[problem.long_term_variables_or_none.tau]
     notes = [f"tau {tau:.3g} s is {'shorter than the steps' if tau < shortest else 'longer than the record'} "
              f"({shortest:.3g} to {longest:.3g} s)" for tau in times if not shortest <= tau <= longest]
     correlation = compute_residual_autocorrelation(problem, found.estimate.evaluation)

@@ -12,11 +12,11 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import LeastSquaresProblem, ProblemEvaluation
-from calibration.fit.variables import LongTermVariables, Variables
+from calibration.fit.variables import LongTermPronyVariables, Variables
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.statistics import compute_pooled_noise
+from calibration.statistics.statistics import compute_sample_weighted_rms_noise
 from tissue_sim.laws import find_law
 from tissue_sim.material.viscoelasticity import MOST_TERMS
 
@@ -61,8 +61,8 @@ class OrdinaryProblem(LeastSquaresProblem):
                                          np.tile([self.settings.offset_prior, zero_prior], count))
 
     @classmethod
-    def with_pooled_noise(cls, space: ParameterSpace, tests: Sequence[ClosedFormTest], settings: FitSettings,
-                          solves: SimulationCache) -> OrdinaryProblem:
+    def build_with_pooled_noise(cls, space: ParameterSpace, tests: Sequence[ClosedFormTest], settings: FitSettings,
+                                solves: SimulationCache) -> OrdinaryProblem:
         """Return the problem with the pooled noise of its recordings.
 
         Args:
@@ -73,20 +73,22 @@ class OrdinaryProblem(LeastSquaresProblem):
         """
         pairs = [(curve, test.area) for test in tests for curve in test.measured]
         index = np.repeat(np.arange(len(pairs)), [curve.force.size for curve, _ in pairs])
-        noise = compute_pooled_noise(np.array([curve.noise.deviation / area for curve, area in pairs]), index)
+        noise = compute_sample_weighted_rms_noise(np.array([curve.noise.deviation / area for curve, area in pairs]),
+                                                  index)
         force_noise = max((curve.noise.deviation for curve, _ in pairs if curve.test.specimen is not None), default=0.0)
         return cls(space, tuple(tests), solves, settings, noise, force_noise)
 
     @property
-    def recording_indices(self) -> np.ndarray:
+    def recording_index_of_each_sample(self) -> np.ndarray:
         """Index of the recording of each sample, shape (N,)."""
         return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
 
     @property
-    def sampling_interval_and_duration(self) -> tuple[float, float]:
+    def median_interval_and_longest_duration(self) -> tuple[float, float]:
         """Median sampling interval and duration of the longest recording, s."""
-        steps = np.concatenate([np.diff(curve.sample_times) for curve in self.measured])
-        return float(np.median(steps[steps > 0])), max(float(np.ptp(curve.sample_times)) for curve in self.measured)
+        steps = np.concatenate([np.diff(curve.required_sample_times) for curve in self.measured])
+        return float(np.median(steps[steps > 0])), max(float(np.ptp(curve.required_sample_times))
+                                                       for curve in self.measured)
 
     @property
     def is_history_dependent(self) -> bool:
@@ -94,7 +96,7 @@ class OrdinaryProblem(LeastSquaresProblem):
         return any(curve.segment is not None for curve in self.measured)
 
     @property
-    def long_term_variables(self) -> LongTermVariables | None:
+    def long_term_variables_or_none(self) -> LongTermPronyVariables | None:
         """Variables of a law with Prony terms if all parameters are free and without stated bounds; otherwise None."""
         law, free = find_law(self.space.law), self.space.free
         terms = [pair for i in range(MOST_TERMS) if set(pair := (
@@ -106,20 +108,22 @@ class OrdinaryProblem(LeastSquaresProblem):
         index_of = {name: index for index, name in enumerate(free)}
         moduli = [law.units[name] != "1" for name in law.parameters]
         own = np.array([index_of[name] for name in law.parameters])
-        return LongTermVariables(own[moduli], own[np.logical_not(moduli)], np.array([index_of[g] for g, _ in terms]),
-                                 np.array([index_of[tau] for _, tau in terms]), self.sampling_interval_and_duration)
+        return LongTermPronyVariables(own[moduli], own[np.logical_not(moduli)],
+                                      np.array([index_of[g] for g, _ in terms]),
+                                      np.array([index_of[tau] for _, tau in terms]),
+                                      self.median_interval_and_longest_duration)
 
-    def with_fewer_samples(self, stride: int) -> OrdinaryProblem:
+    def with_thinned_and_merged_recordings(self, stride: int) -> OrdinaryProblem:
         """Return the problem with every `stride`-th sample, for cheaper descents.
 
         The recordings of a test are merged to one if they have no individual unknowns.
         """
-        def thin_recording(curve: MeasuredCurve) -> MeasuredCurve:
+        def slice_recording_by_stride(curve: MeasuredCurve) -> MeasuredCurve:
             """Return a recording with every `stride`-th sample."""
             time = None if curve.time is None else curve.time[::stride]
             return replace(curve, displacement=curve.displacement[::stride], force=curve.force[::stride], time=time)
 
-        def pool_thinned_recordings(curves: list[MeasuredCurve]) -> list[MeasuredCurve]:
+        def concatenate_recordings_if_no_own_unknowns(curves: list[MeasuredCurve]) -> list[MeasuredCurve]:
             """Join recordings to one without time, unless they have individual unknowns or depend on the history."""
             if self.shifted or self.is_history_dependent or any(each.recording is not None
                                                                 for each in self.space.unknowns):
@@ -128,34 +132,39 @@ class OrdinaryProblem(LeastSquaresProblem):
                             force=np.concatenate([curve.force for curve in curves]))]
 
         return replace(self, tests=tuple(
-            replace(test, measured=tuple(pool_thinned_recordings(list(map(thin_recording, test.measured)))))
+            replace(test, measured=tuple(
+                concatenate_recordings_if_no_own_unknowns(list(map(slice_recording_by_stride, test.measured)))))
             for test in self.tests))
 
-    def remove_test(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
-        """Return the problem without one test, and its unknowns; see `LeastSquaresProblem.remove_test`."""
+    def make_problem_and_unknowns_without_test(self, number: int,
+                                               theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
+        """Return the problem without one test, and its unknowns.
+
+        See `LeastSquaresProblem.make_problem_and_unknowns_without_test`.
+        """
         free = len(self.space.free)
         kept = [self.places[i][0] != number for i in self.shifted]
         tests = [test for i, test in enumerate(self.tests) if i != number]
-        return (OrdinaryProblem.with_pooled_noise(self.space, tests, self.settings, self.solves),
+        return (OrdinaryProblem.build_with_pooled_noise(self.space, tests, self.settings, self.solves),
                 np.append(theta[:free], theta[free:].reshape(-1, 2)[kept]))
 
     @property
     def without_self_weight(self) -> OrdinaryProblem:
         """Same problem without the self-weight of the specimens."""
-        return replace(self, tests=tuple(test.without_self_weight for test in self.tests))
+        return replace(self, tests=tuple(test.counterpart_without_self_weight for test in self.tests))
 
     def compute_unknown_scales(self, theta: np.ndarray) -> np.ndarray:
         """Return the scale of each unknown: size of a parameter, prior deviation of an offset or zero; shape (k,)."""
         free = len(self.space.free)
         return np.append(super().compute_unknown_scales(theta[:free]), self.prior_deviation[free:])
 
-    def make_descent_variables(self, theta: np.ndarray) -> Variables:
-        """Return the variables of a descent: `LongTermVariables` for Prony terms, otherwise scaled unknowns."""
-        return self.long_term_variables or super().make_descent_variables(theta)
+    def make_scaled_or_long_term_variables(self, theta: np.ndarray) -> Variables:
+        """Return the variables of a descent: `LongTermPronyVariables` for Prony terms, otherwise scaled unknowns."""
+        return self.long_term_variables_or_none or super().make_scaled_or_long_term_variables(theta)
 
-    def find_unknowns_on_bound(self, theta: np.ndarray) -> np.ndarray:
+    def make_mask_of_unknowns_on_bound(self, theta: np.ndarray) -> np.ndarray:
         """Return which unknowns are on a bound, bool, shape (k,)."""
-        variables = self.long_term_variables
+        variables = self.long_term_variables_or_none
         low, high = self.bounds if variables is None else variables.bounds
         u = theta if variables is None else variables.from_unknowns(theta)
         reach = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(u), 1.0))
@@ -167,8 +176,11 @@ class OrdinaryProblem(LeastSquaresProblem):
         values[self.shifted] = theta[len(self.space.free):].reshape(-1, 2)
         return values
 
-    def _compute_weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return residuals of the stress over its noise; see `LeastSquaresProblem._compute_weighted_residuals`."""
+    def _compute_residual_rates_columns_and_force(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return residuals of the stress over its noise.
+
+        See `LeastSquaresProblem._compute_residual_rates_columns_and_force`.
+        """
         free = len(self.space.free)
         force, rates = np.empty(self.samples), np.zeros((self.samples, theta.size))
         answers = [test.solve(self.space, theta[:free], self.solves) for test in self.tests]
@@ -177,7 +189,8 @@ class OrdinaryProblem(LeastSquaresProblem):
                                                  self.get_contact_offsets_and_zeros(theta).tolist(),
                                                  strict=True)):
             shifted = i in self.shifted
-            force[rows], rates[rows, :free], contact = self.tests[t].evaluate_force(answers[t], r, offset, shifted)
+            force[rows], rates[rows, :free], contact = self.tests[t].evaluate_force_and_derivatives(
+                answers[t], r, offset, shifted)
             if shifted:
                 column = free + 2 * self.shifted.index(i)
                 force[rows] += zero
@@ -185,7 +198,7 @@ class OrdinaryProblem(LeastSquaresProblem):
         unit = self.area * self.noise
         return (force - self.data) / unit, rates / unit[:, None], np.zeros((self.samples, 0)), np.zeros(0), force
 
-    def compute_jitter_columns(self, theta: np.ndarray, noise: Noise) -> np.ndarray | None:
+    def compute_stress_changes_per_jitter_or_none(self, theta: np.ndarray, noise: Noise) -> np.ndarray | None:
         """Return the change of the nominal stress per standard deviation of contact and zero jitter, Pa, shape (N, 2).
 
         None if no jitter is stated; no columns if fitted offsets have the jitter as their prior.
@@ -198,12 +211,12 @@ class OrdinaryProblem(LeastSquaresProblem):
         answers = [test.solve(self.space, theta[: len(self.space.free)], self.solves) for test in self.tests]
         for rows, (t, r) in zip(self.rows, self.places, strict=True):
             if not self.tests[t].measured[r].stressed:
-                contact = self.tests[t].evaluate_force(answers[t], r, 0.0)[2]
+                contact = self.tests[t].evaluate_force_and_derivatives(answers[t], r, 0.0)[2]
                 columns[rows, 0], columns[rows, 1] = contact * noise.contact_jitter, noise.zero_jitter
         return columns / self.area[:, None]
 
 
-def evaluate_if_feasible(problem: OrdinaryProblem, theta: np.ndarray) -> ProblemEvaluation | None:
+def evaluate_or_none_if_infeasible(problem: OrdinaryProblem, theta: np.ndarray) -> ProblemEvaluation | None:
     """Return the evaluation of a problem; None if the model is infeasible or its values are not finite."""
     try:
         evaluation = problem.evaluate(theta)

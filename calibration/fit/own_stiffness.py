@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.fit.lack_of_fit import compute_lack_of_fit
+from calibration.fit.lack_of_fit import compute_lack_of_fit_r2_and_relative_error
 from calibration.fit.problem import LeastSquaresProblem
 
 #: Ratio of two stiffnesses above which the tests differ.
 _DIFFERENT = 1.05
 
 
-def describe_individual_stiffness_remedy(problem: LeastSquaresProblem, model: np.ndarray, smallest_R2: float) -> str:
+def describe_stiffness_disagreement_or_empty(problem: LeastSquaresProblem, model: np.ndarray,
+                                             smallest_R2: float) -> str:
     """Describe the remedy of a misfit if the tests of one kind differ in stiffness only; empty otherwise.
 
     The force of the law is scaled to each test by least squares. The law has the right shape if it then explains the
@@ -30,7 +31,7 @@ def describe_individual_stiffness_remedy(problem: LeastSquaresProblem, model: np
                                                                                    strict=True) if t == number])
         squares = float(model[rows] @ model[rows])
         factor = float(model[rows] @ problem.data[rows]) / squares if squares > 0 else 0.0
-        R2 = compute_lack_of_fit(problem, factor * model - problem.data, number).R2
+        R2 = compute_lack_of_fit_r2_and_relative_error(problem, factor * model - problem.data, number).R2
         if factor <= 0 or R2 is None or smallest_R2 > R2:
             return ""
         factors[test.name] = factor

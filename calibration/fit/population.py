@@ -33,7 +33,7 @@ _SETTINGS = SpecimenDifferenceSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class IndividualSpecimens:
+class PopulationAndLeftOutSpecimens:
     """Specimens with individual material parameters; empty if all specimens share the parameters.
 
     Attributes:
@@ -79,7 +79,8 @@ class IndividualSpecimens:
                     "scatter between specimens"]
         return []
 
-    def make_representative_values(self, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float]:
+    def replace_specimen_values_by_representative(self, space: ParameterSpace,
+                                                  values: Mapping[str, float]) -> dict[str, float]:
         """Return parameter values in which each specimen has those of the representative material.
 
         Args:
@@ -95,8 +96,8 @@ class IndividualSpecimens:
                              if each.specimen is not None and each.path in known}}
 
 
-def estimate_specimen_population(space: ParameterSpace, theta: np.ndarray, covariance: np.ndarray,
-                                 errors: np.ndarray) -> IndividualSpecimens:
+def determine_population_and_left_out_specimens(space: ParameterSpace, theta: np.ndarray, covariance: np.ndarray,
+                                                errors: np.ndarray) -> PopulationAndLeftOutSpecimens:
     """Determine the population of the specimens with individual parameters.
 
     Args:
@@ -110,10 +111,10 @@ def estimate_specimen_population(space: ParameterSpace, theta: np.ndarray, covar
     order = list(dict.fromkeys(path for path, _ in index_of))
     rows = {specimen: [index_of[path, specimen] for path in order] for _, specimen in index_of}
     left_out = {specimen: "; ".join(reasons) for specimen, row in rows.items()
-                if (reasons := _list_undetermined_reasons(space, theta, errors, row))}
+                if (reasons := _list_undetermined_reasons_of_specimen(space, theta, errors, row))}
     determined = [specimen for specimen in rows if specimen not in left_out]
     if len(determined) < POPULATION.min_specimens:
-        return IndividualSpecimens(None, tuple(determined or list(rows)[:1]), left_out)
+        return PopulationAndLeftOutSpecimens(None, tuple(determined or list(rows)[:1]), left_out)
     table = np.array([rows[specimen] for specimen in determined])
     # The errors of shared parameters are common to all specimens. Given the shared parameters, the errors of different
     # specimens are independent.
@@ -133,14 +134,14 @@ def estimate_specimen_population(space: ParameterSpace, theta: np.ndarray, covar
     together = np.block([[found.mean_covariance, cross], [cross.T, shared[np.ix_(everywhere, everywhere)]]])
     names = ("mean", "mean_errors", "mean_intervals", "mean_covariance", "between", "spread", "spread_intervals",
              "next_specimen", "estimates", "errors", "shrunken", "shrunken_errors")
-    return IndividualSpecimens(PopulationStatement(
+    return PopulationAndLeftOutSpecimens(PopulationStatement(
         order=order, specimens=determined, covariance=ParameterCovariance(
             order=[*order, *(space.free[others[k]] for k in everywhere)], matrix=together.tolist()),
         **{name: getattr(found, name).tolist() for name in names}), tuple(determined), left_out)
 
 
-def _list_undetermined_reasons(space: ParameterSpace, theta: np.ndarray, errors: np.ndarray,
-                               row: Sequence[int]) -> list[str]:
+def _list_undetermined_reasons_of_specimen(space: ParameterSpace, theta: np.ndarray, errors: np.ndarray,
+                                           row: Sequence[int]) -> list[str]:
     """Return the reasons why parameters of a specimen are not determined; empty if all are.
 
     Args:
@@ -166,7 +167,7 @@ def describe_excluded_specimens(left_out: Mapping[str, str]) -> str:
     return ", ".join(f"{name} ({why})" for name, why in left_out.items())
 
 
-def describe_differing_specimens(estimate: Estimate) -> list[str]:
+def list_warning_if_specimens_differ(estimate: Estimate) -> list[str]:
     """Return a warning if specimens that share the parameters of a law differ significantly.
 
     The test needs no second fit: the decrease of the sum of squares by individual parameters is, to first order, the

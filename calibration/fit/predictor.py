@@ -9,14 +9,14 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.population import estimate_specimen_population
+from calibration.fit.population import determine_population_and_left_out_specimens
 from calibration.fit.population_records import PopulationStatement
 from calibration.statistics.bands import ScatterComponent
 from calibration.statistics.uncertainty import ParameterUncertainty
 
 
 @dataclass(frozen=True, eq=False)
-class ForcePredictor:
+class PredictionParameters:
     """Parameters that predict a test, and their covariance.
 
     Attributes:
@@ -34,12 +34,13 @@ class ForcePredictor:
     sampled: np.ndarray | None = None
 
     @classmethod
-    def from_estimate(cls, space: ParameterSpace, theta: np.ndarray, spread: ParameterUncertainty) -> ForcePredictor:
+    def from_minimum_and_uncertainty(cls, space: ParameterSpace, theta: np.ndarray,
+                                     spread: ParameterUncertainty) -> PredictionParameters:
         """Return the predictor of an estimate, without unknowns other than the parameters, such as offsets."""
         free = len(space.free)
         return cls(space, theta[:free], spread.covariance[:free, :free])
 
-    def predict_force_scatter(self, rates: np.ndarray) -> list[ScatterComponent]:
+    def compute_force_scatter_components(self, rates: np.ndarray) -> list[ScatterComponent]:
         """Return the scatter of a predicted force by the uncertainty of the parameters.
 
         Args:
@@ -58,7 +59,7 @@ def _compute_covariance_root(covariance: np.ndarray) -> np.ndarray:
 
 
 def make_population_mean_predictor(space: ParameterSpace, theta: np.ndarray, population: PopulationStatement,
-                                   specimen: str) -> ForcePredictor:
+                                   specimen: str) -> PredictionParameters:
     """Return a predictor with the population mean for all parameters of a further specimen.
 
     Its covariance is the between-specimen covariance plus the joint covariance of the mean and the shared parameters.
@@ -83,7 +84,7 @@ def make_population_mean_predictor(space: ParameterSpace, theta: np.ndarray, pop
     # The conditional covariance given the shared parameters is due to the choice of the specimens.
     cross, shared = together[:len(own), len(own):], together[len(own):, len(own):]
     sampled[np.ix_(own, own)] = covariance[np.ix_(own, own)] - cross @ _invert_covariance(shared) @ cross.T
-    return ForcePredictor(space, theta, covariance, tuple(population.specimens), sampled)
+    return PredictionParameters(space, theta, covariance, tuple(population.specimens), sampled)
 
 
 def _invert_covariance(covariance: np.ndarray) -> np.ndarray:
@@ -92,8 +93,8 @@ def _invert_covariance(covariance: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(covariance / np.outer(sizes, sizes), rcond=1e-12, hermitian=True) / np.outer(sizes, sizes)
 
 
-def make_held_out_predictor(test: Test, predictor: ForcePredictor, population: PopulationStatement | None
-                            ) -> ForcePredictor | None:
+def make_held_out_predictor_or_none(test: Test, predictor: PredictionParameters, population: PopulationStatement | None
+                                    ) -> PredictionParameters | None:
     """Return the predictor of a held-out test; None if its specimen has unknown parameters and there is no population.
 
     Args:
@@ -104,17 +105,17 @@ def make_held_out_predictor(test: Test, predictor: ForcePredictor, population: P
     space, theta = predictor.space, predictor.theta
     if test.specimen is None:
         return predictor
-    further = space.with_specimen_parameters(test.specimen.name, [test.name])
+    further = space.with_parameters_for_unfitted_specimen(test.specimen.name, [test.name])
     added = len(further.free) - len(space.free)
     if not added:
-        return ForcePredictor(further, theta, predictor.covariance)
+        return PredictionParameters(further, theta, predictor.covariance)
     if population is None:
         return None
     return make_population_mean_predictor(further, np.append(theta, np.zeros(added)), population, test.specimen.name)
 
 
-def make_left_out_test_predictor(predictor: ForcePredictor, spread: ParameterUncertainty, undetermined: Sequence[str]
-                                 ) -> ForcePredictor | None:
+def adapt_predictor_to_left_out_test_or_none(predictor: PredictionParameters, spread: ParameterUncertainty,
+                                             undetermined: Sequence[str] ) -> PredictionParameters | None:
     """Return the predictor of a test from a fit to the other tests.
 
     Args:
@@ -126,7 +127,7 @@ def make_left_out_test_predictor(predictor: ForcePredictor, spread: ParameterUnc
         The predictor, with the population mean if all undetermined parameters belong to one specimen; otherwise None.
     """
     space = predictor.space
-    owners = {space.find_parameter(name).specimen if space.find_parameter(name).of_material else None
+    owners = {space.get_parameter_by_name(name).specimen if space.get_parameter_by_name(name).of_material else None
               for name in undetermined}
     if not owners:
         return predictor
@@ -135,5 +136,6 @@ def make_left_out_test_predictor(predictor: ForcePredictor, spread: ParameterUnc
         return None
     errors = np.where([each.specimen == owner for each in space.free_parameters], np.inf,
                       spread.standard_errors[: len(space.free)])
-    population = estimate_specimen_population(space, predictor.theta, predictor.covariance, errors).population
+    population = determine_population_and_left_out_specimens(space, predictor.theta, predictor.covariance,
+                                                             errors).population
     return None if population is None else make_population_mean_predictor(space, predictor.theta, population, owner)

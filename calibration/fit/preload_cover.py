@@ -19,7 +19,7 @@ from calibration.fit.ordinary_problem import OrdinaryProblem
 
 
 @dataclass(frozen=True)
-class PreloadCoverSettings:
+class PreloadCoverFractions:
     """Range of a fitted contact offset that covers a preload, as a fraction of the distance from contact.
 
     Attributes:
@@ -31,7 +31,7 @@ class PreloadCoverSettings:
     max_fraction: float = 1.25
 
 
-_SETTINGS = PreloadCoverSettings()
+_SETTINGS = PreloadCoverFractions()
 
 
 def read_contact_offsets(estimate: Estimate) -> Mapping[str, float]:
@@ -47,7 +47,7 @@ def read_contact_offsets(estimate: Estimate) -> Mapping[str, float]:
     return {curve.name: float(contact) for curve, contact in zip(problem.measured, values, strict=True)}
 
 
-def list_recording_notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
+def get_notes_with_preload_covered_by_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
     """Return the notes of a recording; the note on a preload is replaced if the fitted contact offset covers it.
 
     Args:
@@ -65,7 +65,7 @@ def list_recording_notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, 
     return notes
 
 
-def contact_offset_explains_preload(curve: MeasuredCurve, contact: float) -> bool:
+def is_preload_absent_or_explained(curve: MeasuredCurve, contact: float) -> bool:
     """Return whether a contact offset, m, explains the preload at zero displacement; true without such a preload."""
     preload = curve.screening.preload
     return preload is None or preload.is_settled or _equals_preload_distance(contact, preload.shift)

@@ -10,16 +10,16 @@ from scipy.linalg import cho_factor, cho_solve
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.variables import ScaledVariables, Variables
+from calibration.fit.variables import SizeScaledVariables, Variables
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import ReplicateJitter, WhitenedReplicate
+from calibration.statistics.jitter import ContactAndForceZeroJitter, WhitenedReplicate
 from calibration.statistics.sensor_noise import whiten_columns
 from tissue_sim.errors import InputError
 
 
 @dataclass(frozen=True)
-class NuisanceSettings:
+class NuisanceEliminationSettings:
     """Settings of the elimination of nuisances.
 
     Attributes:
@@ -40,7 +40,7 @@ class NuisanceSettings:
     scan_points: int = 25
 
 
-_SETTINGS = NuisanceSettings()
+_SETTINGS = NuisanceEliminationSettings()
 #: Number of modes of the mesh error: proportional to the force, and to the force times the displacement.
 MESH_MODES = 2
 
@@ -153,12 +153,12 @@ class LeastSquaresProblem(ABC):
 
     def compute_unknown_scales(self, theta: np.ndarray) -> np.ndarray:
         """Return the scale of each unknown, SI, shape (k,)."""
-        return self.space.typical_sizes(self.space.values(theta))
+        return self.space.compute_typical_parameter_sizes(self.space.values(theta))
 
-    def make_descent_variables(self, theta: np.ndarray) -> Variables:
+    def make_scaled_or_long_term_variables(self, theta: np.ndarray) -> Variables:
         """Return the variables of a descent from `theta`: the unknowns in units of their scales there."""
         sizes, (low, high) = self.compute_unknown_scales(theta), self.bounds
-        return ScaledVariables(sizes, (low / sizes, high / sizes))
+        return SizeScaledVariables(sizes, (low / sizes, high / sizes))
 
     def evaluate(self, theta: np.ndarray) -> ProblemEvaluation:
         """Evaluate residuals and derivatives; the last evaluation is cached.
@@ -171,7 +171,7 @@ class LeastSquaresProblem(ABC):
         """
         theta = np.array(theta, dtype=float)
         if self._last is None or not np.array_equal(self._last.theta, theta):
-            residual, rates, columns, nuisances, force = self._compute_weighted_residuals(theta)
+            residual, rates, columns, nuisances, force = self._compute_residual_rates_columns_and_force(theta)
             prior = np.flatnonzero(np.isfinite(self.prior_deviation))
             deviation = self.prior_deviation[prior]
             prior_rates = np.zeros((prior.size, theta.size))
@@ -181,12 +181,12 @@ class LeastSquaresProblem(ABC):
         return self._last
 
     @abstractmethod
-    def _compute_weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _compute_residual_rates_columns_and_force(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return residual, rates, columns, nuisances and force of a `ProblemEvaluation`."""
 
     def restrict_to_displacement_fraction(self, fraction: float) -> LeastSquaresProblem:
         """Return the problem with the samples of each test up to a fraction of its largest displacement."""
-        def cut_recording(curve: MeasuredCurve, reach: float) -> MeasuredCurve:
+        def keep_samples_within_displacement(curve: MeasuredCurve, reach: float) -> MeasuredCurve:
             kept = np.flatnonzero(np.abs(curve.displacement) <= reach)
             return replace(curve, displacement=curve.displacement[kept], force=curve.force[kept],
                            time=None if curve.time is None else curve.time[kept],
@@ -196,11 +196,13 @@ class LeastSquaresProblem(ABC):
         tests = []
         for test in self.tests:
             reach = fraction * max(float(np.abs(curve.displacement).max()) for curve in test.measured)
-            tests.append(replace(test, measured=tuple(cut_recording(curve, reach) for curve in test.measured)))
+            kept = tuple(keep_samples_within_displacement(curve, reach) for curve in test.measured)
+            tests.append(replace(test, measured=kept))
         return replace(self, tests=tuple(tests))
 
     @abstractmethod
-    def remove_test(self, number: int, theta: np.ndarray) -> tuple[LeastSquaresProblem, np.ndarray]:
+    def make_problem_and_unknowns_without_test(self, number: int,
+                                               theta: np.ndarray) -> tuple[LeastSquaresProblem, np.ndarray]:
         """Return the problem without one test, and its unknowns.
 
         Args:
@@ -219,14 +221,14 @@ class GeneralisedProblem(LeastSquaresProblem):
             one mesh share one error.
     """
 
-    jitter: ReplicateJitter
+    jitter: ContactAndForceZeroJitter
     mesh_error: tuple[float, ...]
 
     def __post_init__(self):
         super().__post_init__()
-        self.rebuild_nuisance_columns()
+        self.assign_nuisance_columns_and_drop_cache()
 
-    def rebuild_nuisance_columns(self) -> None:
+    def assign_nuisance_columns_and_drop_cache(self) -> None:
         """Assign the nuisance columns again and drop the cached evaluation, after a change of correction or jitter."""
         self._last, count = None, len(self.places)
         self.kinds = [name for name in ("contact", "zero") if getattr(self.jitter, name) > 0]
@@ -241,20 +243,21 @@ class GeneralisedProblem(LeastSquaresProblem):
             self.shared.append(columns if size > 0 else slice(end, end))
         self.nuisances = end
 
-    def remove_test(self, number: int, theta: np.ndarray) -> tuple[GeneralisedProblem, np.ndarray]:
-        """Return the problem without one test, and its unknowns; see `LeastSquaresProblem.remove_test`."""
+    def make_problem_and_unknowns_without_test(self, number: int,
+                                               theta: np.ndarray) -> tuple[GeneralisedProblem, np.ndarray]:
+        """Return the problem without one test, and its unknowns; see the method of `LeastSquaresProblem`."""
         kept = [i for i in range(len(self.tests)) if i != number]
         return GeneralisedProblem(self.space, tuple(self.tests[i] for i in kept), self.solves, self.jitter,
                                   tuple(self.mesh_error[i] for i in kept)), theta
 
-    def _compute_weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return whitened residuals (noise, jitter, mesh); see `LeastSquaresProblem._compute_weighted_residuals`."""
+    def _compute_residual_rates_columns_and_force(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return whitened residuals (noise, jitter, mesh); see the method of `LeastSquaresProblem`."""
         try:
             self.space.build_material(self.space.values(theta))
         except InputError as error:
             raise InfeasibleError(str(error)) from None
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
-        nuisances, (residual, rates, columns, force) = self._solve_best_nuisances(answers)
+        nuisances, (residual, rates, columns, force) = self._solve_nuisances_and_linearise(answers)
         return residual, rates, columns, nuisances, force
 
     def linearise_without_nuisances(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -264,9 +267,9 @@ class GeneralisedProblem(LeastSquaresProblem):
             InfeasibleError: see `LeastSquaresProblem.evaluate`.
         """
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
-        return self._linearise_at_nuisances(answers, np.zeros(self.nuisances))[:2]
+        return self._compute_whitened_terms_at_nuisances(answers, np.zeros(self.nuisances))[:2]
 
-    def _solve_best_nuisances(self, answers: list) -> tuple[np.ndarray, tuple]:
+    def _solve_nuisances_and_linearise(self, answers: list) -> tuple[np.ndarray, tuple]:
         """Return the nuisances that minimise the sum of squares, shape (m,), and the linearised problem.
 
         Gauss-Newton with step halving. Each call begins with a scan, so that the sum of squares is a function of the
@@ -275,7 +278,7 @@ class GeneralisedProblem(LeastSquaresProblem):
         trial, lowest, step = self._scan_contact_offsets(answers), np.inf, 1.0
         best, found, change = trial, (), trial
         for _ in range(_SETTINGS.max_steps):
-            linearised = self._linearise_at_nuisances(answers, trial)
+            linearised = self._compute_whitened_terms_at_nuisances(answers, trial)
             residual, columns = linearised[0], linearised[2]
             error = residual @ residual + trial @ trial
             if found and error > lowest:
@@ -303,10 +306,10 @@ class GeneralisedProblem(LeastSquaresProblem):
         offsets = np.linspace(-_SETTINGS.scan_range, _SETTINGS.scan_range, _SETTINGS.scan_points)
         for columns, (t, r) in zip(self.offset_columns, self.places, strict=True):
             test, measured = self.tests[t], self.tests[t].measured[r]
-            if not hasattr(test, "compute_forces_at_offsets"):
+            if not hasattr(test, "compute_force_column_per_offset"):
                 continue
-            gaps = test.compute_forces_at_offsets(answers[t], r,
-                                                  offsets * self.jitter.contact) - measured.force[:, None]
+            forces = test.compute_force_column_per_offset(answers[t], r, offsets * self.jitter.contact)
+            gaps = forces - measured.force[:, None]
             white = whiten_columns(np.column_stack([gaps, np.full(measured.force.size, self.jitter.zero)]),
                                    measured.time, measured.noise)
             gaps, zero = white[:, :-1], white[:, -1]
@@ -318,7 +321,7 @@ class GeneralisedProblem(LeastSquaresProblem):
             trial[columns] = [found[kind] for kind in self.kinds]
         return trial
 
-    def _linearise_at_nuisances(self, answers: list, nuisances: np.ndarray):
+    def _compute_whitened_terms_at_nuisances(self, answers: list, nuisances: np.ndarray):
         """Return whitened residual (N,), rates (N, p) and columns (N, m) at these nuisances, and the force, N, (N,)."""
         residual = np.empty(self.samples)
         rates = np.empty((self.samples, len(self.space.free)))
@@ -330,16 +333,16 @@ class GeneralisedProblem(LeastSquaresProblem):
             values = dict(zip(self.kinds, nuisances[places] * sizes, strict=True))
             offset, farthest = values.get("contact", 0.0), _SETTINGS.extrapolation * self.jitter.contact
             near = float(np.clip(offset, -farthest, farthest))
-            model, model_rates, contact_rate = test.evaluate_force(answers[t], r, near)
+            model, model_rates, contact_rate = test.evaluate_force_and_derivatives(answers[t], r, near)
             if offset != near:
                 # The derivatives are extrapolated too, so that they are those of the extrapolated force.
                 close = _SETTINGS.relative_step
-                other = test.evaluate_force(answers[t], r, (1 - close) * near)[1]
+                other = test.evaluate_force_and_derivatives(answers[t], r, (1 - close) * near)[1]
                 model_rates = model_rates + (offset - near) * (model_rates - other) / (close * near)
                 model = model + (offset - near) * contact_rate
-            modes, weights = self._compute_mesh_error_columns(t, measured, model), nuisances[self.shared[t]]
+            modes, weights = self._compute_mesh_error_modes_of_force(t, measured, model), nuisances[self.shared[t]]
             # A mesh error proportional to the force changes the derivatives by the same factor.
-            factor = 1.0 + self._compute_mesh_error_columns(t, measured, np.ones_like(model)) @ weights
+            factor = 1.0 + self._compute_mesh_error_modes_of_force(t, measured, np.ones_like(model)) @ weights
             nuisance_columns = {"contact": factor * contact_rate, "zero": np.ones_like(model)}
             force[rows] = model + values.get("zero", 0.0)
             gap = force[rows] - measured.force + modes @ weights
@@ -354,7 +357,7 @@ class GeneralisedProblem(LeastSquaresProblem):
             raise InfeasibleError("the force of the model is not finite")
         return residual, rates, columns, force
 
-    def _compute_mesh_error_columns(self, number: int, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
+    def _compute_mesh_error_modes_of_force(self, number: int, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
         """Return the modes of the mesh error for one standard deviation each, N, shape (n, modes).
 
         The modes are proportional to the force of the model. Modes proportional to the measured force would bias all
@@ -382,9 +385,9 @@ class GeneralisedProblem(LeastSquaresProblem):
         found: list[list[WhitenedReplicate]] = [[] for _ in self.tests]
         for t, r in self.places:
             measured = self.tests[t].measured[r]
-            model, rates, contact = self.tests[t].evaluate_force(answers[t], r, 0.0)
+            model, rates, contact = self.tests[t].evaluate_force_and_derivatives(answers[t], r, 0.0)
             white = whiten_columns(np.column_stack([model - measured.force, contact, np.ones_like(model), rates,
-                                                    self._compute_mesh_error_columns(t, measured, model)]),
+                                                    self._compute_mesh_error_modes_of_force(t, measured, model)]),
                                    measured.time, measured.noise)
             p = rates.shape[1]
             found[t].append(WhitenedReplicate(white[:, 0], white[:, 1], white[:, 2], white[:, 3:3 + p],

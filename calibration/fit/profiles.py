@@ -80,7 +80,7 @@ def compute_profile_side(problem: GeneralisedProblem, theta: np.ndarray, error: 
 
     Source: Venzon and Moolgavkar, Appl. Statist. 37 (1988) 87.
     """
-    spent = problem.solves.start_effort_meter()
+    spent = problem.solves.make_effort_since_now_function()
     space, quantile = problem.space, float(spread.quantile[index])
     bound = space.high[index] if side > 0 else space.low[index]
     deviation = spread.standard_errors[index]
@@ -88,11 +88,11 @@ def compute_profile_side(problem: GeneralisedProblem, theta: np.ndarray, error: 
     points, lower = [(0.0, 0.0)], []
     note = ""
 
-    def root_rise_at_distance(distance: float) -> float:
+    def compute_and_store_root_rise(distance: float) -> float:
         """Return the square root of the rise at a distance of the parameter from the estimate."""
         trial = np.clip(theta + side * distance * direction, space.low, space.high)
         trial[index] = theta[index] + side * distance
-        lowest = _minimise_with_fixed_parameter(problem, trial, index)
+        lowest = _find_smallest_error_with_fixed_parameter(problem, trial, index)
         rise = float(np.sqrt(max(lowest - error, 0.0) / spread.inflation))
         points.append((distance, rise))
         if lowest < error - _SETTINGS.lower * spread.inflation:
@@ -103,10 +103,10 @@ def compute_profile_side(problem: GeneralisedProblem, theta: np.ndarray, error: 
     distance, cut = quantile * deviation, False
     try:
         if _SETTINGS.first_fraction * distance < limit:
-            root_rise_at_distance(_SETTINGS.first_fraction * distance)
+            compute_and_store_root_rise(_SETTINGS.first_fraction * distance)
         for _ in range(_SETTINGS.max_points):
             cut = distance >= limit
-            rise = root_rise_at_distance(min(distance, limit))
+            rise = compute_and_store_root_rise(min(distance, limit))
             if cut and rise <= quantile:
                 note = f"bound {bound:.6g}"
                 break
@@ -154,7 +154,7 @@ def _estimate_crossing_distance(points: list[tuple[float, float]], quantile: flo
     return float(distances[-1] + min(1.05 * step, 2.0 * distances[-1]))
 
 
-def _minimise_with_fixed_parameter(problem: GeneralisedProblem, trial: np.ndarray, index: int) -> float:
+def _find_smallest_error_with_fixed_parameter(problem: GeneralisedProblem, trial: np.ndarray, index: int) -> float:
     """Return the smallest sum of squares with one parameter fixed, by Gauss-Newton.
 
     The decrease of the last step is predicted from the quadratic approximation without a further evaluation.

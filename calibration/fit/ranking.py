@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Prediction
-from calibration.fit.regions import name_regions_with_misfit
+from calibration.fit.regions import format_regions_with_misfit
 from calibration.statistics.statistics import NOISE_RATIOS
 
 
@@ -36,7 +36,8 @@ _SETTINGS = RankingSettings()
 Fitted = tuple[Fit, list[Prediction], Sequence[TestCurves]]
 
 
-def rank_laws(fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], dict[str, Sequence[TestCurves]]]:
+def rank_laws_and_split_results(
+        fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], dict[str, Sequence[TestCurves]]]:
     """Sort laws: usable fits first, then fits without parameters on bounds, then fits with a material.
 
     Within these groups the root mean square prediction error in % decides: over the held-out tests if there are any,
@@ -49,8 +50,9 @@ def rank_laws(fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], di
         Fits, predictions, and law -> curves, best law first.
     """
     predicted = {p.test for _, predictions, _ in fitted for p in predictions if p.percent is not None}
-    fitted = [(replace(fit, left_out=_compute_mean_prediction_error([p for p in predictions if p.test in predicted])),
-               predictions, curves) for fit, predictions, curves in fitted]
+    fitted = [(
+        replace(fit, left_out=_compute_rms_prediction_percent_or_none([p for p in predictions if p.test in predicted])),
+        predictions, curves) for fit, predictions, curves in fitted]
 
     def law_sort_key(item: Fitted):
         """Return the key that sorts the results of laws, best first."""
@@ -68,7 +70,7 @@ def _get_ranking_criterion(fit: Fit) -> float:
     return fit.BIC if fit.left_out is None else fit.left_out
 
 
-def _compute_mean_prediction_error(predictions: Sequence[Prediction]) -> float | None:
+def _compute_rms_prediction_percent_or_none(predictions: Sequence[Prediction]) -> float | None:
     """Return the root mean square prediction error, %; a test that only other laws can predict counts as 100 %."""
     held_out = [p for p in predictions if not p.fitted]
     errors = [100.0 if p.percent is None else p.percent for p in held_out or predictions]
@@ -91,19 +93,22 @@ def explain_ranking(fits: Sequence[Fit], predictions: Sequence[Prediction], fitt
         parts.append(f"{best.law} is held by the bounds of {best.format_symbols(best.parameters_on_bounds)}: widen "
                      "them in fit.bounds, or do not trust it")
     if best.left_out is None:
-        parts.append(f"Best of the laws that are usable over the data: {best.law}{_describe_reliability(fits, fitted)}")
+        parts.append(
+            f"Best of the laws that are usable over the data: {best.law}"
+            f"{_describe_bic_ranking_reliability(fits, fitted)}")
         tests = {curve.test.name for curve in fitted}
         single = "with a single test there is nothing to predict" if len(tests) == 1 else "no test could be predicted"
         parts.append(f"{single}, so BIC ranks, and this does not say which law is right: add a test of another kind"
                      if len(fits) > 1 else f"{single}, so nothing is known of how it predicts another")
     else:
-        parts += [*_describe_predictions(fits, predictions), *filter(None, [_describe_unreliable_noise(best, fitted)])]
+        parts += [*_describe_predictions_of_best_and_rivals(fits, predictions),
+                  *filter(None, [_describe_unreliable_noise(best, fitted)])]
     if passed := [_describe_unusable_law(fit) for fit in fits
                   if (fit.unusable is not None or (fit.parameters_on_bounds and not best.parameters_on_bounds))
                   and (fit.left_out is None) == (best.left_out is None)
                   and _get_ranking_criterion(fit) < _get_ranking_criterion(best)]:
         parts.append(f"{'lower BIC' if best.left_out is None else 'less wrong'}, but not usable: {', '.join(passed)}")
-    if bad := name_regions_with_misfit(best.regions):
+    if bad := format_regions_with_misfit(best.regions):
         parts.append(f"a smooth misfit remains in {bad}, so the model is incomplete")
     if best.not_identifiable:
         parts.append(f"the tests do not determine {best.format_symbols(best.not_identifiable)}"
@@ -113,7 +118,7 @@ def explain_ranking(fits: Sequence[Fit], predictions: Sequence[Prediction], fitt
     return f"{'. '.join(sentences)}."
 
 
-def is_ranked_by_held_out_tests(predictions: Sequence[Prediction]) -> bool:
+def does_any_law_predict_a_held_out_test(predictions: Sequence[Prediction]) -> bool:
     """Return whether held-out tests rank the laws, which requires that at least one law predicts one of them."""
     return any(not p.fitted and p.percent is not None for p in predictions)
 
@@ -123,11 +128,11 @@ def _describe_unusable_law(fit: Fit) -> str:
     return f"{fit.law} ({fit.unusable or f'held by the bounds of {fit.format_symbols(fit.parameters_on_bounds)}'})"
 
 
-def _describe_predictions(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> list[str]:
+def _describe_predictions_of_best_and_rivals(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> list[str]:
     """Describe the predictions of the first law, and other laws with similar prediction errors."""
     best = fits[0]
     mine = [p for p in predictions if p.law == best.law]
-    held_out = is_ranked_by_held_out_tests(predictions)
+    held_out = does_any_law_predict_a_held_out_test(predictions)
     words = ", ".join(_describe_prediction(p) for p in mine if bool(p.fitted) != held_out)
     what = "held-out tests" if held_out else "each test from the others"
     large = [p for p in mine if bool(p.fitted) != held_out and (p.percent is None or p.percent > _SETTINGS.max_error)]
@@ -146,7 +151,7 @@ def _describe_predictions(fits: Sequence[Fit], predictions: Sequence[Prediction]
     return parts
 
 
-def _describe_reliability(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) -> str:
+def _describe_bic_ranking_reliability(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) -> str:
     """Describe the reliability of a ranking by BIC, as the end of a sentence."""
     best = fits[0]
     if best.noise_ratio > NOISE_RATIOS.model_error:

@@ -38,7 +38,8 @@ class RegionMisfitSettings:
 _SETTINGS = RegionMisfitSettings()
 
 
-def compute_region_misfit_tests(problem: GeneralisedProblem, evaluation: ProblemEvaluation) -> list[RegionMisfitTest]:
+def compute_smooth_misfit_tests_of_regions(problem: GeneralisedProblem,
+                                           evaluation: ProblemEvaluation) -> list[RegionMisfitTest]:
     """Test each segment of each test, or each third of a test with a single loading, for smooth misfit.
 
     Args:
@@ -71,7 +72,7 @@ def compute_region_misfit_tests(problem: GeneralisedProblem, evaluation: Problem
             for region, p in zip(found, adjusted, strict=True)]
 
 
-def name_regions_with_misfit(regions: Sequence[RegionMisfitTest]) -> str:
+def format_regions_with_misfit(regions: Sequence[RegionMisfitTest]) -> str:
     """Name the regions with a smooth misfit; a test with misfit in all regions by its name only. Empty if none."""
     found = []
     for test in dict.fromkeys(region.test for region in regions):
@@ -82,8 +83,8 @@ def name_regions_with_misfit(regions: Sequence[RegionMisfitTest]) -> str:
     return ", ".join(found)
 
 
-def _iterate_regions(problem: GeneralisedProblem) -> Iterator[tuple[int, str, int,
-                                                                    list[tuple[np.ndarray, np.ndarray]]]]:
+def _iterate_regions(
+        problem: GeneralisedProblem) -> Iterator[tuple[int, str, int, list[tuple[np.ndarray, np.ndarray]]]]:
     """Yield the regions of all tests.
 
     Yields:

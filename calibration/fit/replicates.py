@@ -82,14 +82,14 @@ def _find_disagreement_in_test(test: str, curves: Sequence[MeasuredCurve]) -> Re
     """Return the disagreement of the recordings of one test; None if there is none."""
     if len(curves) < 2:
         return None
-    sizes = compute_mean_forces([(curve.displacement, curve.force) for curve in curves])
+    sizes = compute_mean_forces_or_none([(curve.displacement, curve.force) for curve in curves])
     if sizes is None:
         return None
-    return split_into_stiffness_groups(test, [curve.name for curve in curves], sizes)
+    return find_stiffness_group_disagreement_or_none(test, [curve.name for curve in curves], sizes)
 
 
-def split_into_stiffness_groups(test: str, names: Sequence[str], sizes: np.ndarray,
-                                scatter: float = 0.0) -> ReplicateDisagreement | None:
+def find_stiffness_group_disagreement_or_none(test: str, names: Sequence[str], sizes: np.ndarray,
+                                              scatter: float = 0.0) -> ReplicateDisagreement | None:
     """Split stiffnesses into two groups with a gap between them; None if there is no such gap.
 
     Args:
@@ -119,7 +119,7 @@ def split_into_stiffness_groups(test: str, names: Sequence[str], sizes: np.ndarr
     return ReplicateDisagreement(test, _select_masked_names(names, odd), _select_masked_names(names, ~odd), ratio)
 
 
-def compute_mean_forces(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
+def compute_mean_forces_or_none(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
     """Return the mean force of each recording over displacements that all recordings reach, N, shape (R,).
 
     None if there are no such displacements.
@@ -127,7 +127,7 @@ def compute_mean_forces(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.n
     Args:
         curves: displacement and force of each recording, shapes (n,).
     """
-    found = find_common_displacement_range([displacement for displacement, _ in curves])
+    found = find_common_upper_range_or_none([displacement for displacement, _ in curves])
     if found is None:
         return None
     grid, means = np.linspace(*found, SETTINGS.points), []
@@ -138,7 +138,7 @@ def compute_mean_forces(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.n
     return np.array(means)
 
 
-def find_common_displacement_range(displacements: Sequence[np.ndarray]) -> tuple[float, float] | None:
+def find_common_upper_range_or_none(displacements: Sequence[np.ndarray]) -> tuple[float, float] | None:
     """Return lower and upper end of the displacements at which recordings are compared, m; None if there are none."""
     reach = min(float(each.max()) for each in displacements)
     low = max((1.0 - SETTINGS.compared) * reach, *(float(each.min()) for each in displacements))

@@ -10,11 +10,11 @@ from typing import Any
 import msgspec
 
 from calibration.campaign.campaign import Campaign
-from calibration.fit.agreement import describe_method_differences
+from calibration.fit.agreement import compare_method_intervals_in_sentences
 from calibration.fit.fit import Fit, Prediction, SensorNoiseStatement
 from calibration.fit.self_weight import describe_self_weight
 from calibration.output_folder import FIT_FILE, TABLES
-from tissue_sim.decode import read_json
+from tissue_sim.decode import read_json_value
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ class CalibrationResult:
         return self.fits[0]
 
 
-def describe_method_agreement(results: Sequence[CalibrationResult]) -> list[str]:
+def list_method_agreement_sentences(results: Sequence[CalibrationResult]) -> list[str]:
     """Return a sentence for each law on the agreement of the methods that were fitted to the same recordings."""
-    return describe_method_differences([(result.campaign, result.fits) for result in results])
+    return compare_method_intervals_in_sentences([(result.campaign, result.fits) for result in results])
 
 
 def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
@@ -68,7 +68,8 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
     Each ``material_file`` is relative to it, so that ``fit.json`` remains valid if the folder moves.
     """
     if len(results) != 1:
-        return {"campaigns": [to_json([result]) for result in results], "agreement": describe_method_agreement(results)}
+        return {"campaigns": [to_json([result]) for result in results],
+                "agreement": list_method_agreement_sentences(results)}
     result = results[0]
     return {
         "campaign": result.campaign.name, "method": result.campaign.fit.method,
@@ -93,7 +94,7 @@ def read_earlier_result(campaign: Campaign, folder: Path, digest: str) -> Calibr
         The result; None if it is missing, unreadable or incomplete, or belongs to other inputs.
     """
     try:
-        found = read_json(folder / FIT_FILE, "a finished calibration")
+        found = read_json_value(folder / FIT_FILE, "a finished calibration")
         if found["work"] != digest:
             return None
         files = [*TABLES, *(fit["material_file"] for fit in found["fits"] if fit["material_file"] is not None)]

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from calibration.fit.fit import DescentIteration
+from calibration.fit.fit import DescentEvaluation
 from calibration.tasks.executors import OnDone, TaskExecutor
 
 #: Function that receives a progress message and, optionally, the number of completed tasks and of all tasks.
 Progress = Callable[..., None]
 #: Function that receives the name of the campaign, the law and an iteration of an inverse fit.
-IterationListener = Callable[[str, str, DescentIteration], None]
+IterationListener = Callable[[str, str, DescentEvaluation], None]
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class RunContext:
             arguments: arguments of each task.
             what: description for progress messages.
         """
-        def send_iteration(law: str, iteration: DescentIteration) -> None:
+        def send_iteration(law: str, iteration: DescentEvaluation) -> None:
             """Send an iteration of a descent to the listener, if there is one."""
             if self.listen is not None:
                 self.listen(self.campaign, law, iteration)
@@ -73,7 +73,7 @@ class RunContext:
         return self.run_task_for_all(function, arguments, what, send_history)
 
     def run_task_for_all(self, function: Callable, arguments: Sequence[tuple], what: str,
-               on_done: OnDone | None = None, names: Sequence[str] = ()) -> list:
+                         on_done: OnDone | None = None, names: Sequence[str] = ()) -> list:
         """Run a task for each set of arguments, with progress messages.
 
         Args:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from calibration.campaign.campaign import Campaign
 from calibration.fit.fit import Fit
-from calibration.fit.typical_material import compute_representative_material
+from calibration.fit.typical_material import get_shared_and_population_mean_material
 from tissue_sim.closed_form.column import Column
 from tissue_sim.errors import InputError
 from tissue_sim.laws import find_law
@@ -17,23 +17,23 @@ from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
 WATER_DENSITY = 1000.0
 
 
-def compute_specimen_sags(fit: Fit, campaign: Campaign) -> dict[str, float]:
+def compute_specimen_sags_mm(fit: Fit, campaign: Campaign) -> dict[str, float]:
     """Return specimen with self-weight -> its sag with the fitted law, mm.
 
     Specimens without equilibrium under their weight are omitted.
     """
-    found = {specimen.name: _compute_sag(specimen, fit, campaign) for specimen in _find_compressed_columns(campaign)
-             if specimen.specific_weight}
+    found = {specimen.name: _compute_sag_or_none_without_equilibrium(specimen, fit, campaign)
+             for specimen in _list_specimens_in_frictionless_compression(campaign) if specimen.specific_weight}
     return {name: 1e3 * sag for name, sag in found.items() if sag is not None}
 
 
 def describe_self_weight(campaign: Campaign, fit: Fit) -> str:
     """Describe the assumptions of a campaign about gravity, with the sag of compressed columns for a fit."""
     alike: dict[str, dict[str, float | None]] = {}
-    columns = _find_compressed_columns(campaign)
+    columns = _list_specimens_in_frictionless_compression(campaign)
     for specimen in dict.fromkeys([*columns, *(test.specimen for test in campaign.tests if test.specimen is not None
                                                and test.specimen.specific_weight)]):
-        words, sag = _format_self_weight_sentence(specimen, fit, campaign, column=specimen in columns)
+        words, sag = _make_self_weight_template_and_sag_mm(specimen, fit, campaign, column=specimen in columns)
         alike.setdefault(words, {})[specimen.name] = sag
     several = sum(map(len, alike.values())) > 1
     sentences = [f"Self-weight{' of ' if several else ''}{', '.join(found) if several else ''}"
@@ -42,8 +42,8 @@ def describe_self_weight(campaign: Campaign, fit: Fit) -> str:
     return " ".join(sentences) or "Self-weight is not included."
 
 
-def _format_self_weight_sentence(specimen: Specimen, fit: Fit, campaign: Campaign, *,
-                                 column: bool) -> tuple[str, float | None]:
+def _make_self_weight_template_and_sag_mm(specimen: Specimen, fit: Fit, campaign: Campaign, *,
+                                          column: bool) -> tuple[str, float | None]:
     """Return the sentence after "Self-weight of NAME", with placeholders for the sag in two or three digits.
 
     Args:
@@ -63,7 +63,8 @@ def _format_self_weight_sentence(specimen: Specimen, fit: Fit, campaign: Campaig
         return (f": {specimen.density:g} kg/m3 at {specimen.gravity:g} m/s2, settled before the "
                 f"test; height {height}{settled}."), sag
     density = specimen.density or WATER_DENSITY
-    sag = _compute_sag(replace(specimen, density=density, gravity=STANDARD_GRAVITY), fit, campaign)
+    sag = _compute_sag_or_none_without_equilibrium(replace(specimen, density=density, gravity=STANDARD_GRAVITY), fit,
+                                                   campaign)
     of_water = "" if specimen.density else " (water)"
     would = "" if sag is None else f"; standing at {density:g} kg/m3{of_water} it would sag {{0}} mm"
     return (f" is not included: the height, {height}, is taken for the undeformed one{would}.",
@@ -76,17 +77,17 @@ def _format_sag_range(sags: Collection[float | None], digits: int) -> str:
     return " to ".join(dict.fromkeys(f"{sag:.{digits}g}" for sag in known[:1] + known[-1:]))
 
 
-def _find_compressed_columns(campaign: Campaign) -> list[Specimen]:
+def _list_specimens_in_frictionless_compression(campaign: Campaign) -> list[Specimen]:
     """Return the specimens that a plate compresses between frictionless faces, without repetition."""
     return list(dict.fromkeys(test.specimen for test in campaign.tests
                               if test.kind.has_closed_form_with_weight and test.specimen is not None
                               and test.specimen.is_prism))
 
 
-def _compute_sag(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | None:
+def _compute_sag_or_none_without_equilibrium(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | None:
     """Return the sag of a specimen, m; None without equilibrium or with unknown parameters."""
-    law, material = find_law(fit.law), compute_representative_material(fit)
-    values = {path: _find_specimen_parameter(path, specimen, fit, campaign, material.parameters.get(path))
+    law, material = find_law(fit.law), get_shared_and_population_mean_material(fit)
+    values = {path: _find_specimen_parameter_or_typical(path, specimen, fit, campaign, material.parameters.get(path))
               for path in law.parameters}
     try:
         return None if None in values.values() else Column(specimen).settle(law, law.as_array(values)).sag
@@ -94,8 +95,8 @@ def _compute_sag(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | No
         return None
 
 
-def _find_specimen_parameter(path: str, specimen: Specimen, fit: Fit, campaign: Campaign,
-                             typical: float | None) -> float | None:
+def _find_specimen_parameter_or_typical(path: str, specimen: Specimen, fit: Fit, campaign: Campaign,
+                                        typical: float | None) -> float | None:
     """Return a parameter of the law for a specimen: its own, that of its first test or recording, or the shared one."""
     tests = [test.name for test in campaign.tests if test.specimen is not None and test.specimen.name == specimen.name]
     for mark in (specimen.name, *tests):

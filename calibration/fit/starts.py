@@ -16,7 +16,7 @@ FACTORS = (3.0, 1.0 / 3.0, 10.0, 0.1)
 _MODULUS = 1000.0
 
 
-def generate_starting_values(space: ParameterSpace, count: int) -> list[np.ndarray]:
+def list_starts_with_varied_exponents(space: ParameterSpace, count: int) -> list[np.ndarray]:
     """Return starting values of a law: those that the campaign states, then others spread around them.
 
     Args:
@@ -26,12 +26,12 @@ def generate_starting_values(space: ParameterSpace, count: int) -> list[np.ndarr
     Returns:
         Free parameters inside their bounds, SI, each of shape (p,).
     """
-    exponents = [each.name for each in space.free_parameters if each.is_exponent]
+    exponents = [each.name for each in space.free_parameters if each.is_dimensionless_law_parameter]
     grids = [grid for grid in combinations_with_replacement(EXPONENTS, len(exponents))
              if len(set(grid)) == len(grid)] or [()]
     # Exponents of different signs come before those of equal signs.
-    grids.sort(key=lambda grid: (len({np.sign(e) for e in grid}) < min(len(grid), 2), sum(EXPONENTS.index(e)
-                                                                                         for e in grid)))
+    grids.sort(key=lambda grid: (len({np.sign(e) for e in grid}) < min(len(grid), 2),
+                                 sum(EXPONENTS.index(e) for e in grid)))
     found: list[np.ndarray] = []
     moduli = [each.name for each in space.free_parameters if each.is_modulus]
     for turns, grid in enumerate(cycle(grids)):

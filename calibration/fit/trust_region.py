@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 from scipy.optimize import least_squares
 
-from calibration.fit.fit import DescentIteration
+from calibration.fit.fit import DescentEvaluation
 from calibration.fit.problem import GeneralisedProblem, LeastSquaresProblem, ProblemEvaluation
 from calibration.forward.contract import InfeasibleError
 
@@ -49,7 +49,7 @@ class DescentSettings:
 
 DESCENT = DescentSettings()
 #: Function that receives each iteration of a descent.
-Listener = Callable[[DescentIteration], None]
+Listener = Callable[[DescentEvaluation], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +72,12 @@ class DescentResult:
     error: float
     converged: bool
     failure: str
-    history: tuple[DescentIteration, ...]
+    history: tuple[DescentEvaluation, ...]
     simulations: dict[tuple[str, str], int]
     cpu_s: float
 
 
-class _ReducedProblem:
+class _NuisanceEliminatedProblem:
     """Residual and Jacobian for SciPy, with the nuisances eliminated (variable projection).
 
     Args:
@@ -97,12 +97,12 @@ class _ReducedProblem:
         # Sums of squares of all evaluations, and the unknowns of the smallest one.
         self.errors: list[float] = []
         self.best = theta
-        self.variables = problem.make_descent_variables(theta)
+        self.variables = problem.make_scaled_or_long_term_variables(theta)
         self.start = np.clip(self.variables.from_unknowns(theta), *self.variables.bounds)
         self.first = theta
         self.failure = ""
 
-    def convert_to_unknowns(self, u: np.ndarray) -> np.ndarray:
+    def convert_variables_to_unknowns(self, u: np.ndarray) -> np.ndarray:
         """Return the unknowns of variables `u`, shape (k,).
 
         For the start the original values are returned, without rounding errors, so that cached simulations are found.
@@ -111,14 +111,14 @@ class _ReducedProblem:
         same = np.array_equal(u, self.start) and np.allclose(unknowns, self.first, rtol=DESCENT.rounding, atol=0.0)
         return self.first if same else unknowns
 
-    def compute_residual(self, u: np.ndarray) -> np.ndarray:
+    def compute_residual_or_end_descent(self, u: np.ndarray) -> np.ndarray:
         """Return the residual at variables `u`; infinite if the model has no solution, so that SciPy shortens the step.
 
         Raises:
             _NegligibleDecreaseError: the descent has stalled.
         """
         try:
-            evaluation = self.problem.evaluate(self.convert_to_unknowns(u))
+            evaluation = self.problem.evaluate(self.convert_variables_to_unknowns(u))
         except InfeasibleError as error:
             self.failure = str(error)
             return np.full(self.size, np.inf)
@@ -135,34 +135,34 @@ class _ReducedProblem:
         self.size = residual.size
         return residual
 
-    def compute_jacobian(self, u: np.ndarray) -> np.ndarray:
+    def compute_jacobian_or_end_descent(self, u: np.ndarray) -> np.ndarray:
         """Return the Jacobian at variables `u`.
 
         Raises:
             _NegligibleDecreaseError: the predicted decrease of a Gauss-Newton step is below the limit.
         """
-        evaluation = self.problem.evaluate(self.convert_to_unknowns(u))
+        evaluation = self.problem.evaluate(self.convert_variables_to_unknowns(u))
         residual, jacobian = evaluation.projected_residual_and_jacobian
         jacobian = self.variables.transform_jacobian(jacobian, u)
         if self.enough:
-            bound = self._find_crossed_bounds(u, jacobian.T @ residual)
+            bound = self._find_bounds_about_to_be_crossed(u, jacobian.T @ residual)
             inside = jacobian[:, ~np.isfinite(bound)]
             gain = float(np.sum((inside @ np.linalg.lstsq(inside, residual, rcond=1e-12)[0])**2))
             if gain < self.enough * max(1.0, evaluation.sum_of_squares / self.problem.samples):
-                raise self._finish_on_crossed_bounds(np.where(np.isfinite(bound), bound, u), evaluation)
+                raise self._make_descent_end_on_bounds(np.where(np.isfinite(bound), bound, u), evaluation)
         return jacobian
 
-    def _find_crossed_bounds(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    def _find_bounds_about_to_be_crossed(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Return the bound that each variable is close to and would cross, shape (k,); NaN: none."""
         low, high = self.variables.bounds
         near = DESCENT.bound_distance * np.maximum(np.abs(u), DESCENT.bound_distance)
         return np.where((u - low <= near) & (gradient > 0), low, np.where(
             (high - u <= near) & (gradient < 0), high, np.nan))
 
-    def _finish_on_crossed_bounds(self, u: np.ndarray, evaluation: ProblemEvaluation) -> _NegligibleDecreaseError:
+    def _make_descent_end_on_bounds(self, u: np.ndarray, evaluation: ProblemEvaluation) -> _NegligibleDecreaseError:
         """Return the exception that ends the descent; variables are on the bounds `u` unless the error increases."""
         try:
-            on_bounds = self.problem.evaluate(np.clip(self.convert_to_unknowns(u), *self.problem.bounds))
+            on_bounds = self.problem.evaluate(np.clip(self.convert_variables_to_unknowns(u), *self.problem.bounds))
         except InfeasibleError:
             on_bounds = evaluation
         best = on_bounds if on_bounds.sum_of_squares <= evaluation.sum_of_squares else evaluation
@@ -212,20 +212,21 @@ def minimise_from_start(problem: LeastSquaresProblem, theta: np.ndarray, *, star
     Source: Branch, Coleman and Li, SIAM J. Sci. Comput. 21 (1999) 1, as in scipy.optimize.least_squares.
     """
     space = problem.space
-    spent = problem.solves.start_effort_meter()
-    history: list[DescentIteration] = []
+    spent = problem.solves.make_effort_since_now_function()
+    history: list[DescentEvaluation] = []
 
     def record_iteration(evaluation: ProblemEvaluation) -> None:
         """Append an evaluation with new parameters to `history`, and send it to `listen`."""
-        if history and history[-1].parameters == name_unknowns(evaluation):
+        if history and history[-1].parameters == map_free_parameters_to_values(evaluation):
             return
         rmse = float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
-        history.append(DescentIteration(start=start, run=past + len(history) + 1, parameters=name_unknowns(evaluation),
-                                        error=evaluation.sum_of_squares, RMSE_N=rmse, corrected=corrected))
+        history.append(DescentEvaluation(start=start, run=past + len(history) + 1,
+                                         parameters=map_free_parameters_to_values(evaluation),
+                                         error=evaluation.sum_of_squares, RMSE_N=rmse, corrected=corrected))
         if listen is not None:
             listen(history[-1])
 
-    def name_unknowns(evaluation: ProblemEvaluation) -> dict[str, float]:
+    def map_free_parameters_to_values(evaluation: ProblemEvaluation) -> dict[str, float]:
         """Return name -> value of the free parameters of an evaluation, SI."""
         return dict(zip(space.free, evaluation.theta.tolist(), strict=False))
 
@@ -243,15 +244,16 @@ def minimise_from_start(problem: LeastSquaresProblem, theta: np.ndarray, *, star
         return build_descent_result(theta, np.inf, False, str(error))
     if not theta.size:
         return build_descent_result(theta, evaluation.sum_of_squares, True, "")
-    reduced = _ReducedProblem(problem, theta, record_iteration, enough, stalled)
+    reduced = _NuisanceEliminatedProblem(problem, theta, record_iteration, enough, stalled)
     try:
         # Scaling by the columns of the Jacobian makes the method independent of the units of the unknowns.
         result = least_squares(
-            reduced.compute_residual, reduced.start, reduced.compute_jacobian, x_scale="jac",
+            reduced.compute_residual_or_end_descent, reduced.start, reduced.compute_jacobian_or_end_descent,
+            x_scale="jac",
             bounds=reduced.variables.bounds, ftol=tolerance, xtol=tolerance, gtol=gradient, max_nfev=max_solves)
     except _NegligibleDecreaseError as settled:
         return build_descent_result(settled.theta, settled.error, True, "")
-    theta = reduced.convert_to_unknowns(result.x)
+    theta = reduced.convert_variables_to_unknowns(result.x)
     failure = "" if result.status > 0 else \
         f"no minimum after {max_solves} solves{f'; {reduced.failure}' if reduced.failure else ''}"
     return build_descent_result(theta, float(2 * result.cost), result.status > 0, failure)
@@ -279,10 +281,10 @@ def _scale_moduli_by_best_factor(problem: LeastSquaresProblem, theta: np.ndarray
     """Return the unknowns with all moduli multiplied by the best common factor; unchanged if this is impossible."""
     space = problem.space
     moduli = np.array([each.is_modulus for each in space.free_parameters])
-    fixed = any(space.find_parameter(name).is_modulus for name in space.fixed)
+    fixed = any(space.get_parameter_by_name(name).is_modulus for name in space.fixed)
     if (fixed or not moduli.any() or not space.has_only_shared_material_parameters
             or not all(test.is_force_proportional_to_moduli
-                                                                           for test in problem.tests)):
+                       for test in problem.tests)):
         return theta
     # Offsets and zeros stay 0: far from the minimum they would compensate a wrong factor.
     residual, rates = cast(GeneralisedProblem, problem).linearise_without_nuisances(theta)

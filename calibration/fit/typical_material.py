@@ -24,7 +24,7 @@ class RepresentativeMaterial:
     covariance: np.ndarray
 
 
-def compute_representative_material(fit: Fit) -> RepresentativeMaterial:
+def get_shared_and_population_mean_material(fit: Fit) -> RepresentativeMaterial:
     """Return the representative material of a fit, without parameters of single tests or recordings."""
     name_of: dict[str, str] = {}
     for name in fit.parameters:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import special
 
 from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
-from calibration.statistics.uncertainty import COVARIANCE, ParameterUncertainty, compute_pseudo_inverse_root
+from calibration.statistics.uncertainty import COVARIANCE, ParameterUncertainty, get_inverse_root_and_undetermined_mask
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def compute_marginal_uncertainty(problem: GeneralisedProblem, evaluation: Proble
         inflation, basis = chi_square / freedom, "residuals"
     inside = np.flatnonzero(~on_bound)
     covariance = np.zeros_like(information)
-    root, undetermined = compute_pseudo_inverse_root(information[np.ix_(inside, inside)])
+    root, undetermined = get_inverse_root_and_undetermined_mask(information[np.ix_(inside, inside)])
     covariance[np.ix_(inside, inside)] = inflation * root @ root.T * np.outer(sizes[inside], sizes[inside])
     errors = np.where(on_bound, np.nan, np.sqrt(np.diag(covariance)))
     errors[inside[undetermined]] = np.inf

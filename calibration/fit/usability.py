@@ -14,17 +14,17 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.alternatives import describe_alternative_minima
-from calibration.fit.contact_cover import describe_uncertain_contacts
+from calibration.fit.contact_cover import describe_worst_uncertain_contact_or_empty
 from calibration.fit.determination import SETTINGS as DETERMINATION
 from calibration.fit.determination import ShearModulusPrecision
 from calibration.fit.estimate import Estimate
 from calibration.fit.kindred_tests import find_test_disagreements
-from calibration.fit.lack_of_fit import compute_lack_of_fit
-from calibration.fit.own_stiffness import describe_individual_stiffness_remedy
-from calibration.fit.population import IndividualSpecimens
-from calibration.fit.preload_cover import contact_offset_explains_preload, read_contact_offsets
+from calibration.fit.lack_of_fit import compute_lack_of_fit_r2_and_relative_error
+from calibration.fit.own_stiffness import describe_stiffness_disagreement_or_empty
+from calibration.fit.population import PopulationAndLeftOutSpecimens
+from calibration.fit.preload_cover import is_preload_absent_or_explained, read_contact_offsets
 from calibration.fit.replicates import find_replicate_disagreements
-from calibration.fit.usability_records import AlternativeMinimum, UsabilityClause
+from calibration.fit.usability_records import AlternativeMinimum, UsabilityClauseResult
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
 from tissue_sim.laws import StabilityRange
@@ -56,7 +56,7 @@ class UsabilityEvidence:
     stability: StabilityRange
     reached: Mapping[str, StretchRange]
     mu0: float
-    specimens: IndividualSpecimens
+    specimens: PopulationAndLeftOutSpecimens
     alternatives: Sequence[AlternativeMinimum]
     determination: ShearModulusPrecision | None
     symbols: Mapping[str, str]
@@ -64,7 +64,8 @@ class UsabilityEvidence:
     limits: UsabilitySettings = USABILITY
 
 
-def evaluate_usability_clauses(evidence: UsabilityEvidence) -> tuple[list[UsabilityClause], str, str | None]:
+def evaluate_usability_clauses_and_status(
+        evidence: UsabilityEvidence) -> tuple[list[UsabilityClauseResult], str, str | None]:
     """Evaluate all clauses of the usability rule; a fit is usable if all clauses hold.
 
     Returns:
@@ -84,39 +85,42 @@ def evaluate_usability_clauses(evidence: UsabilityEvidence) -> tuple[list[Usabil
     return clauses, first[0].status, "; ".join([*(clause.reason for clause in first), *specific])
 
 
-def _build_clause(name: str, status: str, reason: str, remedy: str = "") -> UsabilityClause:
+def _clause_from_reason(name: str, status: str, reason: str, remedy: str = "") -> UsabilityClauseResult:
     """Return a record of a clause: the clause holds if `reason` is empty, and `remedy` is kept only if it fails."""
-    return UsabilityClause(name=name, holds=not reason, status=status, reason=reason, remedy=remedy if reason else "")
+    return UsabilityClauseResult(name=name, holds=not reason, status=status, reason=reason,
+                                 remedy=remedy if reason else "")
 
 
-def _evaluate_shear_modulus_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_positive_shear_modulus_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause that the shear modulus is positive."""
     if evidence.mu0 > 0:
-        return _build_clause("physical", "not_physical", "")
+        return _clause_from_reason("physical", "not_physical", "")
     remedy = "no material has that, so no material file is written: set bounds or use another law"
-    falling = [curve.name for curve in evidence.estimate.problem.measured if _has_falling_force(curve)]
+    falling = [curve.name for curve in evidence.estimate.problem.measured
+               if _is_force_anticorrelated_to_displacement(curve)]
     if falling:
         remedy = (f"the force of {', '.join(falling)} falls while the displacement grows: check the sign of both "
                   "columns, and which of them is the force")
-    return _build_clause("physical", "not_physical", f"its shear modulus at rest is {evidence.mu0:.4g} Pa", remedy)
+    return _clause_from_reason("physical", "not_physical", f"its shear modulus at rest is {evidence.mu0:.4g} Pa",
+                               remedy)
 
 
-def _has_falling_force(curve: MeasuredCurve) -> bool:
+def _is_force_anticorrelated_to_displacement(curve: MeasuredCurve) -> bool:
     """Return whether force and displacement of a recording are negatively correlated."""
     centred = curve.displacement - curve.displacement.mean()
     return float(centred @ curve.force) < 0
 
 
-def _evaluate_convergence_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_minimiser_convergence_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause that the minimisation converged."""
     estimate = evidence.estimate
-    return _build_clause("converged", "not_converged",
-                         "" if estimate.converged else estimate.failure or "it did not converge",
-                         "the optimiser ran out of evaluations in a flat valley where other parameters fit as well: "
-                         "fix one, or use a law with fewer")
+    return _clause_from_reason("converged", "not_converged",
+                               "" if estimate.converged else estimate.failure or "it did not converge",
+                               "the optimiser ran out of evaluations in a flat valley where other parameters fit as "
+                               "well: fix one, or use a law with fewer")
 
 
-def _evaluate_stability_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_stability_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause that the law is Drucker-stable inside the measured stretches of each mode of loading."""
     ranges: dict[str, tuple[float, float]] = {}
     for one in evidence.reached.values():
@@ -125,7 +129,8 @@ def _evaluate_stability_clause(evidence: UsabilityEvidence) -> UsabilityClause:
             ranges[one.mode] = min(low, one.low), max(high, one.high)
     lost = [loss for mode, stretches in ranges.items()
             if (loss := describe_instability(evidence.stability, mode, stretches))]
-    return _build_clause("stable", "unstable", f"not stable {' and '.join(lost)}, where there are data" if lost else "")
+    return _clause_from_reason("stable", "unstable",
+                               f"not stable {' and '.join(lost)}, where there are data" if lost else "")
 
 
 def describe_instability(stability: StabilityRange, mode: str, stretches: tuple[float, float]) -> str:
@@ -134,11 +139,11 @@ def describe_instability(stability: StabilityRange, mode: str, stretches: tuple[
     if lower == upper == 1.0:
         return f"in {mode} loading at every stretch"
     ends = [f"{side} stretch {limit:.3g}" for side, limit, lost in (("below", lower, lower > low),
-                                                                  ("above", upper, upper < high)) if lost]
+                                                                    ("above", upper, upper < high)) if lost]
     return f"in {mode} loading {' and '.join(ends)}" if ends else ""
 
 
-def _evaluate_screening_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_screening_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause that the screening of the recordings found nothing that makes the moduli wrong."""
     problem = evidence.estimate.problem
     space = problem.space
@@ -148,7 +153,7 @@ def _evaluate_screening_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     contacts = read_contact_offsets(evidence.estimate)
     for curve in problem.measured:
         preload = curve.screening.preload
-        is_explained = preload is not None and contact_offset_explains_preload(curve, contacts[curve.name])
+        is_explained = preload is not None and is_preload_absent_or_explained(curve, contacts[curve.name])
         covered = preload.sentence if is_explained else None
         for sentence in list_screening_contradictions(curve, remembers):
             if sentence == covered:
@@ -156,13 +161,15 @@ def _evaluate_screening_clause(evidence: UsabilityEvidence) -> UsabilityClause:
             found.setdefault(sentence, []).append(curve.name)
     reasons = [f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {sentence}"
                for sentence, names in found.items()]
-    return _build_clause("recordings", "misfit", "; ".join(reasons))
+    return _clause_from_reason("recordings", "misfit", "; ".join(reasons))
 
 
-def _evaluate_contact_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_contact_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause that a detected (not fitted) contact is certain enough for the shear modulus."""
-    return _build_clause("contact", "not_determined", describe_uncertain_contacts(evidence.estimate),
-                         "set offset = \"fit\" in [fit], state the contact in mm, or record more air with less noise")
+    return _clause_from_reason("contact", "not_determined",
+                               describe_worst_uncertain_contact_or_empty(evidence.estimate),
+                               "set offset = \"fit\" in [fit], state the contact in mm, or record more air with less "
+                                "noise")
 
 
 def list_screening_contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
@@ -176,23 +183,23 @@ def list_screening_contradictions(curve: MeasuredCurve, remembers: bool) -> list
     """
     screening = curve.screening
     of_memory = screening.control.sentence if remembers and screening.control is not None else None
-    return [sentence for sentence in screening.fit_contradictions if sentence != of_memory]
+    return [sentence for sentence in screening.elastic_fit_contradictions if sentence != of_memory]
 
 
-def _evaluate_replicate_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_replicate_and_same_kind_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause that recordings of one test, and tests of one kind, have similar stiffnesses."""
     problem = evidence.estimate.problem
     if any(each.recording is not None for each in problem.space.unknowns):
-        return _build_clause("replicates", "misfit", "")
+        return _clause_from_reason("replicates", "misfit", "")
     measured = {test.name: test.measured for test in problem.tests}
     found = [each.describe() for each in find_replicate_disagreements(measured)]
     # A memory, another effect of the material, or parameters of single tests explain different stiffnesses.
     if all(each.of_law and each.tests is None for each in problem.space.unknowns if each.of_material):
         found += [each.describe() for each in find_test_disagreements(measured)]
-    return _build_clause("replicates", "misfit", "; ".join(found))
+    return _clause_from_reason("replicates", "misfit", "; ".join(found))
 
 
-def compute_test_misfits(estimate: Estimate) -> tuple[dict[str, float], dict[str, float]]:
+def compute_misfit_percents_and_noise_ratios(estimate: Estimate) -> tuple[dict[str, float], dict[str, float]]:
     """Return the root mean square residual of each test, % of its largest force, and as a multiple of the noise."""
     problem, gap = estimate.problem, estimate.evaluation.force - estimate.problem.data
     percents, ratios = {}, {}
@@ -207,31 +214,33 @@ def compute_test_misfits(estimate: Estimate) -> tuple[dict[str, float], dict[str
     return percents, ratios
 
 
-def _evaluate_residual_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_residual_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause on the residuals of each test, which fails if they exceed the limits of force and of noise."""
     problem = evidence.estimate.problem
-    percents, ratios = compute_test_misfits(evidence.estimate)
+    percents, ratios = compute_misfit_percents_and_noise_ratios(evidence.estimate)
     missed = [f"its residuals in {test.name} are {percents[test.name]:.2g} % of the largest "
               f"{'stress' if test.measured[0].stressed else 'force'} and {ratios[test.name]:.3g} times the noise"
               for test in problem.tests if percents[test.name] > 100 * evidence.limits.largest_residual
               and ratios[test.name] > evidence.limits.noise_ratio]
-    return _build_clause("residuals", "misfit", f"does not describe the data: {' and '.join(missed)}" if missed else "",
-                         _find_misfit_remedy(evidence) if missed else "")
+    return _clause_from_reason("residuals", "misfit",
+                               f"does not describe the data: {' and '.join(missed)}" if missed else "",
+                               _describe_zero_stiffness_or_law_remedy(evidence) if missed else "")
 
 
-def _evaluate_explained_variance_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_explained_variance_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause on the explained fraction of the variance of the force, without samples of holds."""
-    problem, (_, ratios) = evidence.estimate.problem, compute_test_misfits(evidence.estimate)
+    problem, (_, ratios) = evidence.estimate.problem, compute_misfit_percents_and_noise_ratios(evidence.estimate)
     gap, missed = evidence.estimate.evaluation.force - problem.data, []
     for number, test in enumerate(problem.tests):
-        R2 = compute_lack_of_fit(problem, gap, number).R2
+        R2 = compute_lack_of_fit_r2_and_relative_error(problem, gap, number).R2
         if R2 is not None and evidence.limits.smallest_R2 > R2 and ratios[test.name] > evidence.limits.noise_ratio:
             missed.append(f"R2 in {test.name} is {R2:.3f} over the part in which the displacement moves (noise and "
                           f"scatter taken out), and the limit is {evidence.limits.smallest_R2:g}")
-    return _build_clause("explained", "misfit", " and ".join(missed), _find_misfit_remedy(evidence) if missed else "")
+    return _clause_from_reason("explained", "misfit", " and ".join(missed),
+                               _describe_zero_stiffness_or_law_remedy(evidence) if missed else "")
 
 
-def _find_misfit_remedy(evidence: UsabilityEvidence) -> str:
+def _describe_zero_stiffness_or_law_remedy(evidence: UsabilityEvidence) -> str:
     """Return the remedy of a misfit.
 
     The remedy is the zero of the load cell if a recording begins with a force against the load, separate materials if
@@ -240,19 +249,19 @@ def _find_misfit_remedy(evidence: UsabilityEvidence) -> str:
     problem = evidence.estimate.problem
     found = [f"{curve.name}: the force begins at {start:.3g} {'Pa' if curve.stressed else 'N'}, against the load, so "
              "the load cell was not zeroed: set offset = \"start\" for the force in columns"
-             for curve in problem.measured if (start := _find_negative_start_force(curve, evidence.limits)) < 0]
-    return "; ".join(found) or describe_individual_stiffness_remedy(problem, evidence.estimate.evaluation.force,
-                                                                    evidence.limits.smallest_R2) or _OTHER_LAW
+             for curve in problem.measured if (start := _get_negative_start_force_or_zero(curve, evidence.limits)) < 0]
+    return "; ".join(found) or describe_stiffness_disagreement_or_empty(problem, evidence.estimate.evaluation.force,
+                                                                        evidence.limits.smallest_R2) or _OTHER_LAW
 
 
-def _find_negative_start_force(curve: MeasuredCurve, limits: UsabilitySettings) -> float:
+def _get_negative_start_force_or_zero(curve: MeasuredCurve, limits: UsabilitySettings) -> float:
     """Return the mean force of the first samples if it is significantly below zero, N; otherwise 0."""
     start = float(np.mean(curve.force[:limits.start_samples]))
     limit = max(limits.start_fraction * float(np.ptp(curve.force)), limits.start_noise * curve.noise.deviation)
     return start if start < -limit else 0.0
 
 
-def _evaluate_displacement_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_force_control_displacement_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause on the misfit of the displacement in recordings whose force is controlled.
 
     The residuals of the force do not show this misfit.
@@ -267,9 +276,9 @@ def _evaluate_displacement_clause(evidence: UsabilityEvidence) -> UsabilityClaus
         if evidence.limits.smallest_R2 > R2:
             missed.append(f"{curve.name}: the force is controlled, and the law explains {max(R2, 0.0):.1%} of the "
                           f"variance of the displacement (R2 {R2:.3g}, limit {evidence.limits.smallest_R2:g})")
-    return _build_clause("displacement", "misfit", "; ".join(missed),
-                         "the displacement creeps under a held force: name viscoelastic.terms[0].g and .tau_s (a "
-                         "second term: terms[1]) in fit.start, or record the test at a controlled displacement")
+    return _clause_from_reason("displacement", "misfit", "; ".join(missed),
+                               "the displacement creeps under a held force: name viscoelastic.terms[0].g and .tau_s (a "
+                               "second term: terms[1]) in fit.start, or record the test at a controlled displacement")
 
 
 def compute_displacement_r_squared(curve: MeasuredCurve, model: np.ndarray) -> float:
@@ -288,35 +297,36 @@ def compute_displacement_r_squared(curve: MeasuredCurve, model: np.ndarray) -> f
     return 1.0 - float(np.mean(((model - curve.force) / stiffness)**2)) / variance
 
 
-def _evaluate_bound_dependence_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_modulus_unstated_bounds_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause that the shear modulus does not depend on bounds that the campaign does not state."""
     found = evidence.determination
     if found is None or not found.held:
-        return _build_clause("bounds", "not_determined", "")
+        return _clause_from_reason("bounds", "not_determined", "")
     names = ", ".join(evidence.symbols[name] for name in found.held)
     change = f"changes by about {abs(found.change):.0%}" if np.isfinite(found.change) else "is not determined"
-    return _build_clause("bounds", "not_determined",
-                         f"the shear modulus mu0 depends on the bounds of {names}, which the campaign does not state: "
-                         f"without these bounds it {change}",
-                         f"state fit.bounds or fit.fixed for {names} if their values are known, or fit a law without "
-                         "them")
+    return _clause_from_reason("bounds", "not_determined",
+                               f"the shear modulus mu0 depends on the bounds of {names}, which the campaign does not "
+                               f"state: without these bounds it {change}",
+                               f"state fit.bounds or fit.fixed for {names} if their values are known, or fit a law "
+                               "without them")
 
 
-def _evaluate_determination_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_modulus_precision_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause on the standard error of the shear modulus; single parameters may be undetermined."""
     found = evidence.determination
     if found is None:
-        return _build_clause("determined", "not_determined", "")
+        return _clause_from_reason("determined", "not_determined", "")
     if found.is_precise_enough:
-        return _build_clause("determined", "not_determined", _describe_fast_relaxation(evidence),
-                             "fit the law without viscoelastic terms, record with a shorter sampling interval, or "
-                             "state the relaxation time in fit.fixed")
+        return _clause_from_reason("determined", "not_determined", _describe_fast_relaxation(evidence),
+                                   "fit the law without viscoelastic terms, record with a shorter sampling interval, "
+                                   "or state the relaxation time in fit.fixed")
     error = f"its standard error is {found.relative_error:.0%} of its value" if np.isfinite(found.relative_error) else \
         "the samples contain no information on it"
-    return _build_clause("determined", "not_determined",
-                         f"the tests do not determine the shear modulus mu0: {error}, and the limit is "
-                         f"{DETERMINATION.relative_error:.0%}",
-                         "add a test or a longer recording, fix a parameter in fit.fixed, or use a law with fewer")
+    return _clause_from_reason("determined", "not_determined",
+                               f"the tests do not determine the shear modulus mu0: {error}, and the limit is "
+                               f"{DETERMINATION.relative_error:.0%}",
+                               "add a test or a longer recording, fix a parameter in fit.fixed, or use a law with "
+                                "fewer")
 
 
 def _describe_fast_relaxation(evidence: UsabilityEvidence) -> str:
@@ -340,22 +350,22 @@ def _describe_fast_relaxation(evidence: UsabilityEvidence) -> str:
             f"{', '.join(found)} is shorter than the sampling interval, {interval:.3g} s") if found else ""
 
 
-def _evaluate_uniqueness_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_uniqueness_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause that no other parameters fit equally well and describe another material."""
     sentence = describe_alternative_minima(evidence.alternatives, evidence.symbols, evidence.units)
     remedy = f"add a test such as {evidence.alternatives[0].separated_by}, or bound the parameters in fit.bounds" \
         if evidence.alternatives else ""
-    return _build_clause("unique", "ambiguous", f"ambiguous: {sentence}" if sentence else "", remedy)
+    return _clause_from_reason("unique", "ambiguous", f"ambiguous: {sentence}" if sentence else "", remedy)
 
 
-def _evaluate_population_clause(evidence: UsabilityEvidence) -> UsabilityClause:
+def _evaluate_population_mean_exists_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause that specimens with individual parameters have a population mean."""
-    return _build_clause("population", "no_population", evidence.specimens.missing_population_reason or "")
+    return _clause_from_reason("population", "no_population", evidence.specimens.missing_population_reason or "")
 
 
 #: Checks of all clauses, in the order of their weight.
-_CHECKS = (_evaluate_shear_modulus_clause, _evaluate_convergence_clause, _evaluate_stability_clause,
+_CHECKS = (_evaluate_positive_shear_modulus_clause, _evaluate_minimiser_convergence_clause, _evaluate_stability_clause,
            _evaluate_screening_clause, _evaluate_contact_clause,
-           _evaluate_replicate_clause, _evaluate_residual_clause, _evaluate_explained_variance_clause,
-           _evaluate_displacement_clause, _evaluate_bound_dependence_clause,
-           _evaluate_determination_clause, _evaluate_uniqueness_clause, _evaluate_population_clause)
+           _evaluate_replicate_and_same_kind_clause, _evaluate_residual_clause, _evaluate_explained_variance_clause,
+           _evaluate_force_control_displacement_clause, _evaluate_modulus_unstated_bounds_clause,
+           _evaluate_modulus_precision_clause, _evaluate_uniqueness_clause, _evaluate_population_mean_exists_clause)

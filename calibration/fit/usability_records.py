@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 
-class UsabilityClause(msgspec.Struct, frozen=True, kw_only=True):
+class UsabilityClauseResult(msgspec.Struct, frozen=True, kw_only=True):
     """One clause of the usability rule, see `calibration.fit.usability`.
 
     Attributes:
@@ -48,7 +48,7 @@ class AlternativeMinimum(msgspec.Struct, frozen=True, kw_only=True):
     alternative_stress_Pa: float
 
     @property
-    def stress_ratio_text(self) -> str:
+    def stress_ratio_suffix_or_empty(self) -> str:
         """Text that is appended to a sentence, such as ``, 4.2 times``; empty if the two stresses differ in sign.
 
         The number is the larger of the two stresses (fit and alternative) divided by the smaller.

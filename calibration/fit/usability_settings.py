@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from calibration.statistics.statistics import NOISE_RATIOS
 from tissue_sim.errors import InputError
-from tissue_sim.settings import require_positive_settings
+from tissue_sim.settings import require_all_settings_positive
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class UsabilitySettings:
     start_noise: float = 5.0
 
     def __post_init__(self) -> None:
-        require_positive_settings(self)
+        require_all_settings_positive(self)
         if not self.smallest_R2 < 1:
             raise InputError(f"smallest_R2 must be below 1; got {self.smallest_R2:g}", field="smallest_R2")
 

@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class LongTermVariableBounds:
+class PronyVariableBoundSettings:
     """Default bounds of the variables of a law with Prony terms, used where the campaign states no bounds.
 
     Attributes:
@@ -23,11 +23,11 @@ class LongTermVariableBounds:
     time_margin: float = 10.0
 
 
-_BOUNDS = LongTermVariableBounds()
+_BOUNDS = PronyVariableBoundSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class ScaledVariables:
+class SizeScaledVariables:
     """Variables that are the unknowns divided by their sizes; all arrays have shape (k,).
 
     Attributes:
@@ -57,7 +57,7 @@ class ScaledVariables:
 
 
 @dataclass(frozen=True, eq=False)
-class LongTermVariables:
+class LongTermPronyVariables:
     """Variables of a law with Prony terms: long-term moduli, ratios r_i = g_i / (1 - sum g), and ln tau_i.
 
     Every set of ratios r_i >= 0 gives fractions g_i with sum g < 1, so simple bounds suffice.
@@ -104,7 +104,7 @@ class LongTermVariables:
         return unknowns
 
     def transform_jacobian(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
-        """Return derivatives with respect to the variables; see `ScaledVariables.transform_jacobian`."""
+        """Return derivatives with respect to the variables; see `SizeScaledVariables.transform_jacobian`."""
         factor, changed = 1.0 + variables[self.g].sum(), jacobian.copy()
         changed[:, self.moduli] *= factor
         changed[:, self.tau] *= np.exp(variables[self.tau])
@@ -114,4 +114,4 @@ class LongTermVariables:
         return changed
 
 
-Variables = ScaledVariables | LongTermVariables
+Variables = SizeScaledVariables | LongTermPronyVariables

@@ -18,13 +18,13 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.laws import Law, find_law
 from tissue_sim.material.material import Material
-from tissue_sim.parameters import split_parameter_path
+from tissue_sim.parameters import split_path_into_names_and_indices
 from tissue_sim.specimen import Specimen
 
 
 @dataclass(frozen=True, eq=False)
 class ClosedFormParameters:
-    """Parameter values for `ClosedFormTest.evaluate_force`.
+    """Parameter values for `ClosedFormTest.evaluate_force_and_derivatives`.
 
     Attributes:
         space: parameter space.
@@ -83,7 +83,7 @@ class ClosedFormTest:
         return float(np.sqrt(self.area / np.pi))
 
     @property
-    def without_self_weight(self) -> ClosedFormTest:
+    def counterpart_without_self_weight(self) -> ClosedFormTest:
         """This test itself, since it has no self-weight."""
         return self
 
@@ -93,9 +93,9 @@ class ClosedFormTest:
         return self.kind.require_closed_form()
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> list[ClosedFormParameters]:
-        """Return the parameter values of each recording, which `evaluate_force` needs; computes no force yet."""
+        """Return the parameter values of each recording for `evaluate_force_and_derivatives`; computes no force yet."""
         values, solutions = space.values(theta), {}
-        marks = [space.find_own_recording(self.name, curve.name) for curve in self.measured]
+        marks = [space.get_recording_if_it_has_own_values(self.name, curve.name) for curve in self.measured]
         for mark in marks:
             if mark not in solutions:
                 solutions[mark] = self._build_parameter_values(space, values, mark)
@@ -109,7 +109,7 @@ class ClosedFormTest:
         """
         law = find_law(space.law)
         free = [(law.parameters.index(each.path), column) for column, each in enumerate(space.free_parameters)
-                if each.of_law and each.acts_in(self.name, recording)]
+                if each.of_law and each.applies_to_recording(self.name, recording)]
         material = None
         if set(space.names) != set(law.parameters):
             try:
@@ -120,10 +120,11 @@ class ClosedFormTest:
         return ClosedFormParameters(space, law, np.array([numbers[name] for name in law.parameters]), free, values,
                                     recording, material if material is not None and material.remembers else None)
 
-    def evaluate_force(self, answers: list[ClosedFormParameters], recording: int, offset: float, contact: bool = True):
+    def evaluate_force_and_derivatives(self, answers: list[ClosedFormParameters], recording: int, offset: float,
+                                       contact: bool = True):
         """Return the force and its derivatives with respect to the free parameters and the contact offset.
 
-        See `ForwardTest.evaluate_force` for units and shapes.
+        See `ForwardTest.evaluate_force_and_derivatives` for units and shapes.
 
         Args:
             answers: solutions of the recordings from `solve`.
@@ -132,38 +133,39 @@ class ClosedFormTest:
             contact: whether the derivative with respect to the contact offset is computed; otherwise it is None.
         """
         answer = answers[recording]
-        force, rates, rate = self._evaluate_elastic_force(answer, self.measured[recording].displacement - offset,
-                                                          contact) \
+        force, rates, rate = self._evaluate_elastic_force_and_derivatives(answer, self.measured[recording].displacement
+                                                                          - offset, contact) \
             if answer.material is None else self._evaluate_force_with_memory(answer, answer.material, recording, offset,
                                                                              contact)
         if not (np.isfinite(force).all() and np.isfinite(rates).all()):
             raise InfeasibleError(f"{self.name}: {answer.law.name} gives no finite stress")
         return force, rates, rate
 
-    def list_differenced_parameters(self, answers: list[ClosedFormParameters]) -> frozenset[str]:
+    def list_finite_difference_parameters(self, answers: list[ClosedFormParameters]) -> frozenset[str]:
         """Return the names of the free parameters whose derivatives are finite differences, not exact ones."""
         names: set[str] = set()
         for i, answer in enumerate(answers):
             if answer.material is not None:
-                exact = self._differentiate_prony_force(answer, answer.material, i, 0.0)
+                exact = self._compute_prony_derivatives_or_empty(answer, answer.material, i, 0.0)
                 names |= {name for name in answer.space.free if name not in exact or name.endswith(".tau")}
         return frozenset(names)
 
-    def _evaluate_elastic_force(self, answer: ClosedFormParameters, displacement: np.ndarray, contact: bool):
+    def _evaluate_elastic_force_and_derivatives(self, answer: ClosedFormParameters, displacement: np.ndarray,
+                                                contact: bool):
         """Return force (n,), derivatives with respect to the free parameters (n, p) and the contact offset (n,).
 
         The material is elastic; `displacement` is measured from contact, m, shape (n,). The last value is None if
         `contact` is false.
         """
         law, values, closed_form = answer.law, answer.values, self.closed_form
-        strain = self.convert_displacement_to_strain(displacement)
+        strain = self.convert_displacement_to_stretch_or_shear(displacement)
         # Trial values of the optimiser may overflow; the optimiser rejects forces that are not finite.
         with np.errstate(all="ignore"):
             stress = closed_form.stress(law, strain, values)
             derivatives = closed_form.derivatives(law, strain, values)
             slope = -self.kind.sign * closed_form.slope(law, strain, values) / self.height if contact else None
         if not self.kind.has_gripped_ends:
-            separated = self.kind.compute_nominal_strain(strain) < 0.0
+            separated = self.kind.convert_abscissa_to_nominal_strain(strain) < 0.0
             stress[separated], derivatives[separated] = 0.0, 0.0
             if slope is not None:
                 slope[separated] = 0.0
@@ -188,13 +190,13 @@ class ClosedFormTest:
 
     def _evaluate_force_with_memory(self, answer: ClosedFormParameters, material: Material, recording: int,
                                     offset: float, contact: bool):
-        """Return the same quantities as `_evaluate_elastic_force` for a material with memory."""
+        """Return the same quantities as `_evaluate_elastic_force_and_derivatives` for a material with memory."""
         try:
             force = self._compute_force_with_memory(material, recording, offset)
         except InputError as error:
             raise InfeasibleError(f"{self.name}: {error}") from None
         rates = np.full((force.size, len(answer.space.free)), np.nan)
-        exact = self._differentiate_prony_force(answer, material, recording, offset)
+        exact = self._compute_prony_derivatives_or_empty(answer, material, recording, offset)
         for k, name in enumerate(answer.space.free):
             rates[:, k] = exact[name] if name in exact else self._compute_force_difference_quotient(answer, recording,
                                                                                                     offset, k, force)
@@ -205,8 +207,8 @@ class ClosedFormTest:
                         for change in (step, -step))
         return force, rates, (above - below) / (2 * step)
 
-    def _differentiate_prony_force(self, answer: ClosedFormParameters, material: Material, recording: int,
-                                   offset: float) -> dict[str, np.ndarray]:
+    def _compute_prony_derivatives_or_empty(self, answer: ClosedFormParameters, material: Material, recording: int,
+                                            offset: float) -> dict[str, np.ndarray]:
         """Return derivatives of the force with respect to moduli, g_i and tau_i; empty unless a pure Prony material.
 
         The nominal stress P = (1 - sum g_i) P_elastic + sum g_i P_relaxing(tau_i) is linear in the moduli and in g_i,
@@ -217,21 +219,20 @@ class ClosedFormTest:
             Name of the parameter -> derivative, shape (n,).
         """
         prony = material.viscoelastic
-        if prony is None or not self._has_homogeneous_history or (
+        if prony is None or not self._is_uniaxial_or_simple_shear or (
                 not answer.space.has_only_shared_material_parameters) or (
                 material.effects or material.softening is not None or material.poroelasticity is not None) or (
-                material.instantaneous_factor != 1.0):
+                material.instantaneous_over_law_modulus_ratio != 1.0):
             return {}
-        law, history = answer.law, self.build_deformation_history(recording, offset)
+        law, history = answer.law, self.get_homogeneous_history(recording, offset)
         count, factor = prony.tau.size, self.kind.sign * self.area
         step = DIFFERENCES.relative * prony.tau
         rates = {}
         with np.errstate(all="ignore"):
-            elastic, relaxing = history.compute_stress_parts(law, answer.values,
-                                                             np.concatenate([prony.tau, prony.tau + step,
-                                                                                  prony.tau - step]))
+            times = np.concatenate([prony.tau, prony.tau + step, prony.tau - step])
+            elastic, relaxing = history.compute_elastic_and_relaxing_stress(law, answer.values, times)
             for unknown in answer.space.free_parameters:
-                name, path = unknown.name, split_parameter_path(unknown.path)
+                name, path = unknown.name, split_path_into_names_and_indices(unknown.path)
                 if unknown.of_law and law.units[unknown.path] != "1":
                     alone = [float(other == unknown.path) if law.units[other] != "1" else value
                              for other, value in zip(law.parameters, answer.values.tolist(), strict=True)]
@@ -249,11 +250,11 @@ class ClosedFormTest:
         The difference is one-sided if the material is invalid on one side, and NaN if it is invalid on both sides.
         """
         space, values, name = answer.space, answer.named, answer.space.free[index]
-        size, ends = float(space.typical_sizes(values)[index]), []
+        size, ends = float(space.compute_typical_parameter_sizes(values)[index]), []
         for step in (DIFFERENCES.relative * size, -DIFFERENCES.relative * size):
             try:
                 material = space.build_material(values | {name: values[name] + step}, test=self.name,
-                                          recording=answer.recording)
+                                                recording=answer.recording)
                 ends.append((self._compute_force_with_memory(material, recording, offset), step))
             except InputError:
                 # The value is at a bound of the material: the difference is one-sided.
@@ -265,46 +266,48 @@ class ClosedFormTest:
         """Return the force of a material with memory at the samples of a recording, N, shape (n,)."""
         measured, factor = self.measured[recording], self.kind.sign * self.area
         with np.errstate(all="ignore"):
-            if not self._has_homogeneous_history or material.effects:
-                strain = self.convert_displacement_to_strain(measured.displacement - offset)
-                return factor * self.closed_form.history(material, measured.sample_times, strain,
+            if not self._is_uniaxial_or_simple_shear or material.effects:
+                strain = self.convert_displacement_to_stretch_or_shear(measured.displacement - offset)
+                return factor * self.closed_form.history(material, measured.required_sample_times, strain,
                                                          self.equivalent_radius)
-            return factor * self.build_deformation_history(recording, offset).nominal_stress(
+            return factor * self.get_homogeneous_history(recording, offset).nominal_stress(
                 material.energy_law, material.values, material.relaxation(self.equivalent_radius), material.softening,
-                material.instantaneous_factor)
+                material.instantaneous_over_law_modulus_ratio)
 
     @property
-    def _has_homogeneous_history(self) -> bool:
+    def _is_uniaxial_or_simple_shear(self) -> bool:
         """Whether `HomogeneousHistory` can compute the stress: uniaxial loading or simple shear."""
         return type(self.closed_form) is ClosedForm and self.closed_form.law_mode in ("uniaxial", "simple_shear")
 
-    def build_deformation_history(self, recording: int, offset: float = 0.0) -> HomogeneousHistory:
+    def get_homogeneous_history(self, recording: int, offset: float = 0.0) -> HomogeneousHistory:
         """Return the deformation history of the specimen in a recording; cached if the contact offset is 0."""
         if offset == 0.0 and recording in self._histories:
             return self._histories[recording]
         measured = self.measured[recording]
         mode: Literal["uniaxial", "simple_shear"] = "uniaxial" if self.closed_form.rest else "simple_shear"
-        found = HomogeneousHistory(mode, measured.sample_times,
-                                   self.convert_displacement_to_strain(measured.displacement - offset),
+        found = HomogeneousHistory(mode, measured.required_sample_times,
+                                   self.convert_displacement_to_stretch_or_shear(measured.displacement - offset),
                                    self.largest_step)
         if offset == 0.0:
             self._histories[recording] = found
         return found
 
-    def convert_displacement_to_strain(self, displacement: np.ndarray) -> np.ndarray:
+    def convert_displacement_to_stretch_or_shear(self, displacement: np.ndarray) -> np.ndarray:
         """Return the stretch (in shear: the shear strain) at displacements in m; same shape as the displacements."""
-        return self.kind.compute_stretch_or_shear_strain(displacement / self.height)
+        return self.kind.convert_nominal_strain_to_abscissa(displacement / self.height)
 
-    def update_mesh_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
+    def update_mesh_force_difference_and_get_ratio(self, space: ParameterSpace, theta: np.ndarray,
+                                                   solves: SimulationCache) -> float:
         """Return 0 and change nothing: a closed form has no mesh error."""
         return 0.0
 
-    def remove_mesh_correction(self) -> None:
+    def remove_mesh_force_difference(self) -> None:
         """Do nothing: a closed form has no mesh correction."""
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the range of stretches; see `ForwardTest.compute_stretch_range`."""
-        strain = np.concatenate([self.convert_displacement_to_strain(curve.displacement) for curve in self.measured])
+        strain = np.concatenate([self.convert_displacement_to_stretch_or_shear(curve.displacement)
+                                 for curve in self.measured])
         low, high, closed_form = float(strain.min()), float(strain.max()), self.closed_form
         if not closed_form.rest:
             return StretchRange(closed_form.mode, *closed_form.find_extreme_stretches(low, high),

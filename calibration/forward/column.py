@@ -33,11 +33,12 @@ class ColumnTest(ClosedFormTest):
     is_force_proportional_to_moduli: ClassVar[bool] = False
 
     @property
-    def without_self_weight(self) -> ClosedFormTest:
+    def counterpart_without_self_weight(self) -> ClosedFormTest:
         """Closed form of the same test without self-weight."""
         return ClosedFormTest(self.name, self.kind, self.height, self.area, self.measured)
 
-    def _evaluate_elastic_force(self, answer: ClosedFormParameters, displacement: np.ndarray, contact: bool):
+    def _evaluate_elastic_force_and_derivatives(self, answer: ClosedFormParameters, displacement: np.ndarray,
+                                                contact: bool):
         """Return the same quantities as in `ClosedFormTest`, for a column that has settled under its weight."""
         column, law, values = Column(self.specimen), answer.law, answer.values
         deepest = max(float(curve.displacement.max()) for curve in self.measured) + self.reserve
@@ -55,6 +56,6 @@ class ColumnTest(ClosedFormTest):
         """Return the range of stretches, from that of the base in the deepest state to 1 at the unloaded top."""
         law, values = find_law(space.law), space.select_law_parameters(space.values(theta), self.name)
         displacement = np.concatenate([curve.displacement for curve in self.measured])
-        base = Column(self.specimen).base_stretch(law, displacement, law.as_array(values))
+        base = Column(self.specimen).base_stretch_at_displacement(law, displacement, law.as_array(values))
         low = float(np.nanmin(base))
         return StretchRange(self.closed_form.mode, low, 1.0, self.closed_form.find_extreme_stretches(low, 1.0))

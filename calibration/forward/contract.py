@@ -82,7 +82,9 @@ class ForwardTest(Protocol):
         """Closed form (stress as a function of strain) of a homogeneous test."""
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> Any:
-        """Return the input of `evaluate_force` at given parameters: a simulation, or parameter values of a closed form.
+        """Return the input of `evaluate_force_and_derivatives` at given parameters.
+
+        It is a simulation, or the parameter values of a closed form.
 
         Args:
             space: parameter space.
@@ -90,13 +92,14 @@ class ForwardTest(Protocol):
             solves: cache of simulations.
 
         Returns:
-            Solution, the first argument of `evaluate_force`.
+            Solution, the first argument of `evaluate_force_and_derivatives`.
 
         Raises:
             InfeasibleError: the material is invalid, or the solver does not converge.
         """
 
-    def evaluate_force(self, answer: Any, recording: int, offset: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate_force_and_derivatives(self, answer: Any, recording: int,
+                                       offset: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the force at the samples of a recording, and its derivatives.
 
         Args:
@@ -112,17 +115,18 @@ class ForwardTest(Protocol):
             InfeasibleError: the force is not finite.
         """
 
-    def list_differenced_parameters(self, answer: Any) -> frozenset[str]:
+    def list_finite_difference_parameters(self, answer: Any) -> frozenset[str]:
         """Return the names of the free parameters whose derivatives are finite differences, not exact ones."""
 
-    def update_mesh_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
+    def update_mesh_force_difference_and_get_ratio(self, space: ParameterSpace, theta: np.ndarray,
+                                                   solves: SimulationCache) -> float:
         """Compute and store the force difference between accurate and fast mesh at `theta`; later forces include it.
 
         Returns:
             The largest absolute difference divided by the largest force; 0 if every mesh is exact.
         """
 
-    def remove_mesh_correction(self) -> None:
+    def remove_mesh_force_difference(self) -> None:
         """Delete the stored mesh correction, so that forces are those of the fast mesh."""
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class FiniteDifferenceSteps:
+class RelativeFiniteDifferenceSteps:
     """Steps of finite differences: a smaller step increases rounding errors, a larger one truncation errors.
 
     Attributes:
@@ -20,4 +20,4 @@ class FiniteDifferenceSteps:
     contact_offset: float = 1e-3
 
 
-DIFFERENCES = FiniteDifferenceSteps()
+DIFFERENCES = RelativeFiniteDifferenceSteps()

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.campaign.campaign import FitSettings, Test
-from calibration.campaign.measured import MeasuredCurve, depends_on_history
+from calibration.campaign.measured import MeasuredCurve, is_test_force_history_dependent
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.column import ColumnTest
 from calibration.forward.contract import ForwardTest
-from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS, MESH_ERROR, get_solver_meshes
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS, MESH_ERROR, get_solver_fit_resolutions
 from calibration.forward.motion import MonotonicLoading, TimedMotion
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.simulation_cache import hash_content
@@ -41,8 +41,8 @@ class DepthMarginSettings:
 _MARGINS = DepthMarginSettings()
 
 
-def build_forward_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings,
-                       contact: float) -> SimulatedTest | ClosedFormTest:
+def build_forward_test_of_inverse_fit(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings,
+                                      contact: float) -> SimulatedTest | ClosedFormTest:
     """Return the forward model of a test in an inverse (finite element) fit; a closed form for stress recordings.
 
     Args:
@@ -51,19 +51,19 @@ def build_forward_test(test: Test, curves: Sequence[MeasuredCurve], settings: Fi
         settings: settings of the fit.
         contact: standard deviation of the contact offset, m.
     """
-    material = settings.placeholder_material
+    material = settings.neo_hookean_material_with_effects
     curves = tuple(curves)
     if test.experiment is None or curves[0].stressed:
-        return build_closed_form_test(test, curves)
+        return build_weightless_closed_form_test(test, curves)
     layered = bool(material.layers)
     mesh = hash_content(replace(test.experiment, protocol=_ANY_MOTION), test.solver)
     ramps_only = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
     timed = settings.whole and all(curve.time is not None for curve in curves)
-    if timed or material.ages or (depends_on_history(test, material) and not ramps_only):
+    if timed or material.ages or (is_test_force_history_dependent(test, material) and not ramps_only):
         motions: list[TimedMotion] = []
         motion_of = []
         for curve in curves:
-            motion = TimedMotion.from_recording(curve.sample_times, curve.displacement)
+            motion = TimedMotion.from_recording(curve.required_sample_times, curve.displacement)
             same = [i for i, other in enumerate(motions) if other.is_equal_within_tolerance(motion)]
             if not same:
                 motions.append(motion)
@@ -83,7 +83,7 @@ def build_forward_test(test: Test, curves: Sequence[MeasuredCurve], settings: Fi
                          solver=test.solver)
 
 
-def build_closed_form_test(test: Test, curves: Sequence[MeasuredCurve]) -> ClosedFormTest:
+def build_weightless_closed_form_test(test: Test, curves: Sequence[MeasuredCurve]) -> ClosedFormTest:
     """Return the closed form of a homogeneous test; self-weight of the specimen is ignored.
 
     Recordings of stretch and stress belong to a cube of 1 m, for which force equals stress and displacement equals
@@ -93,9 +93,10 @@ def build_closed_form_test(test: Test, curves: Sequence[MeasuredCurve]) -> Close
     return ClosedFormTest(test.name, test.kind, *size, tuple(curves))
 
 
-def build_analytical_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings) -> ClosedFormTest:
+def build_closed_form_or_column_test(test: Test, curves: Sequence[MeasuredCurve],
+                                     settings: FitSettings) -> ClosedFormTest:
     """Return the closed form of a test in an analytical fit; a `ColumnTest` if the specimen has self-weight."""
-    plain = build_closed_form_test(test, curves)
+    plain = build_weightless_closed_form_test(test, curves)
     if test.specimen is not None and test.specimen.specific_weight:
         reserve = settings.offset_bound if settings.offset == "fit" else 0.0
         return ColumnTest(plain.name, plain.kind, plain.height, plain.area, plain.measured, specimen=test.specimen,
@@ -107,13 +108,14 @@ def compute_mesh_uncertainty(test: ForwardTest, errors: Mapping[str, float]) -> 
     """Return the relative standard deviation of the force due to the mesh error; 0 if every mesh is exact.
 
     Args:
-        test: forward model, after `ForwardTest.update_mesh_correction` if `errors` are those of the accurate mesh.
+        test: forward model, after `ForwardTest.update_mesh_force_difference_and_get_ratio` if `errors` are those of the
+            accurate mesh.
         errors: `ACCURATE_MESH_ERRORS` or `FAST_MESH_ERRORS`.
     """
     if test.is_homogeneous or not isinstance(test, SimulatedTest):
         return 0.0
     shape, error = test.experiment.tool.shape, test.mesh_error
-    known = get_solver_meshes(test.solver).error_factor * errors[shape if shape in errors else "other"]
+    known = get_solver_fit_resolutions(test.solver).error_factor * errors[shape if shape in errors else "other"]
     if test.specimen.from_file:
         largest = max(float(np.abs(curve.force).max()) for curve in test.measured)
         added = max((float(np.abs(each).max(initial=0.0)) for each in test.correction), default=np.inf)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.forward.motion import build_cubic_spline
+from calibration.forward.motion import build_cubic_or_linear_spline
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.hexahedra import HEX8P0
@@ -51,7 +51,7 @@ MESH_ERROR = MeshErrorSettings()
 _SPECIMEN_SIZE = 10.0
 
 
-class SolverMeshes(NamedTuple):
+class SolverFitResolutions(NamedTuple):
     """Resolutions of a solver that a fit uses (fast, accurate and finest), and their errors.
 
     Attributes:
@@ -73,7 +73,7 @@ class SolverMeshes(NamedTuple):
     elements: str = "axisymmetric nine-node finite elements"
     slow: bool = False
 
-    def shows_mesh_error(self, experiment: Experiment) -> bool:
+    def uses_finest_mesh_for_mesh_error(self, experiment: Experiment) -> bool:
         """Return whether the finest mesh is used to find the error of the accurate mesh in an experiment.
 
         False for a mesh from a file.
@@ -83,18 +83,19 @@ class SolverMeshes(NamedTuple):
 
 
 #: Name of the solver -> its meshes; other solvers use the entry of the axisymmetric solver.
-MESHES = {"axisymmetric": SolverMeshes("fast", "accurate", "finest"),
-          "solid": SolverMeshes("realtime", "fast", "accurate", error_factor=3.0, finest_under=("plate",),
-                           elements="finite elements in space of first order, corrected by ones of second order",
-                           slow=True)}
+MESHES = {"axisymmetric": SolverFitResolutions("fast", "accurate", "finest"),
+          "solid": SolverFitResolutions("realtime", "fast", "accurate", error_factor=3.0, finest_under=("plate",),
+                                        elements="finite elements in space of first order, corrected by ones of second "
+                                                  "order",
+                                        slow=True)}
 
 
-def get_solver_meshes(solver: str) -> SolverMeshes:
+def get_solver_fit_resolutions(solver: str) -> SolverFitResolutions:
     """Return the resolutions and mesh errors of a solver (fast, accurate, finest) by the name of the solver."""
     return MESHES.get(solver, MESHES["axisymmetric"])
 
 
-def make_exact_block_mesh(model: Model, solver: str) -> SolidMesh | None:
+def make_exact_block_mesh_or_none(model: Model, solver: str) -> SolidMesh | None:
     """Return a mesh of eight elements for a block in homogeneous deformation; None for all other models.
 
     Every mesh is exact if the deformation is homogeneous.
@@ -107,7 +108,7 @@ def make_exact_block_mesh(model: Model, solver: str) -> SolidMesh | None:
 
 
 @dataclass(frozen=True, eq=False)
-class MeshError:
+class AccurateMeshErrorOverDepth:
     """Relative error of the accurate mesh along a loading, from the finest mesh.
 
     The relative error depends little on the material parameters, so one evaluation serves the whole fit.
@@ -121,7 +122,8 @@ class MeshError:
     relative: np.ndarray
 
     @classmethod
-    def from_forces(cls, depth: np.ndarray, accurate: np.ndarray, finest: np.ndarray) -> MeshError:
+    def from_accurate_and_finest_forces(cls, depth: np.ndarray, accurate: np.ndarray,
+                                        finest: np.ndarray) -> AccurateMeshErrorOverDepth:
         """Return the relative error from the forces of both meshes at the knots of one loading.
 
         The error is unknown if fewer than `MeshErrorSettings.min_knots` knots have a force that is large enough.
@@ -133,10 +135,11 @@ class MeshError:
         """
         large = np.abs(accurate) > MESH_ERROR.min_force_fraction * np.abs(accurate).max(initial=0.0)
         relative = finest[large] / accurate[large] - 1.0
-        return cls(depth[large], relative) if large.sum() >= MESH_ERROR.min_knots else cls.make_unknown_error()
+        return cls(depth[large], relative) if large.sum() >= MESH_ERROR.min_knots \
+            else cls.make_unknown_error_without_knots()
 
     @classmethod
-    def make_unknown_error(cls) -> MeshError:
+    def make_unknown_error_without_knots(cls) -> AccurateMeshErrorOverDepth:
         """Return an error without knots: `largest_error` is infinite and the correction factor is 1."""
         return cls(np.zeros(0), np.zeros(0))
 
@@ -153,4 +156,5 @@ class MeshError:
         """
         if not self.relative.size:
             return np.ones(np.shape(depth))
-        return 1.0 + build_cubic_spline(self.depth, self.relative)(np.clip(depth, self.depth[0], self.depth[-1]))
+        return 1.0 + build_cubic_or_linear_spline(self.depth,
+                                                  self.relative)(np.clip(depth, self.depth[0], self.depth[-1]))

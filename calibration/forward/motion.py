@@ -86,11 +86,11 @@ class MonotonicLoading:
         return Protocol(self.depth / self.speed, self.depth)
 
     @property
-    def with_equal_steps(self) -> MonotonicLoading:
+    def counterpart_with_equal_first_leg_steps(self) -> MonotonicLoading:
         """Copy of this loading with the same depth and the same number of steps, which are equal."""
         return replace(self, depth=np.linspace(self.depth[0], self.depth[-1], self.depth.size))
 
-    def with_fewer_steps(self) -> tuple[MonotonicLoading, np.ndarray]:
+    def make_coarser_loading_and_kept_knots(self) -> tuple[MonotonicLoading, np.ndarray]:
         """Return a loading with about `MotionStepSettings.smooth_steps` steps.
 
         The loading serves for quantities that vary more slowly than the force.
@@ -129,9 +129,9 @@ class _LoadingCurve:
 
     def __init__(self, depth: np.ndarray, columns: np.ndarray):
         self._end, self._width = depth[-1], _CORNER_WIDTH * depth[-1]
-        self._spline = build_cubic_spline(depth, columns)
+        self._spline = build_cubic_or_linear_spline(depth, columns)
         self._slope = self._spline.derivative()
-        self._force = build_cubic_spline(depth, columns[:, 0])
+        self._force = build_cubic_or_linear_spline(depth, columns[:, 0])
 
     def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
                  offset: float) -> tuple[np.ndarray, np.ndarray]:
@@ -146,18 +146,19 @@ class _LoadingCurve:
             Force and derivatives, shape (n, m), and the derivative of the force with respect to the contact offset,
             N/m, shape (n,).
         """
-        inside, simulated, derivative = self._depth_in_tissue(displacement - offset)
+        inside, simulated, derivative = self._compute_smooth_and_clipped_depth_and_slope(displacement - offset)
         rate = self._slope(simulated)
         # The curve is extrapolated linearly beyond the simulated depth.
         return self._spline(simulated) + rate * (inside - simulated)[:, None], -rate[:, 0] * derivative
 
-    def compute_forces_at_offsets(self, time: np.ndarray | None, displacement: np.ndarray,
-                                  offsets: np.ndarray) -> np.ndarray:
+    def compute_force_column_per_offset(self, time: np.ndarray | None, displacement: np.ndarray,
+                                        offsets: np.ndarray) -> np.ndarray:
         """Return the force at samples for several contact offsets, m; shape (n, offsets)."""
-        inside, simulated, _ = self._depth_in_tissue(displacement[:, None] - offsets)
+        inside, simulated, _ = self._compute_smooth_and_clipped_depth_and_slope(displacement[:, None] - offsets)
         return self._force(simulated) + self._force(self._end, 1) * (inside - simulated)
 
-    def _depth_in_tissue(self, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _compute_smooth_and_clipped_depth_and_slope(self,
+                                                    depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the rounded positive part of a depth, its value limited to the simulated depth, and its derivative.
 
         The positive part max(d, 0) is replaced by (d + sqrt(d^2 + w^2)) / 2 with the width w of the corner.
@@ -197,7 +198,7 @@ class TimedMotion:
         """
         travel = float(np.ptp(displacement))
         corners = find_motion_corners(time, displacement, MOTION_SETTINGS.straightness * travel)
-        corners = np.array(_remove_hold_corners(displacement, corners, MOTION_STEPS.hold_fraction * travel))
+        corners = np.array(_find_corners_outside_holds(displacement, corners, MOTION_STEPS.hold_fraction * travel))
         t, d = time[corners].astype(float), displacement[corners].astype(float)
         if d[0] > MOTION_SETTINGS.straightness * travel and d.size > 1 and d[1] > d[0]:
             t, d = np.append(t[0] - d[0] * (t[1] - t[0]) / (d[1] - d[0]), t), np.append(0.0, d)
@@ -219,7 +220,7 @@ class TimedMotion:
             knots_d.append(d[i] + fraction * change)
         return cls(np.concatenate(knots_t), np.concatenate(knots_d), tuple(legs), float(time[0]))
 
-    def is_moving_after_knot(self, first: int, last: int) -> bool:
+    def is_moving_between_knots(self, first: int, last: int) -> bool:
         """Return whether the tool moves between two knots, given by index; otherwise the segment is a hold."""
         change = abs(self.displacement[last] - self.displacement[first])
         return bool(change > MOTION_STEPS.hold_fraction * np.ptp(self.displacement))
@@ -230,7 +231,7 @@ class TimedMotion:
         return Protocol(self.time - self.time[0], self.displacement)
 
     @property
-    def with_equal_steps(self) -> TimedMotion:
+    def counterpart_with_equal_first_leg_steps(self) -> TimedMotion:
         """Copy of this motion with equal steps in its first straight segment; other steps are unchanged."""
         first, last = self.legs[0]
         time, displacement = self.time.copy(), self.displacement.copy()
@@ -264,11 +265,11 @@ class TimedMotion:
         # Holds are no part of a loading curve: their force relaxes at constant displacement.
         labels = np.full(self.time.size, "ramp", dtype="<U4")
         for first, last in self.legs:
-            if not self.is_moving_after_knot(first, last):
+            if not self.is_moving_between_knots(first, last):
                 labels[first + 1:last + 1] = "hold"
         recording = Recording({"time": self.time, "displacement": self.displacement, "force": columns[:, 0]},
                               labels={"segment": labels})
-        return _TimedCurve(self, np.column_stack([columns, compute_offset_derivative(recording)]),
+        return _TimedCurve(self, np.column_stack([columns, compute_force_derivative_by_offset(recording)]),
                            self.displacement if position is None else position, separates)
 
 
@@ -289,7 +290,8 @@ class _TimedCurve:
         self._parts = []
         for first, last in motion.legs:
             part = slice(first, last + 1)
-            interpolate = build_cubic_spline if motion.is_moving_after_knot(first, last) else PchipInterpolator
+            interpolate = build_cubic_or_linear_spline if motion.is_moving_between_knots(first, last) \
+                else PchipInterpolator
             self._parts.append(interpolate(motion.time[part], columns[part]))
         self._ends = motion.time[[last for _, last in motion.legs[:-1]]]
 
@@ -318,7 +320,7 @@ class _TimedCurve:
         values[((leg_of == 0) | self._separates) & (position < offset)] = 0.0
         return values[:, :-1], values[:, -1]
 
-    def compute_forces_at_offsets(self, time: Any, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    def compute_force_column_per_offset(self, time: Any, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
         """Return the force at samples for several contact offsets, m; shape (n, offsets)."""
         return np.column_stack([self(time, displacement, offset)[0][:, 0] for offset in offsets])
 
@@ -327,7 +329,7 @@ class _TimedCurve:
 ForceCurve = _LoadingCurve | _TimedCurve
 
 
-def _remove_hold_corners(displacement: np.ndarray, corners: np.ndarray, tolerance: float) -> list[int]:
+def _find_corners_outside_holds(displacement: np.ndarray, corners: np.ndarray, tolerance: float) -> list[int]:
     """Return the indices of the corners of a motion, without corners inside a hold.
 
     Args:
@@ -343,7 +345,7 @@ def _remove_hold_corners(displacement: np.ndarray, corners: np.ndarray, toleranc
     return [*kept, int(corners[-1])]
 
 
-def compute_offset_derivative(recording: Recording) -> np.ndarray:
+def compute_force_derivative_by_offset(recording: Recording) -> np.ndarray:
     """Return the derivative of the force of a simulated recording with respect to the contact offset, N/m, (n,).
 
     The force at an offset follows from the loading curve of the recording, see `tissue_sim.rig.rig.Rig`. The one-sided
@@ -355,7 +357,7 @@ def compute_offset_derivative(recording: Recording) -> np.ndarray:
     return (3 * recording.force - 4 * near + far) / (2 * step)
 
 
-def build_cubic_spline(knots: np.ndarray, values: np.ndarray):
+def build_cubic_or_linear_spline(knots: np.ndarray, values: np.ndarray):
     """Return the cubic spline through values at knots; a piecewise linear spline if there are fewer than four knots.
 
     Args:

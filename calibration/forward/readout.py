@@ -47,7 +47,7 @@ class RigReadout:
     rig: Rig
 
     @cached_property
-    def readout_faults(self) -> Rig | None:
+    def reading_only_rig_or_none(self) -> Rig | None:
         """Rig that has only the faults that change readings; None if no fault changes readings."""
         reading = self.rig.reading_only
         return None if reading.is_ideal else reading
@@ -59,12 +59,12 @@ class RigReadout:
             measured: recording with displacement and time of the samples.
             force: true force at the samples, N, shape (n,).
         """
-        if self.readout_faults is None:
+        if self.reading_only_rig_or_none is None:
             return force
         channels = {"displacement": measured.displacement, "force": force}
         if measured.time is not None:
             channels["time"] = measured.time
-        return self.readout_faults.read(Recording(channels)).force
+        return self.reading_only_rig_or_none.read(Recording(channels)).force
 
     def convert_derivatives_to_readings(self, measured: MeasuredCurve, true: np.ndarray, read: np.ndarray,
                                         rates: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +93,7 @@ class RigReadout:
 
 
 @dataclass(frozen=True, eq=False)
-class ReadoutEffects:
+class ForceFactorEffects:
     """Effects of the material that are applied after the simulation, as a factor of the simulated force.
 
     These effects are jumps of the force, which an interpolation between the knots of a simulation would smear.
@@ -105,14 +105,14 @@ class ReadoutEffects:
     effects: tuple[ReducedEffect, ...]
 
     @classmethod
-    def from_model(cls, model: Model) -> ReadoutEffects:
+    def from_model(cls, model: Model) -> ForceFactorEffects:
         """Return the effects of a model that are applied after the simulation.
 
         With a tilted tool or a rig that changes the motion, the simulation applies the effects and this object is
         empty.
         """
         ideal = not model.experiment.tilt and model.rig.motion_only.is_ideal
-        return cls(model.material.reduced_effects(plate=model.experiment.tool.is_plate) if ideal else ())
+        return cls(model.material.list_acting_reduced_effects(plate=model.experiment.tool.is_plate) if ideal else ())
 
     def has_effect_parameter(self, path: str) -> bool:
         """Return whether a parameter of the material belongs to one of these effects."""
@@ -165,7 +165,7 @@ def compute_depth_in_tissue(curve: ForceCurve | AlignedCurve, measured: Measured
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatedSolution:
+class SimulatedTestForceCurves:
     """Simulated force curves of one test at one set of parameters, and the readout of each recording.
 
     Attributes:
@@ -179,7 +179,7 @@ class SimulatedSolution:
 
     curves: Sequence[ForceCurve | AlignedCurve]
     readouts: list[RigReadout]
-    effects: list[ReadoutEffects]
+    effects: list[ForceFactorEffects]
     space: ParameterSpace
     values: dict[str, float]
     differences: frozenset[str]

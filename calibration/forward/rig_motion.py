@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.motion import MOTION_STEPS, MonotonicLoading, build_cubic_spline
+from calibration.forward.motion import MOTION_STEPS, MonotonicLoading, build_cubic_or_linear_spline
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import STUDY_SPEED
 from tissue_sim.model import Model
@@ -26,7 +26,7 @@ STEPS = MOTION_STEPS.timed_steps
 
 
 @dataclass(frozen=True)
-class RigMotionSettings:
+class ToolPositionSolverSettings:
     """Settings of the computation of the tool position behind a compliant load train.
 
     Attributes:
@@ -43,7 +43,7 @@ class RigMotionSettings:
     min_growth: float = 0.1
 
 
-_SETTINGS = RigMotionSettings()
+_SETTINGS = ToolPositionSolverSettings()
 
 
 def build_rig_loading(depth: float, deepest: float, limit: float) -> MonotonicLoading:
@@ -79,7 +79,7 @@ class ForcePositionCurve:
     strips: list[tuple[float, float]]
 
     @classmethod
-    def make_interpolant(cls, depth: np.ndarray, columns: np.ndarray, *, holds: bool,
+    def from_knot_values(cls, depth: np.ndarray, columns: np.ndarray, *, holds: bool,
                          tilt: float = 0.0) -> ForcePositionCurve:
         """Return the curve that interpolates values at knots.
 
@@ -89,8 +89,8 @@ class ForcePositionCurve:
             holds: see `ForcePositionCurve`.
             tilt: height difference across the tool's face, m.
         """
-        return cls(build_cubic_spline(depth, columns), build_cubic_spline(depth, columns[:, 0]), float(depth[-1]),
-                   holds, _divide_tilted_face(tilt))
+        return cls(build_cubic_or_linear_spline(depth, columns), build_cubic_or_linear_spline(depth, columns[:, 0]),
+                   float(depth[-1]), holds, _divide_tilted_face(tilt))
 
     def with_tilt(self, tilt: float) -> ForcePositionCurve:
         """Return a copy of the curve for a tool face with another tilt (height difference across the face, m)."""
@@ -107,15 +107,15 @@ class ForcePositionCurve:
         """
         columns, slope = np.zeros(()), np.zeros(())
         for lag, fraction in self.strips:
-            depth, velocity = _compute_strip_position(position, lag)
-            inside, contact = self._limit_to_simulated_range(depth)
-            rates = self._position_derivatives(inside) * contact[:, None]
+            depth, velocity = _compute_strip_depth_and_derivative(position, lag)
+            inside, contact = self._clip_positions_and_get_contact_factor(depth)
+            rates = self._derivatives_by_position(inside) * contact[:, None]
             columns = columns + fraction * (self.columns(inside) * contact[:, None] + rates * (depth - inside)[:, None])
             slope = slope + fraction * velocity * rates[:, 0]
         return columns, slope
 
     @cached_property
-    def _position_derivatives(self) -> Any:
+    def _derivatives_by_position(self) -> Any:
         """Interpolant of the derivatives of all columns (force and its derivatives) with respect to tool position."""
         return self.columns.derivative()
 
@@ -123,8 +123,8 @@ class ForcePositionCurve:
         """Return the force at tool positions in m, N, same shape as `position`."""
         force = np.zeros(position.shape)
         for lag, fraction in self.strips:
-            depth, _ = _compute_strip_position(position, lag)
-            inside, contact = self._limit_to_simulated_range(depth)
+            depth, _ = _compute_strip_depth_and_derivative(position, lag)
+            inside, contact = self._clip_positions_and_get_contact_factor(depth)
             beyond = depth - inside
             part = self.force_alone(inside)
             if beyond.any():
@@ -132,7 +132,7 @@ class ForcePositionCurve:
             force += fraction * contact * part
         return force
 
-    def _limit_to_simulated_range(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _clip_positions_and_get_contact_factor(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return positions limited to the simulated range, and a factor: 1 if the tissue exerts a force, else 0.
 
         Callers extrapolate the force linearly beyond the simulated range.
@@ -146,7 +146,7 @@ def _divide_tilted_face(tilt: float) -> list[tuple[float, float]]:
     return split_tilted_face_into_strips(tilt) if tilt else [(0.0, 1.0)]
 
 
-def _compute_strip_position(position: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
+def _compute_strip_depth_and_derivative(position: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of a strip of a tilted face, m, and their derivatives with respect to the face position."""
     if not lag:
         return position, np.ones(position.shape)
@@ -198,12 +198,12 @@ class AlignedCurve:
         before_contact = ~np.maximum.accumulate(position >= 0.0)
         columns[before_contact], rate[before_contact] = 0.0, 0.0
         for number, (other, step) in self.neighbours.items():
-            columns[:, number] = (other.compute_forces_at_offsets(time, displacement, np.array([offset]))[:, 0]
+            columns[:, number] = (other.compute_force_column_per_offset(time, displacement, np.array([offset]))[:, 0]
                                   - columns[:, 0]) / step
         return columns, rate
 
-    def compute_forces_at_offsets(self, time: np.ndarray | None, displacement: np.ndarray,
-                                  offsets: np.ndarray) -> np.ndarray:
+    def compute_force_column_per_offset(self, time: np.ndarray | None, displacement: np.ndarray,
+                                        offsets: np.ndarray) -> np.ndarray:
         """Return the force at the samples for several contact offsets, m; shape (n, offsets)."""
         position = self.compute_tool_positions(offsets)
         return np.where(np.maximum.accumulate(position >= 0.0, axis=0), self.curve.compute_force(position), 0.0)
@@ -243,7 +243,7 @@ def is_path_dependent(model: Model) -> bool:
 
     Effects in reduced form are path-dependent too if the true depth of the tool differs from the reported one.
     """
-    reduced = model.material.reduced_effects(plate=model.experiment.tool.is_plate)
+    reduced = model.material.list_acting_reduced_effects(plate=model.experiment.tool.is_plate)
     return model.is_path_dependent or bool(reduced and (model.rig.compliance or model.experiment.tilt))
 
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.contract import InfeasibleError, StretchRange
-from calibration.forward.meshes import MeshError, get_solver_meshes
-from calibration.forward.motion import ForceCurve, MonotonicLoading, TimedMotion, build_cubic_spline
+from calibration.forward.meshes import AccurateMeshErrorOverDepth, get_solver_fit_resolutions
+from calibration.forward.motion import ForceCurve, MonotonicLoading, TimedMotion, build_cubic_or_linear_spline
 from calibration.forward.proportionality import is_force_proportional_to_moduli
 from calibration.forward.readout import (
-    ReadoutEffects,
+    ForceFactorEffects,
     RigReadout,
-    SimulatedSolution,
+    SimulatedTestForceCurves,
     compute_depth_in_tissue,
     compute_difference_step,
 )
@@ -31,7 +31,7 @@ from calibration.forward.rig_motion import (
 )
 from calibration.forward.simulated_motions import SimulatedMotions
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.forward.stretch_range import compute_homogeneous_range, compute_simulated_range
+from calibration.forward.stretch_range import compute_homogeneous_compression_range, compute_simulated_range
 from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
@@ -60,7 +60,7 @@ class SimulatedTest(SimulatedMotions):
         return isinstance(self.motions[0], TimedMotion)
 
     @property
-    def _timed_motions(self) -> tuple[TimedMotion, ...]:
+    def _distinct_timed_motions(self) -> tuple[TimedMotion, ...]:
         """Distinct motions that have reversals or holds; `motion_of` maps recordings to motions."""
         return tuple(motion for motion in self.motions if isinstance(motion, TimedMotion))
 
@@ -74,7 +74,7 @@ class SimulatedTest(SimulatedMotions):
         """Whether the deformation is homogeneous, so that every mesh is exact."""
         return not self.layered and self._build_experiment(self.motions[0]).homogeneous
 
-    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> SimulatedSolution:
+    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> SimulatedTestForceCurves:
         """Simulate force curves and derivatives for each recording, with the mesh correction; see `ForwardTest.solve`.
 
         If the force depends on the tool position alone, one simulated loading gives the force at all positions, and the
@@ -85,19 +85,20 @@ class SimulatedTest(SimulatedMotions):
                   for measured, number in zip(self.measured, self.motion_of, strict=False)]
         curves: Sequence[ForceCurve | AlignedCurve]
         if self._needs_full_motion(models):
-            curves, differences = self._simulate_motions(space, values, solves, models)
-            effects = [ReadoutEffects.from_model(model) for model in models]
+            curves, differences = self._get_motion_curves_and_differenced_names(space, values, solves, models)
+            effects = [ForceFactorEffects.from_model(model) for model in models]
         else:
-            curves, differences = self._simulate_position_curve(space, values, solves, models)
-            effects = [ReadoutEffects(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
-                       for model in models]
+            curves, differences = self._get_aligned_curves_and_differenced_names(space, values, solves, models)
+            effects = [
+                ForceFactorEffects(model.material.list_acting_reduced_effects(plate=model.experiment.tool.is_plate))
+                for model in models]
         differences |= {each.name for each in space.free_parameters
                         if self._parameter_affects_readings_only(each, values)
                         or any(one.has_effect_parameter(each.path) for one in effects)}
-        return SimulatedSolution(curves, [RigReadout(model.rig) for model in models], effects, space, values,
-                                 frozenset(differences))
+        return SimulatedTestForceCurves(curves, [RigReadout(model.rig) for model in models], effects, space, values,
+                                        frozenset(differences))
 
-    def uses_position_curve(self, space: ParameterSpace, theta: np.ndarray) -> bool:
+    def can_use_position_curve_at_parameters(self, space: ParameterSpace, theta: np.ndarray) -> bool:
         """Return whether the force comes from one loading curve and the tool positions, without the whole motion.
 
         Raises:
@@ -112,12 +113,14 @@ class SimulatedTest(SimulatedMotions):
         if self.full_motion or not self.is_path_dependent or (self.correction and self.position_correction is None):
             return True
         # The tensile response of a bonded face cannot be extrapolated from compression.
-        paths = [motion.displacement[int(np.argmax(motion.displacement >= 0)):] for motion in self._timed_motions]
+        paths = [motion.displacement[int(np.argmax(motion.displacement >= 0)):]
+                 for motion in self._distinct_timed_motions]
         pulls = min(float(path.min()) for path in paths) < -_PULL_FRACTION * max(float(path.max()) for path in paths)
         return (pulls and not tool_separates_on_retraction(self.experiment)) or any(map(is_path_dependent, models))
 
-    def _simulate_motions(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
-                          models: Sequence[Model]) -> tuple[list[ForceCurve], set[str]]:
+    def _get_motion_curves_and_differenced_names(self, space: ParameterSpace, values: dict[str, float],
+                                                 solves: SimulationCache,
+                                                 models: Sequence[Model]) -> tuple[list[ForceCurve], set[str]]:
         """Simulate the whole motion of each recording.
 
         Returns:
@@ -126,10 +129,11 @@ class SimulatedTest(SimulatedMotions):
         curves: dict[tuple[int, str | None], ForceCurve] = {}
         chosen, differences = [], set()
         for measured, number, model in zip(self.measured, self.motion_of, models, strict=False):
-            key = number, space.find_own_recording(self.name, measured.name)
+            key = number, space.get_recording_if_it_has_own_values(self.name, measured.name)
             if key not in curves:
                 motion = self.motions[number]
-                force, rates, inexact = self._simulate_or_load_motion(space, values, solves, motion, "fast", key[1])
+                force, rates, inexact = self._simulate_or_load_force_and_derivatives(
+                    space, values, solves, motion, "fast", key[1])
                 differences |= inexact
                 if self.correction:
                     force = force + self.correction[number]
@@ -140,8 +144,9 @@ class SimulatedTest(SimulatedMotions):
             chosen.append(curves[key])
         return chosen, differences
 
-    def _simulate_position_curve(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
-                                 models: Sequence[Model]) -> tuple[list[AlignedCurve], set[str]]:
+    def _get_aligned_curves_and_differenced_names(self, space: ParameterSpace, values: dict[str, float],
+                                                  solves: SimulationCache,
+                                                  models: Sequence[Model]) -> tuple[list[AlignedCurve], set[str]]:
         """Simulate one loading with an ideal rig, and align its force with the samples of each recording.
 
         Returns:
@@ -150,19 +155,20 @@ class SimulatedTest(SimulatedMotions):
         by_mark: dict[str | None, ForcePositionCurve] = {}
         curves, differences = [], set()
         for recording, (measured, number, model) in enumerate(zip(self.measured, self.motion_of, models, strict=False)):
-            mark = space.find_own_recording(self.name, measured.name)
+            mark = space.get_recording_if_it_has_own_values(self.name, measured.name)
             align = partial(self._make_aligned_curve, recording)
             if mark not in by_mark:
-                loading = self._build_loading(model.rig)
-                force, rates, inexact = self._simulate_or_load_motion(space, values, solves, loading, "fast", mark,
-                                                                      rigid=True)
+                loading = self._build_loading_to_deepest_tool_position(model.rig)
+                force, rates, inexact = self._simulate_or_load_force_and_derivatives(
+                    space, values, solves, loading, "fast", mark, rigid=True)
                 differences |= inexact
-                by_mark[mark] = ForcePositionCurve.make_interpolant(
-                    loading.depth, np.column_stack([force + self._interpolate_correction(loading), rates]),
+                by_mark[mark] = ForcePositionCurve.from_knot_values(
+                    loading.depth,
+                    np.column_stack([force + self._interpolate_force_correction_at_knots(loading), rates]),
                     holds=not tool_separates_on_retraction(model.experiment))
             neighbours = {}
             for column, each in enumerate(space.free_parameters, start=1):
-                if is_rig_motion_parameter(each.path) and each.acts_in(self.name, measured.name) \
+                if is_rig_motion_parameter(each.path) and each.applies_to_recording(self.name, measured.name) \
                         and not self._parameter_affects_readings_only(each, values):
                     step = compute_difference_step(values[each.name])
                     changed = self._build_model(space, values | {each.name: values[each.name] + step},
@@ -174,21 +180,22 @@ class SimulatedTest(SimulatedMotions):
 
     def _make_aligned_curve(self, recording: int, curve: ForcePositionCurve, model: Model) -> AlignedCurve:
         """Return the curve of the force at the samples of a recording, for the rig and the tilt of a model."""
-        motion, measured = self._timed_motions[self.motion_of[recording]], self.measured[recording]
-        tilt, time = model.experiment.tilt, measured.sample_times - measured.sample_times[0] + motion.sampled_from
+        motion, measured = self._distinct_timed_motions[self.motion_of[recording]], self.measured[recording]
+        tilt, time = model.experiment.tilt, measured.required_sample_times - measured.required_sample_times[
+            0] + motion.sampled_from
         # Path-dependent faults (backlash, lost steps) act on the straight parts of the motion: noise of the
         # displacement would appear as many reversals.
         straight = np.interp(time, motion.time, motion.displacement)
         position = model.rig.tool_motion(straight) + measured.displacement - straight
         return AlignedCurve(curve.with_tilt(tilt) if tilt else curve, position, model.rig.compliance)
 
-    def _build_loading(self, rig: Rig) -> MonotonicLoading:
+    def _build_loading_to_deepest_tool_position(self, rig: Rig) -> MonotonicLoading:
         """Return a monotonic loading to the largest true tool depth that a rig produces in any of the motions.
 
         Raises:
             InfeasibleError: the largest depth is not positive.
         """
-        paths = [motion.displacement for motion in self._timed_motions]
+        paths = [motion.displacement for motion in self._distinct_timed_motions]
         # Deflection of the stated load train, reduced by 10 % so that the depth is not underestimated.
         deflection = 0.9 * self.rig.compliance * max(0.0, *(float(curve.force.max()) for curve in self.measured))
         depth = max(float(path.max()) for path in paths) - deflection
@@ -198,14 +205,15 @@ class SimulatedTest(SimulatedMotions):
                                   "recordings and the compliance of the rig")
         return build_rig_loading(depth, deepest, 0.999 * self.experiment.thickness)
 
-    def _interpolate_correction(self, loading: MonotonicLoading) -> np.ndarray:
+    def _interpolate_force_correction_at_knots(self, loading: MonotonicLoading) -> np.ndarray:
         """Return the mesh correction (force difference) at the knots of a loading, N, shape (k,); 0 if not computed."""
         if self.position_correction is None:
             return np.zeros(loading.depth.size)
         depth, force = self.position_correction
-        return build_cubic_spline(depth, force)(np.minimum(loading.depth, depth[-1]))
+        return build_cubic_or_linear_spline(depth, force)(np.minimum(loading.depth, depth[-1]))
 
-    def update_mesh_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
+    def update_mesh_force_difference_and_get_ratio(self, space: ParameterSpace, theta: np.ndarray,
+                                                   solves: SimulationCache) -> float:
         """Compute the force difference of the accurate and the fast mesh, and store it as the correction.
 
         Returns:
@@ -216,15 +224,15 @@ class SimulatedTest(SimulatedMotions):
         """
         values, found, largest = space.values(theta), [], 0.0
         if self.is_homogeneous:
-            self.remove_mesh_correction()
+            self.remove_mesh_force_difference()
             return 0.0
-        rigid = self.uses_position_curve(space, theta)
-        loading = self._build_loading(Rig()) if rigid else None
+        rigid = self.can_use_position_curve_at_parameters(space, theta)
+        loading = self._build_loading_to_deepest_tool_position(Rig()) if rigid else None
         for motion in self.motions if loading is None else (loading,):
-            fast, *_ = self._simulate_or_load_motion(space, values, solves, motion, "fast", rigid=rigid)
-            accurate = self._compute_accurate_force(space, values, solves, motion, rigid=rigid)
+            fast, *_ = self._simulate_or_load_force_and_derivatives(space, values, solves, motion, "fast", rigid=rigid)
+            accurate = self._compute_accurate_mesh_force_at_knots(space, values, solves, motion, rigid=rigid)
             if isinstance(motion, MonotonicLoading) and not self.experiment.is_path_dependent:
-                self._find_mesh_error(space, values, solves, motion, accurate, rigid=rigid)
+                self._set_mesh_error_once(space, values, solves, motion, accurate, rigid=rigid)
             if self.mesh_error is not None:
                 accurate = accurate * self.mesh_error.compute_correction_factor(motion.tool_protocol.displacement)
             found.append(accurate - fast)
@@ -232,13 +240,13 @@ class SimulatedTest(SimulatedMotions):
         self.correction, self.position_correction = found, None
         if loading is not None:
             self.position_correction = loading.depth, found[0]
-            correction = build_cubic_spline(*self.position_correction)
+            correction = build_cubic_or_linear_spline(*self.position_correction)
             self.correction = [correction(np.clip(motion.displacement, 0.0, loading.depth[-1]))
-                               for motion in self._timed_motions]
+                               for motion in self._distinct_timed_motions]
         return largest
 
-    def _find_mesh_error(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
-                         loading: MonotonicLoading, accurate: np.ndarray, *, rigid: bool) -> None:
+    def _set_mesh_error_once(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
+                             loading: MonotonicLoading, accurate: np.ndarray, *, rigid: bool) -> None:
         """Set `mesh_error` by comparison of accurate and finest mesh, unless it is set or the finest mesh is not used.
 
         Args:
@@ -249,38 +257,45 @@ class SimulatedTest(SimulatedMotions):
             accurate: force of the accurate mesh at the knots, N, shape (k,).
             rigid: whether the rig is ideal.
         """
-        meshes = get_solver_meshes(self.solver)
-        if self.mesh_error is not None or not meshes.shows_mesh_error(self.experiment):
+        meshes = get_solver_fit_resolutions(self.solver)
+        if self.mesh_error is not None or not meshes.uses_finest_mesh_for_mesh_error(self.experiment):
             return
-        fewer, kept = loading.with_fewer_steps() if meshes.slow else (loading, np.arange(loading.depth.size))
+        fewer, kept = loading.make_coarser_loading_and_kept_knots() if meshes.slow \
+            else (loading, np.arange(loading.depth.size))
         try:
-            finest, *_ = self._simulate_or_load_motion(space, values, solves, fewer, "finest", rigid=rigid)
-            self.mesh_error = MeshError.from_forces(fewer.depth, accurate[kept], finest)
+            finest, *_ = self._simulate_or_load_force_and_derivatives(space, values, solves, fewer, "finest",
+                                                                      rigid=rigid)
+            self.mesh_error = AccurateMeshErrorOverDepth.from_accurate_and_finest_forces(
+                fewer.depth, accurate[kept], finest)
         except InfeasibleError:
-            self.mesh_error = MeshError.make_unknown_error()
+            self.mesh_error = AccurateMeshErrorOverDepth.make_unknown_error_without_knots()
 
-    def remove_mesh_correction(self) -> None:
+    def remove_mesh_force_difference(self) -> None:
         """Delete the stored mesh correction, so that forces are those of the fast mesh."""
         self.correction, self.position_correction = [], None
 
-    def evaluate_force(self, answer: SimulatedSolution, recording: int, offset: float):
-        """Return readings and their derivatives at the samples of a recording; see `ForwardTest.evaluate_force`."""
+    def evaluate_force_and_derivatives(self, answer: SimulatedTestForceCurves, recording: int, offset: float):
+        """Return readings and their derivatives at the samples of a recording.
+
+        See `ForwardTest.evaluate_force_and_derivatives`.
+        """
         measured, readout = self.measured[recording], answer.readouts[recording]
         rig = readout.rig
         values, rate = answer.curves[recording](self._convert_to_motion_time(recording), measured.displacement, offset)
         if answer.effects[recording].effects:
-            values, rate = self._apply_reduced_effects(answer, recording, offset, values, rate)
+            values, rate = self._scale_force_and_derivatives_by_effects(answer, recording, offset, values, rate)
         simulated = values[:, 0]
         if rig.latency:
             columns = np.column_stack([values, rate])
-            late = np.column_stack([np.interp(measured.sample_times - rig.latency, measured.sample_times, column)
-                                    for column in columns.T])
+            late = np.column_stack(
+                [np.interp(measured.required_sample_times - rig.latency, measured.required_sample_times, column)
+                 for column in columns.T])
             values, rate = late[:, :-1], late[:, -1]
         force = readout.convert_to_readings(measured, simulated)
         rates, rate = readout.convert_derivatives_to_readings(measured, simulated, force, values[:, 1:], rate)
         for column, unknown in enumerate(() if answer.space.has_only_shared_material_parameters
                                          else answer.space.free_parameters):
-            if unknown.acts_in(self.name, measured.name) and (
+            if unknown.applies_to_recording(self.name, measured.name) and (
                     self._parameter_affects_readings_only(unknown, answer.values)):
                 path, value = unknown.path.removeprefix("rig."), answer.values[unknown.name]
                 step = compute_difference_step(value)
@@ -289,8 +304,8 @@ class SimulatedTest(SimulatedMotions):
                 rates[:, column] = (changed - force) / step
         return force, rates, rate
 
-    def _apply_reduced_effects(self, answer: SimulatedSolution, recording: int, offset: float, values: np.ndarray,
-                               rate: np.ndarray):
+    def _scale_force_and_derivatives_by_effects(self, answer: SimulatedTestForceCurves, recording: int, offset: float,
+                                                values: np.ndarray, rate: np.ndarray):
         """Multiply simulated force and derivatives by the factor of the effects that are applied after the simulation.
 
         Args:
@@ -308,27 +323,30 @@ class SimulatedTest(SimulatedMotions):
         factor = effects.compute_force_factor(measured, depth)
         scaled = factor[:, None] * values
         for column, each in enumerate(space.free_parameters, start=1):
-            if each.acts_in(self.name, measured.name) and effects.has_effect_parameter(each.path):
+            if each.applies_to_recording(self.name, measured.name) and effects.has_effect_parameter(each.path):
                 step = compute_difference_step(answer.values[each.name])
                 changed = self._build_model(space, answer.values | {each.name: answer.values[each.name] + step},
                                             self.motions[self.motion_of[recording]], measured.name)
                 material, plate = changed.material, changed.experiment.tool.is_plate
-                other = ReadoutEffects(material.reduced_effects(plate=plate)).compute_force_factor(measured, depth)
+                other = ForceFactorEffects(material.list_acting_reduced_effects(plate=plate)).compute_force_factor(
+                    measured, depth)
                 scaled[:, column] = (other - factor) / step * values[:, 0]
         return scaled, factor * rate
 
-    def list_differenced_parameters(self, answer: SimulatedSolution) -> frozenset[str]:
+    def list_finite_difference_parameters(self, answer: SimulatedTestForceCurves) -> frozenset[str]:
         """Return the names of the free parameters whose derivatives are finite differences, not exact ones."""
         return answer.differences
 
-    def compute_forces_at_offsets(self, answer: SimulatedSolution, recording: int, offsets: np.ndarray) -> np.ndarray:
+    def compute_force_column_per_offset(self, answer: SimulatedTestForceCurves, recording: int,
+                                        offsets: np.ndarray) -> np.ndarray:
         """Return the force at the samples of a recording for several contact offsets, m; shape (n, offsets)."""
-        if answer.readouts[recording].readout_faults is not None:
-            return np.column_stack([self.evaluate_force(answer, recording, offset)[0] for offset in offsets])
+        if answer.readouts[recording].reading_only_rig_or_none is not None:
+            return np.column_stack([self.evaluate_force_and_derivatives(answer, recording, offset)[0]
+                                    for offset in offsets])
         measured = self.measured[recording]
         curve, effects = answer.curves[recording], answer.effects[recording]
-        forces = curve.compute_forces_at_offsets(self._convert_to_motion_time(recording), measured.displacement,
-                                                 offsets)
+        forces = curve.compute_force_column_per_offset(self._convert_to_motion_time(recording), measured.displacement,
+                                                       offsets)
         # A jump occurs at a true depth, so the contact offset determines its sample.
         return effects.compute_force_factor(measured, compute_depth_in_tissue(curve, measured, offsets)) * forces \
             if effects.effects else forces
@@ -340,14 +358,14 @@ class SimulatedTest(SimulatedMotions):
         """
         motion, measured = self.motions[self.motion_of[recording]], self.measured[recording]
         if isinstance(motion, TimedMotion):
-            return measured.sample_times - measured.sample_times[0] + motion.sampled_from
+            return measured.required_sample_times - measured.required_sample_times[0] + motion.sampled_from
         return measured.time
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the range of principal stretches over the volume at the largest depth, without the outer 1 % each."""
         deepest = max(float(curve.displacement.max()) for curve in self.measured)
         if self.is_homogeneous:
-            return compute_homogeneous_range(self.closed_form, 1 - deepest / self.specimen.height)
+            return compute_homogeneous_compression_range(self.closed_form, 1 - deepest / self.specimen.height)
         points = max(3, self.motions[0].tool_protocol.time.size // 2)
         experiment = replace(self.experiment, protocol=Protocol.ramp(deepest, points))
         try:

@@ -9,18 +9,18 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import FitParameter, ParameterSpace
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.meshes import MeshError, get_solver_meshes
+from calibration.forward.meshes import AccurateMeshErrorOverDepth, get_solver_fit_resolutions
 from calibration.forward.motion import MonotonicLoading, TimedMotion
 from calibration.forward.proportionality import is_force_proportional_to_moduli, keeps_force_proportional_to_moduli
 from calibration.forward.readout import (
-    ReadoutEffects,
+    ForceFactorEffects,
     parameter_affects_readings_only,
 )
 from calibration.forward.rig_motion import (
     is_rig_motion_parameter,
     replace_rig_by_ideal_rig,
 )
-from calibration.forward.simulation_cache import SimulationCache, hash_content, simulate_curve
+from calibration.forward.simulation_cache import SimulationCache, hash_content, simulate_force_or_record_failure
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.model import Model
@@ -41,7 +41,7 @@ class SimulatedMotions:
         measured: recordings of the test.
         layered: whether the material has layers.
         correction: force of the accurate mesh minus that of the fast mesh at the knots of each motion, N, shape (k,);
-            empty before `update_mesh_correction`.
+            empty before `update_mesh_force_difference_and_get_ratio`.
         position_correction: depth, m, and the same difference of forces, N, at the knots of one loading, shapes (k,).
         mesh: key of the mesh; tests with the same key have the same mesh error. Empty: no other test shares the mesh.
         full_motion: whether the whole motion is simulated even if the force depends on the tool position alone.
@@ -61,7 +61,7 @@ class SimulatedMotions:
     mesh: str = ""
     full_motion: bool = False
     solver: str = "axisymmetric"
-    mesh_error: MeshError | None = None
+    mesh_error: AccurateMeshErrorOverDepth | None = None
 
     @property
     def specimen(self) -> Specimen:
@@ -88,14 +88,16 @@ class SimulatedMotions:
 
     def _parameter_affects_readings_only(self, unknown: FitParameter, values: dict[str, float]) -> bool:
         """Return whether a parameter belongs to the rig of this test and does not change the motion of the tool."""
-        acts = unknown.path.startswith("rig.") and any(unknown.acts_in(self.name, each.name) for each in self.measured)
+        acts = unknown.path.startswith("rig.") \
+            and any(unknown.applies_to_recording(self.name, each.name) for each in self.measured)
         return acts and parameter_affects_readings_only(self.rig, unknown.path.removeprefix("rig."),
                                                         values[unknown.name])
 
-    def _simulate_or_load_motion(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
-                                 motion: MonotonicLoading | TimedMotion, resolution: str, recording: str | None = None,
-                                 *, rigid: bool = False
-                                 ) -> tuple[np.ndarray, np.ndarray, set[str]]:
+    def _simulate_or_load_force_and_derivatives(self, space: ParameterSpace, values: dict[str, float],
+                                                solves: SimulationCache,
+                                                motion: MonotonicLoading | TimedMotion, resolution: str,
+                                                recording: str | None = None, *, rigid: bool = False
+                                                ) -> tuple[np.ndarray, np.ndarray, set[str]]:
         """Return force and derivatives along a motion, from the cache or from a new simulation that is then cached.
 
         If forces are proportional to the moduli, the simulation uses normalised moduli and its force is scaled, so that
@@ -106,7 +108,8 @@ class SimulatedMotions:
             values: name -> value of all parameters, SI.
             solves: cache of simulations.
             motion: motion with k knots.
-            resolution: ``"fast"``, ``"accurate"`` or ``"finest"``, see `calibration.forward.meshes.SolverMeshes`.
+            resolution: ``"fast"``, ``"accurate"`` or ``"finest"``, see
+                `calibration.forward.meshes.SolverFitResolutions`.
             recording: name of the recording with these values; None: recordings without own parameters.
             rigid: whether the rig is ideal and the tool not tilted.
 
@@ -120,31 +123,33 @@ class SimulatedMotions:
         factor, proportional = 1.0, is_force_proportional_to_moduli(self.experiment,
                                                                     Rig() if rigid else self.rig) and all(
             keeps_force_proportional_to_moduli(each, rigid=rigid) or self._parameter_affects_readings_only(each, values)
-            for each in space.unknowns if each.is_modulus or each.acts_in(self.name, recording))
+            for each in space.unknowns if each.is_modulus or each.applies_to_recording(self.name, recording))
         if proportional:
-            values, factor = space.normalise_moduli(values)
+            values, factor = space.scale_moduli_to_reference_sum(values)
 
-        def build_true_model(of: dict[str, float]) -> Model:
+        def build_model_without_readout(of: dict[str, float]) -> Model:
             """Return the model at parameter values `of`, whose rig moves the tool but does not change readings."""
             # The readout is applied to the samples later, so only the motion of the rig is simulated.
             model = self._build_model(space, of, motion, recording)
             return replace_rig_by_ideal_rig(model) if rigid else replace(model, rig=model.rig.motion_only)
 
-        model = build_true_model(values)
-        topology = build_true_model(space.with_start_geometry(values)) if space.shapes_mesh(self.name) else None
-        effects = ReadoutEffects.from_model(model)
+        model = build_model_without_readout(values)
+        topology = build_model_without_readout(space.replace_geometry_by_start_values(values)) \
+            if space.shapes_mesh(self.name) else None
+        effects = ForceFactorEffects.from_model(model)
         model = effects.remove_effects_from_model(model)
         topology = topology and effects.remove_effects_from_model(topology)
         acting = {} if resolution != "fast" else {
             column: each.path for column, each in enumerate(space.free_parameters)
-            if each.acts_in(self.name, recording) and not self._parameter_affects_readings_only(each, values)
+            if each.applies_to_recording(self.name, recording)
+            and not self._parameter_affects_readings_only(each, values)
             and not effects.has_effect_parameter(each.path) and not (rigid and is_rig_motion_parameter(each.path))}
-        meshes, paths = get_solver_meshes(self.solver), list(acting.values())
+        meshes, paths = get_solver_fit_resolutions(self.solver), list(acting.values())
         mesh = getattr(meshes, resolution)
         key = hash_content(model, topology, paths, mesh, self.solver)
         curve = solves.find_curve(key)
         if curve is None:
-            curve = simulate_curve(model, topology, paths, mesh, self.solver, one_sided=meshes.slow)
+            curve = simulate_force_or_record_failure(model, topology, paths, mesh, self.solver, one_sided=meshes.slow)
             solves.counts[self.name, resolution] += 1
             solves.store_curve(key, curve)
         if curve.problem:
@@ -157,19 +162,20 @@ class SimulatedMotions:
         inexact = {space.free[column] for column, exact in zip(acting, curve.exact, strict=False) if not exact}
         return force, rates, inexact
 
-    def _compute_accurate_force(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
-                                motion: MonotonicLoading | TimedMotion, *, rigid: bool) -> np.ndarray:
+    def _compute_accurate_mesh_force_at_knots(self, space: ParameterSpace, values: dict[str, float],
+                                              solves: SimulationCache,
+                                              motion: MonotonicLoading | TimedMotion, *, rigid: bool) -> np.ndarray:
         """Return the force of the accurate mesh at the knots, N, shape (k,).
 
         With friction the fast mesh needs short steps near first contact, and the accurate mesh converges more often
         with equal steps. If one spacing fails, the other one is tried.
         """
-        equal = motion.with_equal_steps
+        equal = motion.counterpart_with_equal_first_leg_steps
         first, second = (equal, motion) if isinstance(motion, TimedMotion) else (motion, equal)
         try:
-            used, (force, *_) = first, self._simulate_or_load_motion(space, values, solves, first, "accurate",
-                                                                     rigid=rigid)
+            used, (force, *_) = first, self._simulate_or_load_force_and_derivatives(
+                space, values, solves, first, "accurate", rigid=rigid)
         except InfeasibleError:
-            used, (force, *_) = second, self._simulate_or_load_motion(space, values, solves, second, "accurate",
-                                                                      rigid=rigid)
+            used, (force, *_) = second, self._simulate_or_load_force_and_derivatives(
+                space, values, solves, second, "accurate", rigid=rigid)
         return force if used is motion else motion.evaluate_curve_at_knots(used.make_curve(force[:, None]))[:, 0]

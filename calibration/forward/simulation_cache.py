@@ -17,19 +17,19 @@ import msgspec
 import numpy as np
 
 import tissue_sim
-from calibration.forward.meshes import make_exact_block_mesh
+from calibration.forward.meshes import make_exact_block_mesh_or_none
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.model import Model
 from tissue_sim.parameters import list_field_declarations
-from tissue_sim.registry import list_modules_of_additions
+from tissue_sim.registry import get_modules_of_additions_by_name
 from tissue_sim.simulation import simulate
 from tissue_sim.specimen import Specimen
 
 
-class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
+class SimulatedForceOrFailure(msgspec.Struct, frozen=True, array_like=True):
     """Simulated force and its derivatives at the knots of a motion, or the reason why the simulation failed.
 
     Attributes:
@@ -57,7 +57,7 @@ class SimulationCache:
     def __init__(self, folder: Path | None = None):
         self.folder = folder
         self._read_folder = folder
-        self._curves: dict[str, SimulatedCurve] = {}
+        self._curves: dict[str, SimulatedForceOrFailure] = {}
         #: (test, resolution) -> number of simulations that were computed and not found in the cache.
         self.counts: Counter[tuple[str, str]] = Counter()
 
@@ -66,21 +66,21 @@ class SimulationCache:
         return {"folder": self.folder, "_read_folder": self._read_folder,
                 "_curves": {} if self.folder else self._curves, "counts": Counter()}
 
-    def find_curve(self, key: str) -> SimulatedCurve | None:
+    def find_curve(self, key: str) -> SimulatedForceOrFailure | None:
         """Return the curve with a key; None if no curve is cached or the file cannot be read."""
         if key not in self._curves and self._read_folder is not None:
             with contextlib.suppress(OSError, msgspec.DecodeError, msgspec.ValidationError):
                 self._curves[key] = msgspec.msgpack.decode((self._read_folder / f"{key}.msgpack").read_bytes(),
-                                                           type=SimulatedCurve)
+                                                           type=SimulatedForceOrFailure)
         return self._curves.get(key)
 
-    def store_curve(self, key: str, curve: SimulatedCurve) -> None:
+    def store_curve(self, key: str, curve: SimulatedForceOrFailure) -> None:
         """Store a curve in memory and, if the cache has a folder, in a file."""
         self._curves[key] = curve
         if self.folder is not None:
             write_bytes(self.folder / f"{key}.msgpack", msgspec.msgpack.encode(curve))
 
-    def start_effort_meter(self) -> Callable[[], tuple[dict[tuple[str, str], int], float]]:
+    def make_effort_since_now_function(self) -> Callable[[], tuple[dict[tuple[str, str], int], float]]:
         """Return a function that measures the computing effort from now on.
 
         Returns:
@@ -90,11 +90,11 @@ class SimulationCache:
         began, counted = time.process_time(), self.counts.copy()
         return lambda: (dict(self.counts - counted), time.process_time() - began)
 
-    def add_read_folder(self, folder: Path) -> None:
+    def set_read_folder(self, folder: Path) -> None:
         """Set the folder from which cached curves are read, in place of the previous one; nothing is written there."""
         self._read_folder = folder
 
-    def move_to_folder(self, folder: Path) -> None:
+    def write_curves_and_use_folder(self, folder: Path) -> None:
         """Write all curves in memory to a folder, and use it for reading and writing; old files are not deleted."""
         # The absolute path is valid in worker processes with another working directory.
         self.folder = self._read_folder = folder.resolve()
@@ -102,8 +102,9 @@ class SimulationCache:
             self.store_curve(key, curve)
 
 
-def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], resolution: str,
-                   solver: str = "axisymmetric", *, one_sided: bool = False) -> SimulatedCurve:
+def simulate_force_or_record_failure(model: Model, topology: Model | None, names: Sequence[str], resolution: str,
+                                     solver: str = "axisymmetric", *,
+                                     one_sided: bool = False) -> SimulatedForceOrFailure:
     """Simulate a model, and return its force and derivatives, or the reason of a failure instead of an exception.
 
     Args:
@@ -115,11 +116,12 @@ def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], r
         one_sided: whether finite differences are one-sided, see `tissue_sim.differentiation.sensitivities`.
 
     Returns:
-        The curve; if the simulation fails, a curve without forces and with the reason in `SimulatedCurve.problem`.
+        The curve; if the simulation fails, a curve without forces and with the reason in
+        `SimulatedForceOrFailure.problem`.
     """
     began = time.process_time()
     try:
-        mesh = make_exact_block_mesh(topology or model, solver)
+        mesh = make_exact_block_mesh_or_none(topology or model, solver)
         if names:
             answer = sensitivities(model, names, resolution=resolution, mesh=mesh, topology=topology, solver=solver,
                                    one_sided=one_sided)
@@ -130,8 +132,8 @@ def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], r
             rates = np.zeros((0, 0))
             exact = []
     except (ConvergenceError, InputError) as error:
-        return SimulatedCurve([], [], str(error), time.process_time() - began)
-    return SimulatedCurve(force.tolist(), rates.tolist(), "", time.process_time() - began, exact)
+        return SimulatedForceOrFailure([], [], str(error), time.process_time() - began)
+    return SimulatedForceOrFailure(force.tolist(), rates.tolist(), "", time.process_time() - began, exact)
 
 
 def hash_content(*parts: Any) -> str:
@@ -140,12 +142,12 @@ def hash_content(*parts: Any) -> str:
     The hash (SHA-256, 40 hexadecimal digits) covers all numbers to the last digit, the source of the package
     `tissue_sim`, and the source of registered additions (laws, effects, ...).
     """
-    added = [[name, _hash_module_source(module)] for name, module in list_modules_of_additions().items()]
+    added = [[name, _hash_module_file_or_empty(module)] for name, module in get_modules_of_additions_by_name().items()]
     content = msgspec.json.encode([_hash_solver_source(), added, _convert_to_plain_data(parts)])
     return hashlib.sha256(content).hexdigest()[:40]
 
 
-def _hash_module_source(module: ModuleType) -> str:
+def _hash_module_file_or_empty(module: ModuleType) -> str:
     """Return the SHA-256 of a module's source; empty for a module without a file, such as a notebook session."""
     file = Path(getattr(module, "__file__", None) or "")
     return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
@@ -165,7 +167,7 @@ def _convert_to_plain_data(value: Any) -> Any:
     if isinstance(value, Tool):
         # The geometry determines the contact; the path of the tool's file does not.
         return [value.shape, _convert_to_plain_data({name: getattr(value, name)
-                                                for name in list_field_declarations(type(value))}),
+                                                     for name in list_field_declarations(type(value))}),
                 _convert_to_plain_data(value.profile)]
     if isinstance(value, Specimen) and value.paths:
         # The same holds for a specimen from a file: the digest of the file replaces its path.

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from calibration.forward.contract import StretchRange
-from calibration.forward.meshes import get_solver_meshes
+from calibration.forward.meshes import get_solver_fit_resolutions
 from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.model import Model
 from tissue_sim.simulation import simulate
 
 
-def compute_homogeneous_range(closed_form: ClosedForm, low: float) -> StretchRange:
+def compute_homogeneous_compression_range(closed_form: ClosedForm, low: float) -> StretchRange:
     """Return the range of the principal stretches in a homogeneous compression, from `low` to 1 along the load.
 
     Args:
@@ -33,7 +33,7 @@ def compute_simulated_range(model: Model | None, solver: str, strain: float) -> 
     fields = None
     if model is not None:
         try:
-            fields = simulate(model, resolution=get_solver_meshes(solver).fast, fields=True, solver=solver,
+            fields = simulate(model, resolution=get_solver_fit_resolutions(solver).fast, fields=True, solver=solver,
                               estimate_error=False).fields
         except (ConvergenceError, InputError):
             fields = None

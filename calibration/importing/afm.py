@@ -5,8 +5,8 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from tissue_sim.files import ZIP_MAGIC, read_bytes, read_first_bytes
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.files import ZIP_MAGIC, read_bytes, read_first_bytes_or_empty
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.formats.guesses import FileInterpretation, KindGuess, TableGroup
 
@@ -22,7 +22,7 @@ def is_afm_file(path: Path) -> bool:
     """
     if path.suffix.lower() in _SUFFIXES:
         return True
-    head = read_first_bytes(path, 64)
+    head = read_first_bytes_or_empty(path, 64)
     if head.startswith(_HEADS):
         return True
     if not head.startswith(ZIP_MAGIC):
@@ -37,7 +37,7 @@ def is_afm_file(path: Path) -> bool:
     return not any(name in ("[Content_Types].xml", "content.xml") or name.startswith("xl/") for name in names)
 
 
-def interpret_afm_file(path: Path) -> FileInterpretation:
+def read_afm_file_as_indentation_replicates(path: Path) -> FileInterpretation:
     """Read a file of force curves of an AFM, and interpret the curves as replicates of a needle indentation.
 
     Raises:
@@ -46,5 +46,5 @@ def interpret_afm_file(path: Path) -> FileInterpretation:
     read_bytes(path, "force curves of an AFM")
     recordings = read_recordings(path, format="afm")
     kind = KindGuess("needle_indentation", "force curves of an AFM press a tip into the specimen")
-    reading = TableGroup("", (), (), make_read_only_copy({"format": "afm"}), recordings, kind, 1)
+    reading = TableGroup("", (), (), make_shallow_read_only_copy({"format": "afm"}), recordings, kind, 1)
     return FileInterpretation(path, "afm", "afm", None, None, None, (reading,))

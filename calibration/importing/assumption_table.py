@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from calibration.importing.imported import ImportedTest, list_assumptions_of_tests
-from tissue_sim.errors import shorten_text
+from calibration.importing.imported import ImportedTest, list_file_name_assumption_pairs
+from tissue_sim.errors import shorten_text_in_middle
 
 #: Headings of the columns of the table.
 HEADINGS = ("assumption", "value", "evidence", "against", "or", "flag")
 
 
 @dataclass(frozen=True)
-class AssumptionTableSettings:
+class AssumptionTextLengthLimits:
     """Limits of text lengths in the table of assumptions.
 
     Attributes:
@@ -28,7 +28,7 @@ class AssumptionTableSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = AssumptionTableSettings()
+_SETTINGS = AssumptionTextLengthLimits()
 
 
 class AssumptionRow(NamedTuple):
@@ -52,7 +52,7 @@ class AssumptionRow(NamedTuple):
 
 def make_assumption_rows(tests: Sequence[ImportedTest]) -> list[AssumptionRow]:
     """Return one row for each assumption; files with the same assumption share a row."""
-    found = list_assumptions_of_tests(tests)
+    found = list_file_name_assumption_pairs(tests)
     files = list(dict.fromkeys(name for name, _ in found))
     rows = []
     for each in dict.fromkeys(assumption for _, assumption in found):
@@ -90,13 +90,13 @@ def format_campaign_comment(tests: Sequence[ImportedTest]) -> str:
                    f"or: {row.alternatives}" if row.alternatives else "", row.flag]
         said = "; ".join(filter(None, details))
         lines.append(f"{'QUESTION ' if row.is_question else ''}{subject}: "
-                     f"{shorten_text(value, _SETTINGS.longest_value)}{f' ({said})' if said else ''}")
-    lines += [f"Columns not used: {each}" for each in describe_unused_columns(tests)]
+                     f"{shorten_text_in_middle(value, _SETTINGS.longest_value)}{f' ({said})' if said else ''}")
+    lines += [f"Columns not used: {each}" for each in describe_unused_columns_of_each_file(tests)]
     return "\n".join(textwrap.fill(line, _SETTINGS.campaign_width, initial_indent="# ", subsequent_indent="#     ",
                                    break_long_words=False, break_on_hyphens=False) for line in lines)
 
 
-def format_wrapped_table(tests: Sequence[ImportedTest], width: int, most: int) -> list[str]:
+def format_shortened_table_lines(tests: Sequence[ImportedTest], width: int, most: int) -> list[str]:
     """Return the lines of the table: at most `most` lines of at most `width` characters, one for each assumption.
 
     Each line shows subject, value, alternatives and evidence; longer texts are shortened.
@@ -109,14 +109,14 @@ def format_wrapped_table(tests: Sequence[ImportedTest], width: int, most: int) -
         others = [f"or {row.alternatives}" if row.alternatives else "",
                   f"against: {row.against}" if row.against else "", row.evidence]
         cell_texts = (f"{'? ' if row.is_question else ''}{subject}", value, "; ".join(filter(None, others)))
-        padded = (f"{shorten_text(cell, size):<{size}}" for cell, size in zip(cell_texts, sizes, strict=True))
+        padded = (f"{shorten_text_in_middle(cell, size):<{size}}" for cell, size in zip(cell_texts, sizes, strict=True))
         lines.append("  ".join(padded).rstrip())
     if len(lines) > most:
         lines = [*lines[:most - 1], f"and {len(lines) - most + 1} more assumptions (--json)"]
     return lines
 
 
-def describe_unused_columns(tests: Sequence[ImportedTest]) -> list[str]:
+def describe_unused_columns_of_each_file(tests: Sequence[ImportedTest]) -> list[str]:
     """Return one text ``file: 'column', ...`` for each file that has columns which are not read."""
     found: dict[str, dict[str, None]] = {}
     for test in tests:

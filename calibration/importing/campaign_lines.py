@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from calibration.importing.decimal_marks import explain_stated_decimal_mark
+from calibration.importing.decimal_marks import explain_why_campaign_states_decimal_mark
 from calibration.importing.flags import applies_to_test_kind
 from calibration.importing.imported import CampaignLine, ImportedTest, ImportOptions, ReplicateFile
 from calibration.importing.signal_lines import (
     make_contact_offset_lines,
-    make_leave_out_line,
-    make_viscoelastic_start_line,
+    make_outlier_leave_out_lines,
+    make_prony_term_start_lines,
 )
-from calibration.importing.size_assumptions import explain_unclear_size
+from calibration.importing.size_assumptions import explain_unusable_size_or_empty
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.tools.tool import list_shapes_without_file
 from tissue_sim.recording.formats.guesses import TableGroup
-from tissue_sim.recording.formats.sizes import SizeOrSpeed, find_sizes
+from tissue_sim.recording.formats.sizes import SizeOrSpeedInMillimetres, find_sizes_and_speed_in_mm
 from tissue_sim.specimen import SPECIMENS, specimen_sizes
-from tissue_sim.specimen.specimen import get_shape_sizes
+from tissue_sim.specimen.specimen import get_size_declarations_of_shape
 
 #: Method of the fit -> laws that are fitted if the user states none.
 DEFAULT_LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1"),
@@ -28,29 +28,29 @@ DEFAULT_LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial
 _BULK_RATIO = 1000.0
 
 
-def merge_specimen_sizes(reading: TableGroup, wishes: ImportOptions) -> dict[str, SizeOrSpeed]:
+def get_specimen_sizes_by_priority(reading: TableGroup, wishes: ImportOptions) -> dict[str, SizeOrSpeedInMillimetres]:
     """Return the sizes of the specimen that the user, the sidecar or the file states: key in ``[[specimen]]`` -> size.
 
     Sizes that the user states override those of the sidecar, and sizes of the sidecar override those of the file.
     """
-    found = find_sizes(reading.stated, reading.kind.kind)
-    found |= {key: SizeOrSpeed(key, float(value), "in the sidecar of the recording")
+    found = find_sizes_and_speed_in_mm(reading.stated, reading.kind.kind)
+    found |= {key: SizeOrSpeedInMillimetres(key, float(value), "in the sidecar of the recording")
               for key, value in reading.specimen.items() if key != "shape"}
     if any(key in wishes.specimen for key in ("radius_mm", "area_mm2")):
         found = {key: size for key, size in found.items() if key not in ("radius_mm", "area_mm2")}
-    return found | {key: SizeOrSpeed(key, float(value), "stated") for key, value in wishes.specimen.items()
+    return found | {key: SizeOrSpeedInMillimetres(key, float(value), "stated") for key, value in wishes.specimen.items()
                     if key != "shape"}
 
 
-def make_specimen_lines(reading: TableGroup, wishes: ImportOptions, kind: TestKind | None
-                        ) -> tuple[tuple[CampaignLine, ...], list[str]]:
+def make_specimen_lines_and_missing(reading: TableGroup, wishes: ImportOptions, kind: TestKind | None
+                                    ) -> tuple[tuple[CampaignLine, ...], list[str]]:
     """Return the lines of ``[[specimen]]`` for a reading, and one phrase for each missing size."""
-    sizes = merge_specimen_sizes(reading, wishes)
+    sizes = get_specimen_sizes_by_priority(reading, wishes)
     shape, reason = wishes.specimen.get("shape"), "stated"
     if not wishes.specimen and reading.specimen.get("shape") in SPECIMENS:
         shape, reason = reading.specimen["shape"], "in the sidecar of the recording"
     if shape is not None:
-        return _make_shape_lines(str(shape), sizes, reason)
+        return _make_shape_lines_and_missing(str(shape), sizes, reason)
     lines, missing = [], []
     flat = "area_mm2" in sizes or (kind is not None and kind.has_gripped_ends and "radius_mm" not in sizes)
     lines.append(CampaignLine("shape", "prism" if flat else "cylinder"))
@@ -62,18 +62,18 @@ def make_specimen_lines(reading: TableGroup, wishes: ImportOptions, kind: TestKi
         else:
             flag = f"--{key.replace('_', '-')}"
             also = " (or --radius-mm)" if key == "area_mm2" else ""
-            unclear = explain_unclear_size(reading, key)
+            unclear = explain_unusable_size_or_empty(reading, key)
             lines.append(CampaignLine(key, None, f"{what} of the specimen, {unclear or 'which no file states'}; "
                                       f"{flag}{also}"))
             missing.append(f"the {what} of the specimen ({flag}{also}{f'; {unclear}' if unclear else ''})")
     return tuple(lines), missing
 
 
-def _make_shape_lines(shape: str, sizes: Mapping[str, SizeOrSpeed],
-                      reason: str) -> tuple[tuple[CampaignLine, ...], list[str]]:
+def _make_shape_lines_and_missing(shape: str, sizes: Mapping[str, SizeOrSpeedInMillimetres],
+                                  reason: str) -> tuple[tuple[CampaignLine, ...], list[str]]:
     """Return the lines of ``[[specimen]]`` with a stated shape, and one phrase for each missing size."""
     lines, missing = [CampaignLine("shape", shape, reason)], []
-    for key, declared in get_shape_sizes(shape).items():
+    for key, declared in get_size_declarations_of_shape(shape).items():
         flag = f"--{key.replace('_', '-')}"
         if key in sizes:
             lines.append(CampaignLine(key, sizes[key].value, sizes[key].reason))
@@ -83,31 +83,32 @@ def _make_shape_lines(shape: str, sizes: Mapping[str, SizeOrSpeed],
     return tuple(lines), missing
 
 
-def make_test_lines(parts: Sequence[ReplicateFile], wishes: ImportOptions) -> tuple[list[CampaignLine], list[str]]:
+def make_test_lines_and_missing(parts: Sequence[ReplicateFile],
+                                wishes: ImportOptions) -> tuple[list[CampaignLine], list[str]]:
     """Return the lines of a ``[[test]]`` for its replicates, and one phrase for each missing entry.
 
     The lines of name, specimen, recordings and columns are not included.
     """
     reading, missing = parts[0].reading, []
     lines = [CampaignLine("kind", reading.kind.kind, reading.kind.reason if reading.kind.kind else
-                  f"{reading.kind.reason}; one of {', '.join(KINDS)} (--kind)")]
+                          f"{reading.kind.reason}; one of {', '.join(KINDS)} (--kind)")]
     if reading.kind.kind is None:
         missing.append("the kind of test (--kind)")
     missing += [f"{what} (--{'scale' if what.startswith('the scale') else 'unit'} "
-                f"{_get_channel_flag(column.channel)}=...)" for column in reading.columns
-                if (what := column.missing_information)]
-    lines += [CampaignLine(key, value, explain_stated_decimal_mark(parts) if key == "decimal" else "")
+                f"{_get_channel_name_in_flag(column.channel)}=...)" for column in reading.columns
+                if (what := column.missing_unit_or_scale_or_none)]
+    lines += [CampaignLine(key, value, explain_why_campaign_states_decimal_mark(parts) if key == "decimal" else "")
               for key, value in reading.options.items() if key != "columns"]
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     test = dict(wishes.test)
     if kind is not None and kind.tool_stated:
-        more, lacks = _make_tool_lines(test, reading)
+        more, lacks = _make_tool_lines_and_missing(test, reading)
         lines, missing = [*lines, *more], [*missing, *lacks]
     if kind is not None and kind.face.stated and "friction" not in test:
         lines.append(CampaignLine("friction", None, "coefficient of friction of both plates, or \"stick\"; --friction"))
         missing.append("the friction of the plates (--friction)")
     lines += _make_air_and_failure_lines(parts)
-    lines += make_leave_out_line(parts)
+    lines += make_outlier_leave_out_lines(parts)
     lines += _make_speed_lines(parts, test.pop("speed_mm_s", None))
     lines += [CampaignLine(key, value, "stated") for key,
               value in test.items() if applies_to_test_kind(key, value, kind)]
@@ -121,17 +122,17 @@ def _make_speed_lines(parts: Sequence[ReplicateFile], stated: float | None) -> l
         speed, source = reading.speed
         return [CampaignLine("speed_mm_s", round(1e3 * speed, 9),
                              "no column of the motion: displacement = speed x time from "
-                     f"the first sample; {source}")]
+                             f"the first sample; {source}")]
     has_clock = any(motion.rate is not None for part in parts for motion in part.motions)
     if has_clock or "displacement" not in reading.recordings[0]:
         return []
     if stated is not None:
         return [CampaignLine("speed_mm_s", stated, "no clock; stated")]
-    found = find_sizes(reading.stated, None).get("speed_mm_s")
+    found = find_sizes_and_speed_in_mm(reading.stated, None).get("speed_mm_s")
     return [] if found is None else [CampaignLine("speed_mm_s", found.value, f"no clock; {found.reason}")]
 
 
-def _make_tool_lines(test: Mapping[str, Any], reading: TableGroup) -> tuple[list[CampaignLine], list[str]]:
+def _make_tool_lines_and_missing(test: Mapping[str, Any], reading: TableGroup) -> tuple[list[CampaignLine], list[str]]:
     """Return the lines of shape, radius and friction of an indenter, and one phrase for each missing entry.
 
     Args:
@@ -162,9 +163,10 @@ def _make_air_and_failure_lines(parts: Sequence[ReplicateFile]) -> list[Campaign
     """Return ``contact = "find"`` for air before contact and ``failure = "cut"`` for a failure; else no line."""
     lines = []
     motions = [(part.file.name, motion) for part in parts for motion in part.motions]
-    air = [(name, motion.contact) for name, motion in motions if motion.starts_in_air and motion.contact is not None]
+    air = [(name, motion.contact) for name,
+           motion in motions if motion.starts_in_air_or_none_if_unclear and motion.contact is not None]
     zeroed = any("zeroing" in recording.metadata for part in parts for recording in part.reading.recordings)
-    if air and not zeroed and all(motion.starts_in_air is not None for _, motion in motions):
+    if air and not zeroed and all(motion.starts_in_air_or_none_if_unclear is not None for _, motion in motions):
         name, contact = air[0]
         lines.append(CampaignLine("contact", "find",
                                   f"{name}: {contact.in_words(stressed=motions[0][1].found.stressed)}"))
@@ -175,7 +177,7 @@ def _make_air_and_failure_lines(parts: Sequence[ReplicateFile]) -> list[Campaign
     return lines
 
 
-def _get_channel_flag(channel: str) -> str:
+def _get_channel_name_in_flag(channel: str) -> str:
     """Return the name of a channel as the user types it in a flag: ``shear_strain`` in ``--unit shear_strain=...``."""
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
@@ -193,4 +195,4 @@ def make_fit_lines(tests: Sequence[ImportedTest], wishes: ImportOptions) -> list
     if not closed:
         lines.append(CampaignLine("bulk_ratio", _BULK_RATIO,
                                   "K / mu0; gels and soft tissues hardly change their volume"))
-    return [*lines, *make_contact_offset_lines(tests, bounded=closed), *make_viscoelastic_start_line(tests)]
+    return [*lines, *make_contact_offset_lines(tests, bounded=closed), *make_prony_term_start_lines(tests)]

@@ -9,16 +9,16 @@ from pathlib import Path
 
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured_curves
-from calibration.importing.afm import interpret_afm_file, is_afm_file
+from calibration.importing.afm import is_afm_file, read_afm_file_as_indentation_replicates
 from calibration.importing.campaign_lines import (
     DEFAULT_LAWS,
+    get_specimen_sizes_by_priority,
     make_fit_lines,
-    make_specimen_lines,
-    make_test_lines,
-    merge_specimen_sizes,
+    make_specimen_lines_and_missing,
+    make_test_lines_and_missing,
 )
 from calibration.importing.campaign_text import FILL_IN, format_campaign
-from calibration.importing.decimal_marks import apply_common_decimal_mark
+from calibration.importing.decimal_marks import add_common_decimal_option_to_files
 from calibration.importing.flags import reject_contradicting_options, reject_unused_options
 from calibration.importing.grouping import group_into_tests, have_same_speed_and_travel
 from calibration.importing.imported import (
@@ -30,19 +30,23 @@ from calibration.importing.imported import (
     ZeroLoadInterpretation,
     list_questions_of_tests,
 )
-from calibration.importing.motion import describe_motion
-from calibration.importing.picture import draw_import_as_png
-from calibration.importing.sidecar import add_sidecar_metadata, find_test_kind_in_sidecar, read_sidecar
-from calibration.importing.size_assumptions import add_size_assumptions
-from calibration.importing.sizes_of_tables import add_question_about_table_sizes
-from calibration.importing.zero import add_zero_load_assumption, list_laws_linear_in_parameters
+from calibration.importing.motion import analyse_recorded_motion
+from calibration.importing.picture import render_import_as_png_bytes
+from calibration.importing.sidecar import (
+    copy_interpretation_with_sidecar_data,
+    find_test_kind_in_sidecar,
+    read_matching_sidecar_or_empty,
+)
+from calibration.importing.size_assumptions import copy_interpretation_with_size_assumptions
+from calibration.importing.sizes_of_tables import copy_with_question_on_contradicting_sizes
+from calibration.importing.zero import get_corrected_replicates_and_zero_load, select_linear_laws_or_neo_hooke
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import run_in_sandbox
-from tissue_sim.errors import InputError, add_location_to_errors, shorten_text
+from tissue_sim.errors import InputError, located_and_converted_errors, shorten_text_in_middle
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.recording.formats.guesses import FileInterpretation
-from tissue_sim.recording.formats.sizes import SizeOrSpeed
+from tissue_sim.recording.formats.sizes import SizeOrSpeedInMillimetres
 from tissue_sim.recording.formats.understanding import interpret_file
 
 #: Sizes of a specimen without a stated shape.
@@ -71,18 +75,19 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     """
     wishes, paths = wishes or ImportOptions(), [Path(file) for file in files]
     output = None if output is None else Path(output)
-    _check_input_and_output_paths(paths, output, overwrite)
+    _check_inputs_differ_and_output_is_new(paths, output, overwrite)
     reject_contradicting_options(wishes)
-    understood = apply_common_decimal_mark([add_question_about_table_sizes(add_size_assumptions(each, wishes), wishes)
-                                    for each in _interpret_files(paths, wishes)])
+    understood = add_common_decimal_option_to_files(
+        [copy_with_question_on_contradicting_sizes(copy_interpretation_with_size_assumptions(each, wishes), wishes)
+         for each in _get_interpretation_of_each_file(paths, wishes)])
     controlled = wishes.test.get("control")
-    parts = [ReplicateFile(each, reading, tuple(describe_motion(recording, reading.kind.kind, controlled)
-                                       for recording in reading.recordings))
+    parts = [ReplicateFile(each, reading, tuple(analyse_recorded_motion(recording, reading.kind.kind, controlled)
+                                                for recording in reading.recordings))
              for each in understood for reading in each.readings]
-    groups = [(name, *_add_zero_load_assumption(alike, wishes), reason) for name, alike,
+    groups = [(name, *_get_corrected_replicates_and_zero_load(alike, wishes), reason) for name, alike,
               reason in group_into_tests(parts)]
     parts = [part for _, alike, *_ in groups for part in alike]
-    tests, specimens, missing = _build_imported_tests(groups, wishes)
+    tests, specimens, missing = _build_tests_specimens_and_missing(groups, wishes)
     reject_unused_options(wishes, understood, tests)
     fit = make_fit_lines(tests, wishes)
 
@@ -91,20 +96,20 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
         return format_campaign(tests, specimens, fit, folder, questions)
 
     text = format_campaign_for_folder(Path() if output is None else output.parent, list_questions_of_tests(tests))
-    imported = ImportResult(tuple(understood), tests, make_read_only_copy(specimens), text, missing,
+    imported = ImportResult(tuple(understood), tests, make_shallow_read_only_copy(specimens), text, missing,
                             _collect_warnings(parts, tests))
     if not missing:
         imported = replace(imported, problem=_find_reason_against_calibration(format_campaign_for_folder))
     if output is None:
         return imported
     picture = output.with_suffix(".png")
-    drawn = draw_import_as_png(imported)
+    drawn = render_import_as_png_bytes(imported)
     write_text(output, text)
     write_bytes(picture, drawn)
     return replace(imported, output=output, picture=picture)
 
 
-def _check_input_and_output_paths(paths: Sequence[Path], output: Path | None, overwrite: bool) -> None:
+def _check_inputs_differ_and_output_is_new(paths: Sequence[Path], output: Path | None, overwrite: bool) -> None:
     """Check that the paths of an import differ, and that the output is a new TOML file (unless `overwrite`).
 
     Raises:
@@ -114,7 +119,7 @@ def _check_input_and_output_paths(paths: Sequence[Path], output: Path | None, ov
     if not paths:
         raise InputError("files must contain at least one path; got none. Name the files to import.", field="files")
     for i, path in enumerate(paths):
-        with add_location_to_errors(file=path):
+        with located_and_converted_errors(file=path):
             if path.resolve() in {other.resolve() for other in paths[:i]}:
                 raise InputError("files must differ; this file is given twice. Remove the repetition, because each "
                                  "replicate counts once.")
@@ -132,7 +137,7 @@ def _check_input_and_output_paths(paths: Sequence[Path], output: Path | None, ov
                              "file with --overwrite.", file=each)
 
 
-def _interpret_files(paths: Sequence[Path], wishes: ImportOptions) -> list[FileInterpretation]:
+def _get_interpretation_of_each_file(paths: Sequence[Path], wishes: ImportOptions) -> list[FileInterpretation]:
     """Interpret all files; return one interpretation for each file, in the order of `paths`.
 
     Raises:
@@ -141,19 +146,20 @@ def _interpret_files(paths: Sequence[Path], wishes: ImportOptions) -> list[FileI
     understood, faults = [], []
     for path in paths:
         try:
-            understood.append(_interpret_file(path, wishes))
+            understood.append(_get_file_interpretation_with_sidecar(path, wishes))
         except InputError as error:
             faults.append(error)
     if len(faults) == 1:
         raise faults[0]
     if faults:
         length = _ERROR_CHARACTERS // len(faults)
-        problems = (shorten_text(f"{Path(each.file or '').name}: {each.problem}", max(length, 20)) for each in faults)
+        problems = (shorten_text_in_middle(f"{Path(each.file or '').name}: {each.problem}", max(length, 20))
+                    for each in faults)
         raise InputError(f"{len(faults)} of {len(paths)} files cannot be imported: {'; '.join(problems)}")
     return understood
 
 
-def _interpret_file(path: Path, wishes: ImportOptions) -> FileInterpretation:
+def _get_file_interpretation_with_sidecar(path: Path, wishes: ImportOptions) -> FileInterpretation:
     """Interpret one file with its sidecar ``NAME.json``.
 
     Stress and strain of the file are read instead of force and displacement if the file has both and the size of the
@@ -162,17 +168,18 @@ def _interpret_file(path: Path, wishes: ImportOptions) -> FileInterpretation:
     stated = wishes.stated
     if stated.format in ("afm", "jpk", "bruker") or (not stated.format
                                                      and run_in_sandbox(is_afm_file, path, file=path)):
-        return interpret_afm_file(path)
-    said = read_sidecar(path)
+        return read_afm_file_as_indentation_replicates(path)
+    said = read_matching_sidecar_or_empty(path)
     speed, height = wishes.test.get("speed_mm_s"), wishes.specimen.get("height_mm")
     stated = replace(stated, kind=stated.kind or find_test_kind_in_sidecar(said),
                      speed=None if speed is None else 1e-3 * speed,
                      height=None if height is None else 1e-3 * float(height))
-    found = add_sidecar_metadata(run_in_sandbox(interpret_file, path, stated, file=path), said,
-                        kind_stated=wishes.stated.kind is not None)
+    found = copy_interpretation_with_sidecar_data(run_in_sandbox(interpret_file, path, stated, file=path), said,
+                                                  kind_stated=wishes.stated.kind is not None)
     # Without the size of the specimen a force gives no modulus; stress and strain in the file give one.
     lacking = [reading for reading in found.readings if {"displacement", "force"} <= set(
-        reading.recordings[0].channels) and not _has_height_and_cross_section(merge_specimen_sizes(reading, wishes))]
+        reading.recordings[0].channels)
+               and not _has_height_and_cross_section(get_specimen_sizes_by_priority(reading, wishes))]
     if lacking and not stated.columns:
         direct = run_in_sandbox(interpret_file, path, replace(stated, direct=True), file=path)
         if all({"nominal stress"} <= {column.channel for column in reading.columns} for reading in direct.readings):
@@ -180,7 +187,7 @@ def _interpret_file(path: Path, wishes: ImportOptions) -> FileInterpretation:
     return found
 
 
-def _has_height_and_cross_section(sizes: Mapping[str, SizeOrSpeed]) -> bool:
+def _has_height_and_cross_section(sizes: Mapping[str, SizeOrSpeedInMillimetres]) -> bool:
     """Return whether height and cross-section of the specimen are known, so that a force gives a stress.
 
     Keys other than `_OWN_SIZES` belong to a shape that the user states; these sizes count as complete.
@@ -188,20 +195,21 @@ def _has_height_and_cross_section(sizes: Mapping[str, SizeOrSpeed]) -> bool:
     return not sizes.keys() <= _OWN_SIZES or ("height_mm" in sizes and ("radius_mm" in sizes or "area_mm2" in sizes))
 
 
-def _add_zero_load_assumption(parts: Sequence[ReplicateFile], wishes: ImportOptions
-                              ) -> tuple[tuple[ReplicateFile, ...], ZeroLoadInterpretation | None]:
+def _get_corrected_replicates_and_zero_load(parts: Sequence[ReplicateFile], wishes: ImportOptions
+                                            ) -> tuple[tuple[ReplicateFile, ...], ZeroLoadInterpretation | None]:
     """Return the replicates, extended by the assumption about their load at zero displacement, and this assumption.
 
     The second value is None if the load is zero at zero displacement.
     """
-    sizes = {key: size.value for key, size in merge_specimen_sizes(parts[0].reading, wishes).items()}
-    laws = list_laws_linear_in_parameters(wishes.laws or DEFAULT_LAWS["analytical"])
-    return add_zero_load_assumption(parts, sizes, laws, wishes.zero)
+    sizes = {key: size.value for key, size in get_specimen_sizes_by_priority(parts[0].reading, wishes).items()}
+    laws = select_linear_laws_or_neo_hooke(wishes.laws or DEFAULT_LAWS["analytical"])
+    return get_corrected_replicates_and_zero_load(parts, sizes, laws, wishes.zero)
 
 
-def _build_imported_tests(groups: Sequence[tuple[str, tuple[ReplicateFile, ...], ZeroLoadInterpretation | None, str]],
-                          wishes: ImportOptions
-           ) -> tuple[tuple[ImportedTest, ...], dict[str, tuple[CampaignLine, ...]], tuple[str, ...]]:
+def _build_tests_specimens_and_missing(
+    groups: Sequence[tuple[str, tuple[ReplicateFile, ...], ZeroLoadInterpretation | None, str]],
+    wishes: ImportOptions
+    ) -> tuple[tuple[ImportedTest, ...], dict[str, tuple[CampaignLine, ...]], tuple[str, ...]]:
     """Return the tests of the campaign, its specimens, and the missing information.
 
     Args:
@@ -220,7 +228,7 @@ def _build_imported_tests(groups: Sequence[tuple[str, tuple[ReplicateFile, ...],
         needs = "displacement" in reading.recordings[0] or (kind is not None and kind.closed_form is None)
         specimen = None
         if needs:
-            lines, lacks = make_specimen_lines(reading, wishes, kind)
+            lines, lacks = make_specimen_lines_and_missing(reading, wishes, kind)
             missing += [what for what in lacks if what not in missing]
             values = [(line.key, line.value) for line in lines]
             # An equal test of another name has another specimen; a different test may share a specimen.
@@ -231,12 +239,12 @@ def _build_imported_tests(groups: Sequence[tuple[str, tuple[ReplicateFile, ...],
             if specimen is None:
                 specimen = name if specimens else "specimen"
                 specimens[specimen] = lines
-        keys, lacks = make_test_lines(parts, wishes)
+        keys, lacks = make_test_lines_and_missing(parts, wishes)
         missing += [what for what in lacks if what not in missing]
         columns = tuple(
             CampaignLine(column.channel, column.to_campaign_entry(), column.reason if lack is None
                          else f"{FILL_IN}: {lack}; {column.reason}")
-            for column in reading.columns for lack in [column.missing_information])
+            for column in reading.columns for lack in [column.missing_unit_or_scale_or_none])
         tests.append(ImportedTest(name, reading.kind.kind, tuple(parts), specimen, tuple(keys), columns, reason,
                                   zero))
     if len(specimens) > 1 and "specimen" in specimens:

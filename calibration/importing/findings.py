@@ -9,8 +9,8 @@ from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
 from tissue_sim.recording.screening import EQUAL_LOAD, Screening, format_sample_numbers
 
 
-def list_recording_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool,
-                   controlled: str | None = None) -> tuple[Assumption, ...]:
+def list_signal_based_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None,
+                                  stressed: bool, controlled: str | None = None) -> tuple[Assumption, ...]:
     """Return the assumptions about one recording that its signals show: omitted samples, contact, controlled quantity.
 
     Args:
@@ -20,14 +20,14 @@ def list_recording_assumptions(screening: Screening, contact: Contact | None, *,
         stressed: whether the recording has strain and stress.
         controlled: controlled quantity as the user states; None: found in the signals.
     """
-    return tuple(_iterate_recording_assumptions(screening, contact, has_air=has_air, stressed=stressed,
-                                                controlled=controlled))
+    return tuple(_iterate_signal_based_assumptions(screening, contact, has_air=has_air, stressed=stressed,
+                                                   controlled=controlled))
 
 
-def _iterate_recording_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None,
-                                   stressed: bool,
-                      controlled: str | None) -> Iterator[Assumption]:
-    """Yield the assumptions about one recording; see `list_recording_assumptions`."""
+def _iterate_signal_based_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None,
+                                      stressed: bool,
+                                      controlled: str | None) -> Iterator[Assumption]:
+    """Yield the assumptions about one recording; see `list_signal_based_assumptions`."""
     control = screening.control
     if screening.left_out_sample_numbers:
         sentences = [*(each.sentence for each in screening.left_out), *(each.sentence for each in screening.saturation)]

@@ -8,10 +8,10 @@ from typing import Any
 from calibration.importing.imported import ImportedTest, ImportOptions
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.experiment.tools.tool import TOOLS, parse_shape_name
+from tissue_sim.experiment.tools.tool import TOOLS, interpret_shape_or_profile_path
 from tissue_sim.recording.formats.gauge_length import uses_gauge_length
 from tissue_sim.recording.formats.guesses import ColumnGuess, FileInterpretation
-from tissue_sim.recording.formats.interpretation import get_channel_flag_name
+from tissue_sim.recording.formats.interpretation import get_command_line_channel_name
 from tissue_sim.recording.formats.vocabulary import MACHINES
 from tissue_sim.recording.measures import ENGINEERING, MEASURES
 
@@ -37,8 +37,9 @@ def reject_contradicting_options(wishes: ImportOptions) -> None:
         names = [ENGINEERING, *(name for name, each in MEASURES.items() if each.channel == becomes)]
         if measure not in names or len(names) == 1:
             expected = f"one of {', '.join(names)}" if len(names) > 1 else "that of a strain, stretch or stress"
-            raise InputError(f"measure of {get_channel_flag_name(channel)} must be {expected}; got {measure!r}. Change "
-                             "the flag or leave it out.", field="--measure")
+            raise InputError(
+                f"measure of {get_command_line_channel_name(channel)} must be {expected}; got {measure!r}. Change "
+                "the flag or leave it out.", field="--measure")
 
 
 def reject_unused_options(wishes: ImportOptions, files: Sequence[FileInterpretation],
@@ -48,7 +49,7 @@ def reject_unused_options(wishes: ImportOptions, files: Sequence[FileInterpretat
     Raises:
         InputError: the error names the flag and the reason.
     """
-    problem = next(_find_unused_options(wishes, files, tests), None)
+    problem = next(_iterate_unused_options_with_reason(wishes, files, tests), None)
     if problem is not None:
         flag, reason = problem
         raise InputError(f"{reason}. Leave out the flag.", field=flag)
@@ -61,21 +62,21 @@ def applies_to_test_kind(key: str, value: Any, kind: TestKind | None) -> bool:
     if key == "friction":
         return kind.tool is not None and not kind.face.fixed
     if key == "tool":
-        return kind.tool is not None and (kind.tool_stated or _is_plate_shape(value))
+        return kind.tool is not None and (kind.tool_stated or _is_plate_tool_shape(value))
     return key != "tool_radius_mm" or kind.tool_stated
 
 
-def _is_plate_shape(shape: Any) -> bool:
+def _is_plate_tool_shape(shape: Any) -> bool:
     """Return whether the name of a tool shape, such as ``plate``, stands for a plate."""
-    name = parse_shape_name(shape)[0]
+    name = interpret_shape_or_profile_path(shape)[0]
     return name in TOOLS and TOOLS[name].is_plate
 
 
-def _find_unused_options(wishes: ImportOptions, files: Sequence[FileInterpretation], tests: Sequence[ImportedTest]
-            ) -> Iterator[tuple[str, str]]:
+def _iterate_unused_options_with_reason(wishes: ImportOptions, files: Sequence[FileInterpretation],
+                                        tests: Sequence[ImportedTest] ) -> Iterator[tuple[str, str]]:
     """Yield (flag, reason) of each option of the user that has no effect on the files."""
-    yield from _find_options_unused_by_file_kind(wishes, files)
-    yield from _find_options_of_unread_channels(wishes, files)
+    yield from _iterate_options_unused_by_file_kind(wishes, files)
+    yield from _iterate_options_of_unread_channels(wishes, files)
     kinds = [KINDS[test.kind] if test.kind else None for test in tests]
     for key, value in wishes.test.items():
         if not any(applies_to_test_kind(key, value, kind) for kind in kinds):
@@ -92,8 +93,8 @@ def _find_unused_options(wishes: ImportOptions, files: Sequence[FileInterpretati
                "displacement and force are read if all sizes are stated")
 
 
-def _find_options_unused_by_file_kind(wishes: ImportOptions,
-                                      files: Sequence[FileInterpretation]) -> Iterator[tuple[str, str]]:
+def _iterate_options_unused_by_file_kind(wishes: ImportOptions,
+                                         files: Sequence[FileInterpretation]) -> Iterator[tuple[str, str]]:
     """Yield (flag, reason) of options that do not apply to this kind of file."""
     stated, kinds = wishes.stated, {each.kind_of_file for each in files}
     if stated.sheet is not None and not kinds & {"workbook", "container"}:
@@ -107,8 +108,8 @@ def _find_options_unused_by_file_kind(wishes: ImportOptions,
             yield "--column", "files of an AFM name their channels"
 
 
-def _find_options_of_unread_channels(wishes: ImportOptions,
-                                     files: Sequence[FileInterpretation]) -> Iterator[tuple[str, str]]:
+def _iterate_options_of_unread_channels(wishes: ImportOptions,
+                                        files: Sequence[FileInterpretation]) -> Iterator[tuple[str, str]]:
     """Yield (flag, reason) of options for channels that are not read."""
     columns: list[ColumnGuess] = [column for each in files for reading in each.readings for column in reading.columns]
     read = {name for column in columns for name in (column.channel, column.role)}
@@ -117,5 +118,6 @@ def _find_options_of_unread_channels(wishes: ImportOptions,
                          ("--measure", stated.measures)):
         for channel in values:
             if channel not in read:
-                has = ", ".join(dict.fromkeys(get_channel_flag_name(column.channel) for column in columns)) or "none"
-                yield flag, f"no column of {get_channel_flag_name(channel)} is read; columns are read for {has}"
+                has = ", ".join(dict.fromkeys(get_command_line_channel_name(column.channel) for column in columns)) \
+                    or "none"
+                yield flag, f"no column of {get_command_line_channel_name(channel)} is read; columns are read for {has}"

@@ -23,7 +23,7 @@ def group_into_tests(parts: Sequence[ReplicateFile]) -> list[tuple[str, tuple[Re
     failure, so that only the speed of its motion is compared.
     """
     alike: dict[tuple, list[list[ReplicateFile]]] = {}
-    counted = _strip_replicate_numbers(list(dict.fromkeys(part.file for part in parts)))
+    counted = _find_replicate_stem_by_file(list(dict.fromkeys(part.file for part in parts)))
     for part in parts:
         reading = part.reading
         stem = counted[part.file]
@@ -46,7 +46,7 @@ def group_into_tests(parts: Sequence[ReplicateFile]) -> list[tuple[str, tuple[Re
     return groups
 
 
-def _strip_replicate_numbers(files: Sequence[Path]) -> dict[Path, str]:
+def _find_replicate_stem_by_file(files: Sequence[Path]) -> dict[Path, str]:
     """Return file -> name that replicates have in common: the name of the file without the number at its end.
 
     Numbers that differ widely, such as in ``gel_10`` and ``gel_50``, are part of the name of the specimen.

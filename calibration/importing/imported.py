@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration.importing.motion import RecordedMotion
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.public_names import OldName, make_getattr_for_old_names
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.formats.guesses import ColumnHints, FileInterpretation, TableGroup
@@ -31,8 +31,8 @@ class ImportOptions:
     """
 
     stated: ColumnHints = field(default_factory=ColumnHints)
-    specimen: Mapping[str, float | str] = field(default_factory=lambda: make_read_only_copy({}))
-    test: Mapping[str, Any] = field(default_factory=lambda: make_read_only_copy({}))
+    specimen: Mapping[str, float | str] = field(default_factory=lambda: make_shallow_read_only_copy({}))
+    test: Mapping[str, Any] = field(default_factory=lambda: make_shallow_read_only_copy({}))
     laws: tuple[str, ...] | None = None
     zero: str | None = None
 
@@ -137,7 +137,7 @@ class ImportResult:
     @property
     def assumptions(self) -> tuple[tuple[str, Assumption], ...]:
         """Pairs (file name, assumption) of all files: about the file, its tables, then its recordings."""
-        return list_assumptions_of_tests(self.tests)
+        return list_file_name_assumption_pairs(self.tests)
 
     @property
     def questions(self) -> tuple[str, ...]:
@@ -152,7 +152,7 @@ class ImportResult:
         return not self.missing and self.problem is None and not self.questions
 
 
-def list_assumptions_of_tests(tests: Sequence[ImportedTest]) -> tuple[tuple[str, Assumption], ...]:
+def list_file_name_assumption_pairs(tests: Sequence[ImportedTest]) -> tuple[tuple[str, Assumption], ...]:
     """Return the pairs (file name, assumption) of all files of the tests, each pair once.
 
     The assumptions of one file are about the file, then about its tables, then about its recordings.
@@ -169,13 +169,13 @@ def list_assumptions_of_tests(tests: Sequence[ImportedTest]) -> tuple[tuple[str,
 def list_questions_of_tests(tests: Sequence[ImportedTest]) -> tuple[str, ...]:
     """Return one sentence for each question that the user must decide by a flag, with the files that it concerns."""
     asked: dict[str, list[str]] = {}
-    for name, each in list_assumptions_of_tests(tests):
+    for name, each in list_file_name_assumption_pairs(tests):
         if each.needs_user_decision:
             asked.setdefault(each.question_text, []).append(name)
     return tuple(f"{', '.join(dict.fromkeys(names))}: {question}" for question, names in asked.items())
 
 
-def convert_import_to_json(imported: ImportResult) -> dict[str, Any]:
+def make_json_dictionary_of_import(imported: ImportResult) -> dict[str, Any]:
     """Return the result of an import as a dictionary of JSON types, with lengths in mm.
 
     Returns:
@@ -195,7 +195,7 @@ def convert_import_to_json(imported: ImportResult) -> dict[str, Any]:
 
 
 def _make_file_entry(understanding: FileInterpretation, imported: ImportResult) -> dict[str, Any]:
-    """Return the dictionary that describes a file under the key ``files`` of `convert_import_to_json`."""
+    """Return the dictionary that describes a file under the key ``files`` of `make_json_dictionary_of_import`."""
     parts = [part for test in imported.tests for part in test.parts if part.understanding is understanding]
     recordings = [_make_recording_entry(motion, recording.name or part.reading.name, len(recording))
                   for part in parts for motion, recording in zip(part.motions, part.reading.recordings, strict=True)]

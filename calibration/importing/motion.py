@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.importing.findings import list_recording_assumptions
+from calibration.importing.findings import list_signal_based_assumptions
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.cleaning import remove_outliers_and_saturation
 from tissue_sim.recording.contact import Contact
@@ -16,8 +16,8 @@ from tissue_sim.recording.control import analyse_control_and_creep
 from tissue_sim.recording.failure import Failure
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.screening import ControlFindings, Screening
-from tissue_sim.recording.segments import Segmentation, find_segments, get_motion_and_load
+from tissue_sim.recording.screening import ControlledQuantityFindings, Screening
+from tissue_sim.recording.segments import Segmentation, find_segments, get_positive_motion_load_and_stress_flag
 
 #: Channels of the motion -> value at rest; the first channel in a recording is used.
 MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0}
@@ -25,7 +25,7 @@ MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0}
 _NEGLIGIBLE_AIR = 0.01
 
 
-class MotionSegment(NamedTuple):
+class MotionSegmentSampleRange(NamedTuple):
     """Segment of the motion from sample `first` to `last` of the recording (indices from 0, both included)."""
 
     name: str
@@ -66,11 +66,11 @@ class RecordedMotion:
         return index if self.kept is None else int(self.kept[index])
 
     @property
-    def segments(self) -> tuple[MotionSegment, ...]:
+    def segments(self) -> tuple[MotionSegmentSampleRange, ...]:
         """Segments in the order of time, with indices of the recording of the file."""
-        return tuple(MotionSegment(name, self.recording_index_of(first), self.recording_index_of(end - 1))
+        return tuple(MotionSegmentSampleRange(name, self.recording_index_of(first), self.recording_index_of(end - 1))
                      for name, first,
-                     end in self.found.iterate_segments())
+                     end in self.found.iterate_segment_names_and_bounds())
 
     @property
     def loading_cycle_count(self) -> int:
@@ -91,7 +91,7 @@ class RecordedMotion:
         return self.found.contact
 
     @property
-    def starts_in_air(self) -> bool | None:
+    def starts_in_air_or_none_if_unclear(self) -> bool | None:
         """Whether the recording starts with motion in air or slack before contact; None if this is unclear."""
         contact = self.found.contact
         if contact is None or contact.status == "before":
@@ -101,7 +101,7 @@ class RecordedMotion:
         return True if contact.has_air_before_contact else None
 
 
-def describe_motion(recording: Recording, kind: str | None, controlled: str | None = None) -> RecordedMotion:
+def analyse_recorded_motion(recording: Recording, kind: str | None, controlled: str | None = None) -> RecordedMotion:
     """Analyse the motion of one recording: sampling, segments, contact, failure, warnings and assumptions.
 
     Args:
@@ -129,18 +129,20 @@ def describe_motion(recording: Recording, kind: str | None, controlled: str | No
     if rate is None and abs(way[0]) > abs(way[-1]):
         # A table without a clock has no order; starting from rest, the table is a loading.
         recording = recording.select(slice(None, None, -1))
-    control = _find_controlled_quantity(recording, kind)
+    control = _get_control_findings(recording, kind)
     screening = replace(screening, control=control if controlled is None else replace(control, equal_samples=0))
     motion = RecordedMotion(channel, (float(way.max()), float(way.min())), rate, duration, speed,
-                    find_segments(recording, kind), screening=screening, kept=None if kept.size == size else kept)
-    assumptions = list_recording_assumptions(screening, motion.contact, has_air=motion.starts_in_air,
-                                             stressed=motion.found.stressed, controlled=controlled)
+                            find_segments(recording, kind), screening=screening,
+                            kept=None if kept.size == size else kept)
+    assumptions = list_signal_based_assumptions(screening, motion.contact,
+                                                has_air=motion.starts_in_air_or_none_if_unclear,
+                                                stressed=motion.found.stressed, controlled=controlled)
     return replace(motion, warnings=tuple(_iterate_motion_warnings(recording, motion)), assumptions=assumptions)
 
 
-def _find_controlled_quantity(recording: Recording, kind: str | None) -> ControlFindings:
+def _get_control_findings(recording: Recording, kind: str | None) -> ControlledQuantityFindings:
     """Return the findings about control: which quantity the machine controls, holds, creep and relaxation."""
-    motion, load, _ = get_motion_and_load(recording, KINDS.get(kind) if kind else None)
+    motion, load, _ = get_positive_motion_load_and_stress_flag(recording, KINDS.get(kind) if kind else None)
     return analyse_control_and_creep(motion, load, recording.time if "time" in recording
                                      and np.ptp(recording.time) > 0 else None)
 
@@ -151,7 +153,7 @@ def _iterate_motion_warnings(recording: Recording, motion: RecordedMotion) -> It
     said = "" if contact is None else contact.in_words(stressed=motion.found.stressed)
     yield from motion.screening.finding_sentences
     # Force curves of an AFM count from contact, and negligible air needs no warning.
-    silent = "zeroing" in recording.metadata or motion.starts_in_air is False
+    silent = "zeroing" in recording.metadata or motion.starts_in_air_or_none_if_unclear is False
     yield from (warning for warning in motion.found.warnings if not (warning == said and silent))
     if np.ptp(recording.channel(motion.channel)) == 0:
         yield "the motion is constant, so that the recording has no loading"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.importing.assumption_table import format_wrapped_table
+from calibration.importing.assumption_table import format_shortened_table_lines
 from calibration.importing.imported import ImportedTest, ImportResult
 from calibration.report.drawing import COLOURS, STYLE, create_figure, make_thinning_slice
 from calibration.report.png import render_png
@@ -16,7 +16,7 @@ from tissue_sim.recording.screening import Screening
 
 
 @dataclass(frozen=True)
-class PictureSettings:
+class ImportPictureLayoutSettings:
     """Layout of the picture of an import.
 
     Attributes:
@@ -39,14 +39,14 @@ class PictureSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = PictureSettings()
+_SETTINGS = ImportPictureLayoutSettings()
 _SHOWN = {"displacement": ("displacement, mm", 1e3), "stretch": ("stretch", 1.0), "shear strain": ("shear strain", 1.0),
           "force": ("force, N", 1.0), "nominal stress": ("nominal stress, kPa", 1e-3)}
 _SHADES = {"hold": "0.85", "unload": "#fde3d0", "reload": "#dcebf7", "approach": "#e8f4fb", "preload": "#f5e4ee",
            "preconditioning": "#fbefd5", "failure": "#f3c9ad"}
 
 
-def draw_import_as_png(imported: ImportResult) -> bytes:
+def render_import_as_png_bytes(imported: ImportResult) -> bytes:
     """Draw the recordings of all tests and the assumptions; return the bytes of a PNG file.
 
     A channel without a known unit is drawn in the numbers of its file.
@@ -55,12 +55,12 @@ def draw_import_as_png(imported: ImportResult) -> bytes:
 
     tests = imported.tests[:_SETTINGS.most_tests]
     with matplotlib.rc_context(STYLE):
-        lines = format_wrapped_table(tests, _SETTINGS.text_columns, _SETTINGS.most_lines)
+        lines = format_shortened_table_lines(tests, _SETTINGS.text_columns, _SETTINGS.most_lines)
         heights = [_SETTINGS.row_height] * len(tests) + [max(len(lines), 1) * _SETTINGS.line_height]
         figure = create_figure(10.0, sum(heights))
         axes = figure.subplots(len(heights), 2, gridspec_kw={"height_ratios": heights})
         for row, test in zip(axes[:-1], tests, strict=True):
-            _draw_recordings_of_test(row[0], row[1], test)
+            _draw_test_motion_and_load_in_two_axes(row[0], row[1], test)
         _draw_assumption_table(axes[-1], lines)
         if len(imported.tests) > len(tests):
             figure.supxlabel(f"the first {len(tests)} of {len(imported.tests)} tests", fontsize=9)
@@ -76,11 +76,11 @@ def _draw_assumption_table(axes, lines: Sequence[str]) -> None:
                  clip_on=False)
 
 
-def _draw_recordings_of_test(left, right, test: ImportedTest) -> None:
+def _draw_test_motion_and_load_in_two_axes(left, right, test: ImportedTest) -> None:
     """Draw the recordings of a test: motion over time in the left axes, load over motion in the right axes."""
     number = 0
     for part in test.parts:
-        raw = {column.channel for column in part.reading.columns if column.missing_information}
+        raw = {column.channel for column in part.reading.columns if column.missing_unit_or_scale_or_none}
         for recording, motion in zip(part.reading.recordings, part.motions, strict=True):
             load = "force" if "force" in recording else "nominal stress"
             style = {"color": COLOURS[number % len(COLOURS)], "lw": 1.0}
@@ -92,7 +92,7 @@ def _draw_recordings_of_test(left, right, test: ImportedTest) -> None:
             left.plot(clocks[every], ways[every], **style)
             right.plot(ways[every], loads[every], **style, label=name if number < _SETTINGS.most_names else None)
             if kept.size < len(recording):
-                _mark_omitted_samples(left, right, clocks, ways, loads, kept, motion.screening)
+                _mark_outliers_and_saturated_samples(left, right, clocks, ways, loads, kept, motion.screening)
             if motion.failure is not None:
                 at = motion.recording_index_of(motion.failure.index)
                 point = [_convert_to_plotted_unit(recording, channel, raw)[at] for channel in (motion.channel, load)]
@@ -113,8 +113,8 @@ def _convert_to_plotted_unit(recording: Recording, channel: str, raw: set[str]) 
     return recording.channel(channel) * (1.0 if channel in raw else _SHOWN[channel][1])
 
 
-def _mark_omitted_samples(left, right, clocks: np.ndarray, ways: np.ndarray, loads: np.ndarray, kept: np.ndarray,
-                   screening: Screening) -> None:
+def _mark_outliers_and_saturated_samples(left, right, clocks: np.ndarray, ways: np.ndarray, loads: np.ndarray,
+                                         kept: np.ndarray, screening: Screening) -> None:
     """Mark the samples that are left out: outliers as red crosses, saturated samples as grey dots.
 
     An outlier outside the range of the kept samples is drawn at the edge of this range.

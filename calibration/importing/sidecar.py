@@ -9,15 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.decode import read_json
+from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.files import read_bytes
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.recording.formats.guesses import FileInterpretation, KindGuess, TableGroup
 
 
-def read_sidecar(path: Path) -> Mapping[str, Any]:
+def read_matching_sidecar_or_empty(path: Path) -> Mapping[str, Any]:
     """Return the metadata in the sidecar ``NAME.json`` of a recording ``NAME.csv``.
 
     The result is empty without a sidecar, or if the digest in the sidecar differs from that of the recording.
@@ -26,7 +26,7 @@ def read_sidecar(path: Path) -> Mapping[str, Any]:
     if path.suffix.lower() != ".csv" or not sidecar.is_file():
         return {}
     with suppress(InputError):
-        said = read_json(sidecar, "the sidecar of a recording")
+        said = read_json_value(sidecar, "the sidecar of a recording")
         digest = hashlib.sha256(read_bytes(path, "a recording")).hexdigest()
         if isinstance(said, Mapping) and said.get("sha256") == digest:
             return said
@@ -39,13 +39,13 @@ def find_test_kind_in_sidecar(said: Mapping[str, Any]) -> str | None:
     return kind if isinstance(kind, str) and kind in KINDS else None
 
 
-def add_sidecar_metadata(found: FileInterpretation, said: Mapping[str, Any], *,
-                         kind_stated: bool) -> FileInterpretation:
+def copy_interpretation_with_sidecar_data(found: FileInterpretation, said: Mapping[str, Any], *,
+                                          kind_stated: bool) -> FileInterpretation:
     """Return a copy of the interpretation of a file with the kind of test, specimen sizes and tool of its sidecar.
 
     Args:
         found: interpretation of the file.
-        said: metadata, see `read_sidecar`.
+        said: metadata, see `read_matching_sidecar_or_empty`.
         kind_stated: whether the user states the kind.
     """
     if not said:
@@ -59,10 +59,10 @@ def add_sidecar_metadata(found: FileInterpretation, said: Mapping[str, Any], *,
         {"tool": tool, "tool_radius_mm": said.get("tool_radius_mm")}
     about = {key: value for key, value in about.items() if value is not None}
 
-    def add_metadata_to_reading(reading: TableGroup) -> TableGroup:
+    def add_sidecar_data_to_reading(reading: TableGroup) -> TableGroup:
         """Return a copy of a reading with the kind of test, the specimen sizes and the tool that the sidecar states."""
         guess = reading.kind if kind is None or kind_stated else KindGuess(kind, reason)
-        return replace(reading, kind=guess, specimen=make_read_only_copy(sizes),
+        return replace(reading, kind=guess, specimen=make_shallow_read_only_copy(sizes),
                        recordings=tuple(each.with_metadata(**about) for each in reading.recordings))
 
-    return replace(found, readings=tuple(map(add_metadata_to_reading, found.readings)))
+    return replace(found, readings=tuple(map(add_sidecar_data_to_reading, found.readings)))

@@ -14,8 +14,8 @@ from tissue_sim.recording.contact_error import (
 )
 from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
 from tissue_sim.recording.recording import MIN_POINTS
-from tissue_sim.recording.screening import ControlFindings
-from tissue_sim.recording.segments import get_motion_and_load
+from tissue_sim.recording.screening import ControlledQuantityFindings
+from tissue_sim.recording.segments import get_positive_motion_load_and_stress_flag
 
 #: Bounds of a fitted contact offset, in its standard deviations.
 _OFFSET_BOUNDS = 3.0
@@ -23,7 +23,7 @@ _OFFSET_BOUNDS = 3.0
 _FRACTIONS = (0.1, 0.9)
 
 
-def make_leave_out_line(parts: Sequence[ReplicateFile]) -> list[CampaignLine]:
+def make_outlier_leave_out_lines(parts: Sequence[ReplicateFile]) -> list[CampaignLine]:
     """Return the line ``leave_out`` of a test as a list of one line; an empty list without outliers.
 
     The line contains the sample numbers of the outliers, from 1, and the reason of the first outlier.
@@ -44,7 +44,7 @@ def make_leave_out_line(parts: Sequence[ReplicateFile]) -> list[CampaignLine]:
     return [CampaignLine("leave_out", next(iter(found.values())) if alone else found, f"{reasons[0]}{more}")]
 
 
-class _ContactOffsetPrior(NamedTuple):
+class _ZeroMeanContactOffsetPriorInMm(NamedTuple):
     """Zero-mean normal prior of a fitted contact offset.
 
     Attributes:
@@ -68,7 +68,8 @@ def make_contact_offset_lines(tests: Sequence[ImportedTest], *, bounded: bool) -
         tests: imported tests.
         bounded: whether the method supports bounds of the offset.
     """
-    found = [*_find_preload_offsets(tests), *(_find_wide_interval_offsets(tests) if bounded else ())]
+    found = [*_iterate_offset_priors_from_preloads(tests),
+             *(_iterate_offset_priors_of_unclear_contacts(tests) if bounded else ())]
     if not found:
         return []
     widest = max(found, key=lambda each: each.prior)
@@ -79,19 +80,20 @@ def make_contact_offset_lines(tests: Sequence[ImportedTest], *, bounded: bool) -
     return lines
 
 
-def _find_preload_offsets(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffsetPrior]:
+def _iterate_offset_priors_from_preloads(tests: Sequence[ImportedTest]) -> Iterator[_ZeroMeanContactOffsetPriorInMm]:
     """Yield a prior of the contact offset, mm, for each test whose displacement was zeroed at a preload."""
     for test in tests:
         if test.zero is None or test.zero.value != PRELOAD:
             continue
         shift = 1e3 * abs(test.zero.shift)
         side = "after contact" if test.zero.load > 0 else "before the force of the specimen is zero"
-        yield _ContactOffsetPrior(shift, _OFFSET_BOUNDS * shift,
-                                  f"{test.name}: the displacement was zeroed at a preload of "
-                      f"{test.zero.load:.3g} N, about {shift:.2g} mm {side}")
+        yield _ZeroMeanContactOffsetPriorInMm(shift, _OFFSET_BOUNDS * shift,
+                                              f"{test.name}: the displacement was zeroed at a preload of "
+                                              f"{test.zero.load:.3g} N, about {shift:.2g} mm {side}")
 
 
-def _find_wide_interval_offsets(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffsetPrior]:
+def _iterate_offset_priors_of_unclear_contacts(
+        tests: Sequence[ImportedTest]) -> Iterator[_ZeroMeanContactOffsetPriorInMm]:
     """Yield a prior of the contact offset, mm, for each recording whose contact is too uncertain for the modulus.
 
     The limit is `MODULUS_TOLERANCE`; only tests with motion in air before contact are examined.
@@ -105,19 +107,22 @@ def _find_wide_interval_offsets(tests: Sequence[ImportedTest]) -> Iterator[_Cont
                 if contact is None or motion.channel != "displacement":
                     continue
                 kept = recording if motion.kept is None else recording.select(motion.kept)
-                displacement, load, _ = get_motion_and_load(kept, KINDS.get(test.kind) if test.kind else None)
+                kind = KINDS.get(test.kind) if test.kind else None
+                displacement, load, _ = get_positive_motion_load_and_stress_flag(kept, kind)
                 time = kept.time if "time" in kept else None
-                displacement, load = contact.subtract_contact_and_zero(displacement, load, time)
+                displacement, load = contact.get_motion_and_force_from_contact(displacement, load, time)
                 pressed = displacement >= 0
                 error = relative_modulus_error_from_contact(displacement[pressed], load[pressed],
-                                      None if time is None else time[pressed], contact)
+                                                            None if time is None else time[pressed], contact)
                 half = 0.5e3 * (contact.interval[1] - contact.interval[0])
                 if error > MODULUS_TOLERANCE:
-                    yield _ContactOffsetPrior(half / INTERVAL_DEVIATIONS, half, f"{test.name}: contact is known to "
-                                  f"{half:.2g} mm, which changes the modulus by {100 * error:.2g} %")
+                    yield _ZeroMeanContactOffsetPriorInMm(half / INTERVAL_DEVIATIONS, half,
+                                                          f"{test.name}: contact is known to "
+                                                          f"{half:.2g} mm, which changes the modulus by "
+                                                          f"{100 * error:.2g} %")
 
 
-def make_viscoelastic_start_line(tests: Sequence[ImportedTest]) -> list[CampaignLine]:
+def make_prony_term_start_lines(tests: Sequence[ImportedTest]) -> list[CampaignLine]:
     """Return the line ``start`` of ``[fit]`` (start values of one Prony term) as a list of one line.
 
     The values are from the first test that an elastic law cannot describe; without such a test the list is empty.
@@ -136,11 +141,11 @@ def make_viscoelastic_start_line(tests: Sequence[ImportedTest]) -> list[Campaign
     return []
 
 
-def needs_viscoelasticity(control: ControlFindings) -> bool:
+def needs_viscoelasticity(control: ControlledQuantityFindings) -> bool:
     """Return whether a hold shows relaxation or creep that an elastic law cannot describe.
 
     A recording of creep needs viscoelasticity if its loading has too few samples for an elastic fit.
     """
     if control.time_constant is None:
         return False
-    return not control.is_elastic or (control.pattern == "creep" and control.loading < MIN_POINTS)
+    return not control.can_elastic_law_describe_loading or (control.pattern == "creep" and control.loading < MIN_POINTS)

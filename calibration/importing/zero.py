@@ -19,13 +19,13 @@ from calibration.importing.imported import ReplicateFile, ZeroLoadInterpretation
 from calibration.importing.motion import RecordedMotion
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.laws import LAWS, find_law
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
-from tissue_sim.recording.preload import LoadAtZeroDisplacement, estimate_load_at_zero_displacement
+from tissue_sim.recording.preload import LoadAtZeroAndContactShift, estimate_load_at_zero_displacement
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segments import get_motion_and_load
-from tissue_sim.units import find_quantity_of_unit, get_si_factor_and_offset
+from tissue_sim.recording.segments import get_positive_motion_load_and_stress_flag
+from tissue_sim.units import find_quantity_of_unit_or_none, get_si_factor_and_offset
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,9 @@ class _ExplanationFit:
     shift: float
 
 
-def add_zero_load_assumption(parts: Sequence[ReplicateFile], sizes: Mapping[str, float], laws: Sequence[str],
-                             stated: str | None
-              ) -> tuple[tuple[ReplicateFile, ...], ZeroLoadInterpretation | None]:
+def get_corrected_replicates_and_zero_load(parts: Sequence[ReplicateFile], sizes: Mapping[str, float],
+                                           laws: Sequence[str], stated: str | None
+                                           ) -> tuple[tuple[ReplicateFile, ...], ZeroLoadInterpretation | None]:
     """Return the replicates of a test with the assumption about their load at zero displacement; also interpret it.
 
     If the load cell was not zeroed, its offset is also subtracted from the recorded forces.
@@ -101,25 +101,25 @@ def add_zero_load_assumption(parts: Sequence[ReplicateFile], sizes: Mapping[str,
     reading = parts[0].reading
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     found = [(curve, start) for part in parts for recording, motion in zip(part.reading.recordings, part.motions,
-                                                                          strict=True)
-             if (curve := _select_first_loading(recording, motion, kind)) is not None
+                                                                           strict=True)
+             if (curve := _get_first_loading_curve_or_none(recording, motion, kind)) is not None
              and (start := estimate_load_at_zero_displacement(*curve)) is not None]
-    if not found or any(column.missing_information for column in reading.columns):
+    if not found or any(column.missing_unit_or_scale_or_none for column in reading.columns):
         return tuple(parts), None
     shift, load = (float(np.mean([getattr(start, name) for _, start in found])) for name in ("shift", "load"))
-    explanations = [_fit_explanations(curve, start, kind, sizes, laws) for curve, start in found]
-    jump = _find_load_jump_evidence(parts, load)
-    assumption, value, best = _choose_explanation([each for each in explanations if each], found[0][1], kind, stated,
-                                                    jump)
+    explanations = [_find_best_fits_and_noise_or_none(curve, start, kind, sizes, laws) for curve, start in found]
+    jump = _describe_load_jump_or_none(parts, load)
+    assumption, value, best = _get_zero_assumption_value_and_shift([each for each in explanations if each], found[0][1],
+                                                                   kind, stated, jump)
     zero = ZeroLoadInterpretation(value, best or shift, load)
     loads = [start.load for _, start in found]
     has_common_offset = bool(np.ptp(loads) <= _SETTINGS.largest_scatter * abs(load))
-    return tuple(_apply_zero_load_interpretation(part, assumption, zero, is_constant=has_common_offset)
+    return tuple(_apply_zero_load_to_replicate_file(part, assumption, zero, is_constant=has_common_offset)
                  for part in parts), zero
 
 
-def _select_first_loading(recording: Recording, motion: RecordedMotion, kind: TestKind | None
-                          ) -> tuple[np.ndarray, np.ndarray] | None:
+def _get_first_loading_curve_or_none(recording: Recording, motion: RecordedMotion, kind: TestKind | None
+                                     ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return displacement (m) and force (N) of the first loading, both positive under load, shapes (n,).
 
     Returns:
@@ -131,14 +131,14 @@ def _select_first_loading(recording: Recording, motion: RecordedMotion, kind: Te
     if motion.screening.control is not None and motion.screening.control.pattern == "oscillation":
         return None
     kept = recording if motion.kept is None else recording.select(motion.kept)
-    displacement, load, _ = get_motion_and_load(kept, kind)
+    displacement, load, _ = get_positive_motion_load_and_stress_flag(kept, kind)
     end = int(np.argmax(displacement)) + 1
     if motion.failure is not None:
         end = min(end, motion.failure.index + 1)
     return displacement[:end], load[:end]
 
 
-def _find_load_jump_evidence(parts: Sequence[ReplicateFile], load: float) -> str | None:
+def _describe_load_jump_or_none(parts: Sequence[ReplicateFile], load: float) -> str | None:
     """Return a sentence with the evidence that the load rises from zero within one sample; None without evidence.
 
     A first sample that was left out and reads zero load may be right. Then the load cell was zeroed, the specimen was
@@ -157,8 +157,10 @@ def _find_load_jump_evidence(parts: Sequence[ReplicateFile], load: float) -> str
     return None
 
 
-def _fit_explanations(curve: tuple[np.ndarray, np.ndarray], start: LoadAtZeroDisplacement, kind: TestKind | None,
-             sizes: Mapping[str, float], laws: Sequence[str]) -> tuple[dict[str, _ExplanationFit], float] | None:
+def _find_best_fits_and_noise_or_none(curve: tuple[np.ndarray, np.ndarray], start: LoadAtZeroAndContactShift,
+                                      kind: TestKind | None,
+                                      sizes: Mapping[str, float],
+                                      laws: Sequence[str]) -> tuple[dict[str, _ExplanationFit], float] | None:
     """Fit all laws with each explanation to the first loading of one recording; return the best fit for each.
 
     Args:
@@ -182,14 +184,14 @@ def _fit_explanations(curve: tuple[np.ndarray, np.ndarray], start: LoadAtZeroDis
     best: dict[str, _ExplanationFit] = {}
     for name in laws:
         for value in (PRELOAD, SENSOR):
-            found = _fit_explanation(value, displacement, load, start.shift, height, area, kind, name)
+            found = _fit_explanation_or_none(value, displacement, load, start.shift, height, area, kind, name)
             if found is not None and (value not in best or found.criterion < best[value].criterion):
                 best[value] = found
     return (best, noise) if len(best) == len(_EXPLANATIONS) else None
 
 
-def _fit_explanation(value: str, displacement: np.ndarray, load: np.ndarray, shift: float, height: float, area: float,
-                     kind: TestKind, name: str) -> _ExplanationFit | None:
+def _fit_explanation_or_none(value: str, displacement: np.ndarray, load: np.ndarray, shift: float, height: float,
+                             area: float, kind: TestKind, name: str) -> _ExplanationFit | None:
     """Fit one law with one explanation by linear least squares.
 
     Args:
@@ -208,9 +210,9 @@ def _fit_explanation(value: str, displacement: np.ndarray, load: np.ndarray, shi
     law, form = find_law(name), kind.require_closed_form()
     ones = np.ones(len(law.parameters))
 
-    def solve_least_squares(trial_shift: float) -> tuple[float, np.ndarray]:
+    def get_squares_and_coefficients_at_shift(trial_shift: float) -> tuple[float, np.ndarray]:
         """Return the sum of squared residuals, N2, and the fitted coefficients for a shift of contact, m."""
-        strain = kind.compute_stretch_or_shear_strain((displacement + trial_shift) / height)
+        strain = kind.convert_nominal_strain_to_abscissa((displacement + trial_shift) / height)
         design = kind.sign * area * form.derivatives(law, strain, ones)
         if value == SENSOR:
             design = np.column_stack([design, np.ones(displacement.size)])
@@ -219,8 +221,9 @@ def _fit_explanation(value: str, displacement: np.ndarray, load: np.ndarray, shi
 
     if displacement[-1] + _SHIFTS[-1] * shift >= height and not kind.has_gripped_ends:
         return None
-    trial_shift = 0.0 if value == SENSOR else float(min(_SHIFTS * shift, key=lambda each: solve_least_squares(each)[0]))
-    squares, coefficients = solve_least_squares(trial_shift)
+    trial_shift = 0.0 if value == SENSOR \
+        else float(min(_SHIFTS * shift, key=lambda each: get_squares_and_coefficients_at_shift(each)[0]))
+    squares, coefficients = get_squares_and_coefficients_at_shift(trial_shift)
     values = coefficients[:ones.size]
     modulus = law.mu0(values)
     if modulus <= 0:
@@ -230,7 +233,7 @@ def _fit_explanation(value: str, displacement: np.ndarray, load: np.ndarray, shi
     return _ExplanationFit(float(criterion), float(np.sqrt(squares / count)), modulus, trial_shift)
 
 
-def list_laws_linear_in_parameters(names: Sequence[str]) -> tuple[str, ...]:
+def select_linear_laws_or_neo_hooke(names: Sequence[str]) -> tuple[str, ...]:
     """Return those of the given laws whose stress is linear in the parameters; ``("neo_hooke",)`` if there is none."""
     strain = np.array([0.9, 0.95])
 
@@ -243,9 +246,10 @@ def list_laws_linear_in_parameters(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in names if name in LAWS and is_linear(name)) or ("neo_hooke",)
 
 
-def _choose_explanation(explanations: Sequence[tuple[dict[str, _ExplanationFit], float]], start: LoadAtZeroDisplacement,
-                          kind: TestKind | None, stated: str | None, jump: str | None
-                          ) -> tuple[Assumption, str, float | None]:
+def _get_zero_assumption_value_and_shift(explanations: Sequence[tuple[dict[str, _ExplanationFit], float]],
+                                         start: LoadAtZeroAndContactShift,
+                                         kind: TestKind | None, stated: str | None, jump: str | None
+                                         ) -> tuple[Assumption, str, float | None]:
     """Return the assumption about the load at zero displacement that fits all replicates of a test better.
 
     If the curves do not decide, the assumption is a question: it states the other explanation as an alternative.
@@ -287,7 +291,7 @@ def _choose_explanation(explanations: Sequence[tuple[dict[str, _ExplanationFit],
     return assumption, value, shift
 
 
-def _make_unzeroed_assumption(start: LoadAtZeroDisplacement, stated: str | None) -> Assumption:
+def _make_unzeroed_assumption(start: LoadAtZeroAndContactShift, stated: str | None) -> Assumption:
     """Return the assumption that the load cell was not zeroed, for a tensile force of a tool without adhesion.
 
     Raises:
@@ -303,8 +307,8 @@ def _make_unzeroed_assumption(start: LoadAtZeroDisplacement, stated: str | None)
                       stated is not None)
 
 
-def _apply_zero_load_interpretation(part: ReplicateFile, assumption: Assumption, zero: ZeroLoadInterpretation, *,
-                                    is_constant: bool) -> ReplicateFile:
+def _apply_zero_load_to_replicate_file(part: ReplicateFile, assumption: Assumption, zero: ZeroLoadInterpretation, *,
+                                       is_constant: bool) -> ReplicateFile:
     """Return a copy of a file's replicates with the assumption and a warning.
 
     If the load cell was not zeroed, its offset is subtracted from the forces and stated in the column of the force.
@@ -325,12 +329,13 @@ def _apply_zero_load_interpretation(part: ReplicateFile, assumption: Assumption,
                     reason=f"{column.reason}; {_EXPLANATIONS[SENSOR]}")
             if column.channel == "force" and column.offset is None else column for column in reading.columns))
         recordings = tuple(each.with_channels(force=each.force - zero.load) for each in reading.recordings)
-        reading = replace(reading, recordings=recordings, options=make_read_only_copy(
+        reading = replace(reading, recordings=recordings, options=make_shallow_read_only_copy(
             {**reading.options, "columns": {column.channel: column.to_campaign_entry() for column in reading.columns}}))
     return replace(part, reading=reading, motions=motions)
 
 
 def _convert_to_offset_of_column(unit: str | None, load: float) -> float:
     """Return the offset of the force column, which is minus `load` (N), in the unit of the column, with four digits."""
-    factor = 1.0 if unit is None or find_quantity_of_unit(unit) == "signal" else get_si_factor_and_offset(unit)[0]
+    factor = 1.0 if unit is None or find_quantity_of_unit_or_none(unit) == "signal" \
+        else get_si_factor_and_offset(unit)[0]
     return float(f"{-load / factor:.4g}")

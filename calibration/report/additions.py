@@ -13,13 +13,13 @@ from typing import Any
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.named_files import get_absolute_path, replace_file_names
+from calibration.campaign.named_files import replace_mesh_profile_and_rig_paths, resolve_path_to_text
 from calibration.diagnosis.diagnosis import Diagnosis, FoundEffect
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.fit.result import CalibrationResult
-from calibration.report.outputs import build_material_file
+from calibration.report.outputs import build_material_file_struct
 from tissue_sim.atomic_write import write_text
-from tissue_sim.decode import read_toml
+from tissue_sim.decode import read_toml_dict
 from tissue_sim.experiment.interfaces import AS_TOOL
 from tissue_sim.material.file import MaterialFile, write_material_file
 from tissue_sim.parameters import convert_to_file_keys, with_values
@@ -30,13 +30,13 @@ from tissue_sim.rig.rig import Rig
 CAMPAIGN_FILE = "diagnosed.toml"
 
 
-def list_effect_files(campaign: Campaign, laws: Sequence[str], folder: Path) -> list[Path]:
-    """Return the paths of all files that `write_effect_files` may write for a campaign and these laws."""
+def list_effect_file_paths(campaign: Campaign, laws: Sequence[str], folder: Path) -> list[Path]:
+    """Return the paths of all files that `write_effect_files_and_get_diagnosis` may write for these laws."""
     return [*(folder / f"{law}.material.json" for law in laws), folder / CAMPAIGN_FILE, folder / "rig.rig.json",
-            *(folder / _make_rig_file_name(number) for number in range(len(campaign.tests)))]
+            *(folder / _make_rig_file_name_of_test_number(number) for number in range(len(campaign.tests)))]
 
 
-def write_effect_files(diagnosis: Diagnosis, after: FitEvidence | None, folder: Path) -> Diagnosis:
+def write_effect_files_and_get_diagnosis(diagnosis: Diagnosis, after: FitEvidence | None, folder: Path) -> Diagnosis:
     """Write a material file, rig files and a campaign file that include the effects found.
 
     Files of an earlier calibration in the folder stay unchanged.
@@ -53,9 +53,9 @@ def write_effect_files(diagnosis: Diagnosis, after: FitEvidence | None, folder: 
         return diagnosis
     files = {}
     name = f"{after.law_name}.material.json"
-    write_material_file(_build_material_file(diagnosis, after, folder), folder / name)
+    write_material_file(_build_material_file_struct(diagnosis, after, folder), folder / name)
     files["material"] = name
-    rigs = {test.name: _set_fitted_rig_values(after, test) for test in after.effect_situation.tests
+    rigs = {test.name: _copy_rig_with_fitted_values(after, test) for test in after.effect_situation.tests
             if test.experiment is not None}
     if any(effect.category == "rig" for effect in diagnosis.effects):
         if len({json.dumps(convert_to_file_keys(rig), sort_keys=True) for rig in rigs.values()}) == 1:
@@ -64,9 +64,9 @@ def write_effect_files(diagnosis: Diagnosis, after: FitEvidence | None, folder: 
         else:
             for number, test in enumerate(after.campaign.tests):
                 if test.name in rigs:
-                    write_rig(rigs[test.name], folder / _make_rig_file_name(number))
-                    files[f"rig of {test.name}"] = _make_rig_file_name(number)
-    write_text(folder / CAMPAIGN_FILE, _format_campaign_file(diagnosis, after))
+                    write_rig(rigs[test.name], folder / _make_rig_file_name_of_test_number(number))
+                    files[f"rig of {test.name}"] = _make_rig_file_name_of_test_number(number)
+    write_text(folder / CAMPAIGN_FILE, _format_campaign_with_found_effects(diagnosis, after))
     files["campaign"] = CAMPAIGN_FILE
     file_of = {"tissue": name, "rig": files.get("rig", "rig files of the tests"), "population": name}
     effects = [replace(effect, written_to=CAMPAIGN_FILE if _is_effect_of_single_tests(effect)
@@ -80,12 +80,12 @@ def _is_effect_of_single_tests(effect: FoundEffect) -> bool:
     return bool(effect.tests)
 
 
-def _make_rig_file_name(number: int) -> str:
+def _make_rig_file_name_of_test_number(number: int) -> str:
     """Return the name of the rig file of a test; `number` is the index of the test from 0."""
     return f"test_{number + 1}.rig.json"
 
 
-def _build_material_file(diagnosis: Diagnosis, after: FitEvidence, folder: Path) -> MaterialFile:
+def _build_material_file_struct(diagnosis: Diagnosis, after: FitEvidence, folder: Path) -> MaterialFile:
     """Return the material file of the fitted law and tissue effects, with the diagnosis in its provenance."""
     fit = diagnosis.fit_after
     assert fit is not None
@@ -94,7 +94,7 @@ def _build_material_file(diagnosis: Diagnosis, after: FitEvidence, folder: Path)
                     for number in effect.parameters if number.absent is not None}
     fit = replace(fit, parameters={**fit.parameters, **switched_off})
     result = CalibrationResult(after.campaign, (fit,), (), diagnosis.message, folder, "", None, "estimated")
-    file = build_material_file(fit, result, after.measured, "inverse FEM with a diagnosed effect")
+    file = build_material_file_struct(fit, result, after.measured, "inverse FEM with a diagnosed effect")
     added = [{"name": effect.name, "room": effect.category, "tests": effect.tests,
               "parameters": {number.path: number.value for number in effect.parameters}}
              for effect in diagnosis.effects]
@@ -105,19 +105,20 @@ def _build_material_file(diagnosis: Diagnosis, after: FitEvidence, folder: Path)
     return replace(file, provenance=replace(provenance, settings=settings))
 
 
-def _set_fitted_rig_values(after: FitEvidence, test: Test) -> Rig:
+def _copy_rig_with_fitted_values(after: FitEvidence, test: Test) -> Rig:
     """Return a copy of the rig of a test with the fitted values of its parameters."""
     space = after.problem.space
     values = {each.path.removeprefix("rig."): after.parameter_values[each.name] for each in space.unknowns
-              if each.path.startswith("rig.") and each.acts_in(test.name, None) and each.recording is None}
+              if each.path.startswith("rig.") and each.applies_to_recording(test.name, None) and each.recording is None}
     return with_values(test.rig, values) if values else test.rig
 
 
-def _format_campaign_file(diagnosis: Diagnosis, after: FitEvidence) -> str:
+def _format_campaign_with_found_effects(diagnosis: Diagnosis, after: FitEvidence) -> str:
     """Return the text of a campaign (TOML) in which the effects found are additional unknowns with start values."""
     campaign = after.campaign
     folder = campaign.path.parent.resolve()
-    content = replace_file_names(read_toml(campaign.path, "a campaign (TOML)"), folder, get_absolute_path)
+    content = replace_mesh_profile_and_rig_paths(read_toml_dict(campaign.path, "a campaign (TOML)"), folder,
+                                                 resolve_path_to_text)
     for table in (content.get("defaults", {}), *content["test"]):
         if "recordings" in table:
             table["recordings"] = [str(folder / name) for name in table["recordings"]]
@@ -128,7 +129,7 @@ def _format_campaign_file(diagnosis: Diagnosis, after: FitEvidence) -> str:
         if test.experiment is not None and test.experiment.friction_base == AS_TOOL:
             # Friction of both plates was added: the test is no longer a lubricated compression.
             friction = next(each for each in after.problem.space.unknowns
-                            if each.path == "experiment.friction" and each.acts_in(test.name, None))
+                            if each.path == "experiment.friction" and each.applies_to_recording(test.name, None))
             table |= {"kind": "friction_compression", "friction": after.parameter_values[friction.name],
                       "friction_base": AS_TOOL}
     densities = {test.experiment.specimen.name: test.experiment.specimen.density for test in campaign.tests

@@ -23,7 +23,7 @@ def _list_analytical_assumptions(result: CalibrationResult, units: ReportUnits) 
     """Return the assumptions of a fit with closed forms, one sentence each."""
     fit, noise = result.campaign.fit, result.campaign.noise
     lines = ["The material is incompressible; its viscoelastic parameters are fitted to ramps, holds and unloading."]
-    if not fit.non_law_paths:
+    if not fit.stated_non_law_paths:
         lines = ["The material is incompressible and elastic: only the loading is fitted, and the speed has no "
                  "influence."]
     if any(test.kind.has_closed_form_with_weight for test in result.campaign.tests):
@@ -62,7 +62,7 @@ def _list_simulation_assumptions(result: CalibrationResult, units: ReportUnits) 
         source = "stated in the campaign, or the default prior" if freedom is None else \
             f"estimated with {freedom} degrees of freedom" if freedom else \
             "assumed, because no test has two recordings"
-        contact, zero = units.format_replicate_jitter(best.jitter, campaign.tests)
+        contact, zero = units.format_contact_and_zero_scatter(best.jitter, campaign.tests)
         lines.append(f"Between recordings the contact point scatters by {contact} and the force zero by {zero} "
                      f"(standard deviations), {source}.")
     tests = {test.name: test for test in campaign.tests}

@@ -13,10 +13,10 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, RegionMisfitTest
 from calibration.report.drawing import (
-    add_legend_above,
+    add_figure_legend_above_panels,
     choose_marker_style,
-    compute_panels_per_row,
-    create_panel_figure,
+    create_figure_with_panel_rows,
+    distribute_panels_over_rows,
     format_count,
     iterate_line_styles,
     make_thinning_slice,
@@ -25,10 +25,10 @@ from calibration.report.layout import LAYOUT
 from calibration.report.units import DisplayUnit, ReportUnits
 from calibration.report.views import (
     CurveTrace,
-    PanelView,
-    compute_law_curve,
-    interpolate_law_at_samples,
-    is_drawn_over_time,
+    PanelLabelsAndLineFunction,
+    get_law_trace_or_none,
+    have_times_and_several_segments,
+    interpolate_force_and_bands_or_none,
     list_panel_views,
 )
 from tissue_sim.laws import find_law
@@ -56,33 +56,34 @@ def draw_test_figure(fits: Sequence[Fit], curves: Mapping[str, TestCurves], unit
              if fit.law in curves]
     best, fit, best_style = drawn[0]
     shown_views = list_panel_views(best, units)
-    figure, axes = create_panel_figure([*compute_panels_per_row(len(shown_views)), 2], LAYOUT.test_row_height)
+    figure, axes = create_figure_with_panel_rows([*distribute_panels_over_rows(len(shown_views)), 2],
+                                                 LAYOUT.test_row_height)
     band, residual = axes[-2:]
     titled = [(each, find_law(law_fit.law).title, style) for each, law_fit, style in drawn]
     for panel, view in zip(axes, shown_views, strict=False):
         draw_view_panel(panel, titled, view)
-    timed = is_drawn_over_time(best.measured)
+    timed = have_times_and_several_segments(best.measured)
     x = ResidualAxis(units.get_displacement_unit(best.test), units.get_load_unit(best.test), timed,
                      "time [s]" if timed else shown_views[0].x)
     spans = [(r, span) for r in fit.regions if r.test == best.test.name and not r.adequate
-             for span in x.iterate_region_spans(r, best.measured)]
+             for span in x.iterate_spans_of_one_region(r, best.measured)]
     for _, (start, end) in spans:
         for panel in (band, residual):
             panel.axvspan(start, end, fc=MISFIT, alpha=0.09, lw=0, zorder=0)
             for edge in (start, end):
                 panel.axvline(edge, color=MISFIT, alpha=0.35, lw=0.8, zorder=0)
-    _draw_prediction_band(band, best, best_style["color"], x)
-    _draw_residuals(residual, drawn, x)
+    _draw_raw_residuals_in_prediction_band(band, best, best_style["color"], x)
+    _draw_binned_mean_residuals(residual, drawn, x)
     band.sharex(residual)
-    _write_misfit_labels(residual, spans, x.load)
+    _write_misfit_force_labels(residual, spans, x.load)
     for panel in (band, residual):
         panel.set(xlabel=x.label, ylabel=x.load.format_axis_label("model − data"))
     figure.align_labels()
-    add_legend_above(figure)
+    add_figure_legend_above_panels(figure)
     return figure
 
 
-def draw_view_panel(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: PanelView) -> None:
+def draw_view_panel(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: PanelLabelsAndLineFunction) -> None:
     """Draw the recordings and the laws in one view; the view transforms both in the same way.
 
     Args:
@@ -102,7 +103,7 @@ def draw_view_panel(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: P
             shown.append(y)
     for rank, (curves, title, style) in enumerate(drawn):
         line = {**style, "lw": 1.8 if rank == 0 else 1.2, "zorder": 4 - rank / len(drawn)}
-        trace = compute_law_curve(curves, view.own)
+        trace = get_law_trace_or_none(curves, view.own)
         for x, y, band in () if trace is None else view.lines(trace):
             axes.plot(x, y, label=title, **line)
             if rank == 0:
@@ -148,7 +149,7 @@ class ResidualAxis:
 
     def compute_sample_positions(self, measured: MeasuredCurve) -> np.ndarray:
         """Return the coordinate of each sample on this axis, in the unit of the axis, shape (n,)."""
-        return measured.sample_times if self.timed else measured.displacement / self.travel.size
+        return measured.required_sample_times if self.timed else measured.displacement / self.travel.size
 
     def compute_bin_edges(self, recordings: Sequence[MeasuredCurve]) -> np.ndarray:
         """Return the edges of equal bins over all recordings, in the unit of the axis, shape (bins + 1,)."""
@@ -156,11 +157,11 @@ class ResidualAxis:
         return np.linspace(min(each.min() for each in positions), max(each.max() for each in positions),
                            LAYOUT.residual_bins + 1)
 
-    def iterate_region_spans(self, region: RegionMisfitTest,
-                             recordings: Sequence[MeasuredCurve]) -> Iterator[tuple[float, float]]:
+    def iterate_spans_of_one_region(self, region: RegionMisfitTest,
+                                    recordings: Sequence[MeasuredCurve]) -> Iterator[tuple[float, float]]:
         """Yield (start, end) of one region in the unit of this axis; on a time axis one pair for each cycle."""
         measured = recordings[0]
-        start, end = _find_region_ends(region, measured.test)
+        start, end = _get_region_end_displacements(region, measured.test)
         if not self.timed:
             yield start / self.travel.size, end / self.travel.size
             return
@@ -171,17 +172,17 @@ class ResidualAxis:
         edges = np.flatnonzero(np.diff(np.concatenate(([0], inside.astype(int), [0]))))
         for first, after in edges.reshape(-1, 2):
             if after - first > 1:
-                yield float(measured.sample_times[first]), float(measured.sample_times[after - 1])
+                yield float(measured.required_sample_times[first]), float(measured.required_sample_times[after - 1])
 
 
-def _draw_prediction_band(axes, best: TestCurves, colour: str, x: ResidualAxis) -> None:
+def _draw_raw_residuals_in_prediction_band(axes, best: TestCurves, colour: str, x: ResidualAxis) -> None:
     """Draw the law minus each recording, and the prediction band; contact offsets and force zeros are not removed."""
     axes.set_title("Raw recordings in the prediction band")
     axes.axhline(0.0, color=colour, lw=1.6)
     y = 1 / x.load.size
     points = sum(m.force.size for m in best.measured)
     first = best.measured[0]
-    law_values = [interpolate_law_at_samples(best, m) for m in best.measured]
+    law_values = [interpolate_force_and_bands_or_none(best, m) for m in best.measured]
     known = [values for values in law_values if values is not None]
     if len(known) < len(law_values):
         axes.text(0.5, 0.75, "no curve: the recordings have no common time", transform=axes.transAxes, ha="center",
@@ -203,7 +204,7 @@ def _draw_prediction_band(axes, best: TestCurves, colour: str, x: ResidualAxis) 
                   ms=4 if points < LAYOUT.dense_points else 2.2, **choose_marker_style(points))
 
 
-def _draw_residuals(axes, drawn, x: ResidualAxis) -> None:
+def _draw_binned_mean_residuals(axes, drawn, x: ResidualAxis) -> None:
     """Draw the binned mean residuals of each recording and of all recordings; other laws as thin lines."""
     best = drawn[0][0]
     y = 1 / x.load.size
@@ -214,7 +215,8 @@ def _draw_residuals(axes, drawn, x: ResidualAxis) -> None:
     for rank, (curves, _, other) in enumerate(drawn):
         by_run: dict[int, list[np.ndarray]] = {}
         for m, fitted in zip(curves.measured, curves.fitted, strict=True):
-            for run, (means, spread) in enumerate(iterate_residual_bins(m, y * (fitted - m.force), x, edges)):
+            for run, (means,
+                      spread) in enumerate(iterate_binned_residuals_of_runs(m, y * (fitted - m.force), x, edges)):
                 by_run.setdefault(run, []).append(means)
                 if rank == 0:
                     reach.append(np.abs(means[1][np.isfinite(means[1])]).max(initial=0.0))
@@ -234,7 +236,7 @@ def _draw_residuals(axes, drawn, x: ResidualAxis) -> None:
     axes.set_title(f"Residuals{removed}, bin means")
 
 
-def iterate_residual_bins(measured: MeasuredCurve, residual: np.ndarray, x: ResidualAxis, edges: np.ndarray):
+def iterate_binned_residuals_of_runs(measured: MeasuredCurve, residual: np.ndarray, x: ResidualAxis, edges: np.ndarray):
     """Yield the bin means of residuals, and their standard deviation due to noise, for each run.
 
     A run is the whole recording. On a displacement axis a run is one segment, because a displacement may occur in
@@ -261,10 +263,10 @@ def iterate_residual_bins(measured: MeasuredCurve, residual: np.ndarray, x: Resi
         sums = np.stack([np.bincount(bins, values[part], edges.size - 1) for values in (at, residual)])
         with np.errstate(invalid="ignore"):
             means = sums / count
-        yield means, noise.deviation * compute_standard_deviation_of_mean(count, step, noise.correlation_time)
+        yield means, noise.deviation * compute_unit_variance_mean_deviations(count, step, noise.correlation_time)
 
 
-def compute_standard_deviation_of_mean(count: np.ndarray, step: float, correlation_time: float) -> np.ndarray:
+def compute_unit_variance_mean_deviations(count: np.ndarray, step: float, correlation_time: float) -> np.ndarray:
     """Return the standard deviations of means of correlated samples of unit variance, shape of `count`.
 
     The samples have the autocorrelation exp(-lag / correlation_time). The variance of the mean of n samples is
@@ -283,7 +285,7 @@ def compute_standard_deviation_of_mean(count: np.ndarray, step: float, correlati
     return np.sqrt(((1 + phi) / (1 - phi) - 2 * phi * (1 - phi**n) / (n * (1 - phi) ** 2)) / n)
 
 
-def _write_misfit_labels(axes, spans, load: DisplayUnit) -> None:
+def _write_misfit_force_labels(axes, spans, load: DisplayUnit) -> None:
     """Write the misfit, in the unit of force, above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
@@ -294,7 +296,7 @@ def _write_misfit_labels(axes, spans, load: DisplayUnit) -> None:
                       bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 1.5})
 
 
-def _find_region_ends(region: RegionMisfitTest, test: Test) -> tuple[float, float]:
+def _get_region_end_displacements(region: RegionMisfitTest, test: Test) -> tuple[float, float]:
     """Return the displacements (strains for a test without specimen) at both ends of a region, SI."""
     size = 1.0 if test.specimen is None else 1e-3
     return region.start * size, region.end * size
@@ -303,7 +305,7 @@ def _find_region_ends(region: RegionMisfitTest, test: Test) -> tuple[float, floa
 def describe_region(region: RegionMisfitTest, test: Test, units: ReportUnits) -> str:
     """Return a region in words, such as ``ramp from 3.3 to 6.7 mm`` or ``hold at 10 mm``."""
     travel = units.get_displacement_unit(test)
-    start, end = (f"{end / travel.size:.3g}" for end in _find_region_ends(region, test))
+    start, end = (f"{end / travel.size:.3g}" for end in _get_region_end_displacements(region, test))
     span = f"{f'at {start}' if start == end else f'from {start} to {end}'} {travel.name}".rstrip()
     return f"{region.segment} {span}".strip()
 

@@ -11,12 +11,17 @@ from calibration.diagnosis.diagnosis import CandidateStatement, SegmentMisfit
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import RegionMisfitTest
-from calibration.report.curve_figures import MISFIT, ResidualAxis, draw_view_panel, iterate_residual_bins
-from calibration.report.drawing import COLOURS, add_legend_above, create_figure, create_panel_figure
+from calibration.report.curve_figures import MISFIT, ResidualAxis, draw_view_panel, iterate_binned_residuals_of_runs
+from calibration.report.drawing import (
+    COLOURS,
+    add_figure_legend_above_panels,
+    create_figure,
+    create_figure_with_panel_rows,
+)
 from calibration.report.layout import LAYOUT
-from calibration.report.rounding import NORMAL_95, format_criterion_difference, format_odds_ratio
+from calibration.report.rounding import NORMAL_95, format_criterion_difference, format_odds_number
 from calibration.report.units import ReportUnits
-from calibration.report.views import CurveTrace, is_drawn_over_time, list_panel_views
+from calibration.report.views import CurveTrace, have_times_and_several_segments, list_panel_views
 
 #: Line style of the model without the added effects.
 BEFORE: dict = {"color": MISFIT, "ls": (0, (5, 2))}
@@ -24,7 +29,7 @@ BEFORE: dict = {"color": MISFIT, "ls": (0, (5, 2))}
 AFTER: dict = {"color": COLOURS[0], "ls": "-"}
 
 
-def select_diagnosis_curves(evidence: FitEvidence, name: str) -> TestCurves:
+def build_fitted_curves_of_test(evidence: FitEvidence, name: str) -> TestCurves:
     """Return measured and fitted curves of the test `name`; fitted ones include contact offsets and force zeros.
 
     The prediction bands are NaN.
@@ -58,10 +63,10 @@ def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequ
     if after is not None:
         drawn.insert(0, (after, f"model with {label}", AFTER))
     all_views = list_panel_views(before, units)
-    timed = is_drawn_over_time(before.measured)
+    timed = have_times_and_several_segments(before.measured)
     # Holds get separate panels: the relaxation in a hold is a small fraction of the whole force range.
     shown = [all_views[0], *(view for view in all_views[1:] if view.log)]
-    figure, axes = create_panel_figure([len(shown) + 1], LAYOUT.residual_row_height)
+    figure, axes = create_figure_with_panel_rows([len(shown) + 1], LAYOUT.residual_row_height)
     for panel, view in zip(axes, shown, strict=False):
         draw_view_panel(panel, drawn, view)
         # Recordings differ by their offsets and zeros: each has a separate line.
@@ -72,19 +77,19 @@ def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequ
     x = ResidualAxis(units.get_displacement_unit(before.test), units.get_load_unit(before.test), timed,
                      "time [s]" if timed else all_views[0].x)
     spans = [(region, span) for region in regions if not region.adequate
-             for span in x.iterate_region_spans(region, before.measured)]
+             for span in x.iterate_spans_of_one_region(region, before.measured)]
     for panel in axes[-1:] if timed else (axes[0], axes[-1]):
         for _, (start, end) in spans:
             panel.axvspan(start, end, fc=MISFIT, alpha=0.09, lw=0, zorder=0)
             for edge in (start, end):
                 panel.axvline(edge, color=MISFIT, alpha=0.3, lw=0.8, zorder=0)
-    _draw_residuals(axes[-1], drawn, x)
-    _write_misfit_labels(axes[-1], spans, {gap.segment: gap for gap in gaps}, x)
-    add_legend_above(figure)
+    _draw_residuals_before_and_after(axes[-1], drawn, x)
+    _write_misfit_labels_before_and_after(axes[-1], spans, {gap.segment: gap for gap in gaps}, x)
+    add_figure_legend_above_panels(figure)
     return figure
 
 
-def _draw_residuals(axes, drawn, x: ResidualAxis) -> None:
+def _draw_residuals_before_and_after(axes, drawn, x: ResidualAxis) -> None:
     """Draw data minus model as bin means: thin lines per recording, thick for all; right axis in units of noise."""
     measured = drawn[0][0].measured
     noise = float(np.sqrt(np.mean([m.noise.deviation**2 for m in measured]))) / x.load.size
@@ -94,7 +99,8 @@ def _draw_residuals(axes, drawn, x: ResidualAxis) -> None:
     for curves, _, style in drawn:
         by_run: dict[int, list[np.ndarray]] = {}
         for m, fitted in zip(curves.measured, curves.fitted, strict=True):
-            for run, (means, _) in enumerate(iterate_residual_bins(m, (m.force - fitted) / x.load.size, x, edges)):
+            for run, (means,
+                      _) in enumerate(iterate_binned_residuals_of_runs(m, (m.force - fitted) / x.load.size, x, edges)):
                 by_run.setdefault(run, []).append(means)
                 axes.plot(*means, color=style["color"], lw=0.6, alpha=0.4, zorder=2)
                 reach = max(reach, float(np.abs(means[1][np.isfinite(means[1])]).max(initial=0.0)))
@@ -110,7 +116,7 @@ def _draw_residuals(axes, drawn, x: ResidualAxis) -> None:
     right.spines["right"].set_visible(True)
 
 
-def _write_misfit_labels(axes, spans, gaps: dict[str, SegmentMisfit], x: ResidualAxis) -> None:
+def _write_misfit_labels_before_and_after(axes, spans, gaps: dict[str, SegmentMisfit], x: ResidualAxis) -> None:
     """Write the misfit without and with the added effects above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
@@ -122,7 +128,7 @@ def _write_misfit_labels(axes, spans, gaps: dict[str, SegmentMisfit], x: Residua
                   transform=axes.get_xaxis_transform(), ha="center", va="top", fontsize=8, color="#8a3c00", zorder=6)
 
 
-def draw_region_significance(regions: Sequence[SegmentMisfit], units: ReportUnits):
+def draw_region_significance_in_deviations(regions: Sequence[SegmentMisfit], units: ReportUnits):
     """Draw the significance of the residuals of each region without and with the added effects; return the figure.
 
     The axis is the number of standard deviations of a normal distribution.
@@ -147,13 +153,13 @@ def draw_region_significance(regions: Sequence[SegmentMisfit], units: ReportUnit
     axes.minorticks_off()
     axes.set(xlim=(0, 1.35 * largest), ylim=(rows[-1] - 0.7, 0.7),
              xlabel="standard deviations of a normal distribution "
-                    f"(linear up to {LAYOUT.linear_deviations:g}, then logarithmic)")
+             f"(linear up to {LAYOUT.linear_deviations:g}, then logarithmic)")
     axes.set_yticks(rows, [f"{region.test}, {_format_segment_and_speed(region)}" for region in regions])
     sizes = axes.secondary_yaxis("right")
     sizes.set_yticks(rows, [_format_misfits(region, units) for region in regions])
     for side in (axes.yaxis, sizes.yaxis):
         side.set_tick_params(length=0, pad=9)
-    add_legend_above(figure)
+    add_figure_legend_above_panels(figure)
     return figure
 
 
@@ -211,7 +217,7 @@ def draw_candidate_scores(candidates: Sequence[CandidateStatement], names: Seque
 def _format_odds_against_best(each: CandidateStatement) -> str:
     """Return text with the odds against the best candidate, such as ``, 1 : 45``; empty for the best candidate."""
     ratio = each.evidence_ratio
-    return "" if ratio is None or ratio <= 1.0 else f", 1 : {format_odds_ratio(ratio)}"
+    return "" if ratio is None or ratio <= 1.0 else f", 1 : {format_odds_number(ratio)}"
 
 
 def _set_signed_log_scale(axes, values: Sequence[float], linear: float, margin: float = 1.5) -> None:

@@ -15,8 +15,8 @@ from calibration.diagnosis.diagnosis import DiagnosisStage
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.result import DiagnosisResult, diagnosis_to_json
 from calibration.effects.effect import Effect
-from calibration.output_folder import DIAGNOSIS_FILE, list_diagnosis_result_files
-from calibration.report.additions import list_effect_files, write_effect_files
+from calibration.output_folder import DIAGNOSIS_FILE, list_diagnosis_result_file_paths
+from calibration.report.additions import list_effect_file_paths, write_effect_files_and_get_diagnosis
 from calibration.report.diagnosis_page import build_diagnosis_page
 from calibration.report.drawing import FigureEmbedder
 from calibration.report.outputs import format_csv_table
@@ -24,18 +24,19 @@ from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import LAWS
 
 
-def list_diagnosis_files(campaign: Campaign, folder: Path) -> list[Path]:
+def list_all_diagnosis_file_paths(campaign: Campaign, folder: Path) -> list[Path]:
     """Return the paths of all files that the diagnosis of a campaign may write.
 
     Material files of all laws are included, because an effect may require a more general law than the campaign states.
     """
-    return [*list_diagnosis_result_files(campaign, folder), *list_effect_files(campaign, sorted(LAWS), folder)]
+    return [*list_diagnosis_result_file_paths(campaign, folder),
+            *list_effect_file_paths(campaign, sorted(LAWS), folder)]
 
 
-def write_diagnosis(result: DiagnosisResult, before: FitEvidence, after: FitEvidence | None,
-                    effects: Mapping[str, Effect],
-                    measured: Mapping[str, Sequence[MeasuredCurve]], *, figures: bool = True,
-                    figures_format: str | None = None) -> DiagnosisResult:
+def write_diagnosis_and_get_result(result: DiagnosisResult, before: FitEvidence, after: FitEvidence | None,
+                                   effects: Mapping[str, Effect],
+                                   measured: Mapping[str, Sequence[MeasuredCurve]], *, figures: bool = True,
+                                   figures_format: str | None = None) -> DiagnosisResult:
     """Write all result files of a diagnosis.
 
     ``diagnosis.json`` is written last, because its existence marks the campaign as finished.
@@ -53,8 +54,8 @@ def write_diagnosis(result: DiagnosisResult, before: FitEvidence, after: FitEvid
         The result with the names of the written files and the time of this step.
     """
     began = time.monotonic()
-    diagnosis = write_effect_files(result.diagnosis, after, result.output)
-    write_text(result.output / "residuals.csv", _format_residual_table(before, after))
+    diagnosis = write_effect_files_and_get_diagnosis(result.diagnosis, after, result.output)
+    write_text(result.output / "residuals.csv", _format_before_and_after_residual_table(before, after))
     pictures = FigureEmbedder(result.output, figures_format) if figures else None
     write_text(result.output / "report.html",
                build_diagnosis_page(diagnosis, before, after, effects, measured, pictures))
@@ -65,7 +66,7 @@ def write_diagnosis(result: DiagnosisResult, before: FitEvidence, after: FitEvid
     return result
 
 
-def _format_residual_table(before: FitEvidence, after: FitEvidence | None) -> str:
+def _format_before_and_after_residual_table(before: FitEvidence, after: FitEvidence | None) -> str:
     """Return a CSV table of all samples: measured force, and forces of the models without and with the added effects.
 
     The model forces include the contact offset and the force zero of each recording.

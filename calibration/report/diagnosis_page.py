@@ -13,25 +13,25 @@ from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.words import join_as_enumeration
 from calibration.effects.effect import Effect
 from calibration.fit.fit import Fit
-from calibration.output_folder import make_test_figure_name
+from calibration.output_folder import make_numbered_test_figure_name
 from calibration.report.diagnosis_figures import (
+    build_fitted_curves_of_test,
     draw_candidate_scores,
-    draw_region_significance,
+    draw_region_significance_in_deviations,
     draw_test_misfit,
-    select_diagnosis_curves,
 )
 from calibration.report.diagnosis_tables import (
     capitalise_first_letter,
-    format_candidate_label,
-    format_candidate_labels,
-    format_relative_bias,
+    compute_relative_bias_or_none,
+    format_effect_title_with_test,
     make_detectable_effects_table,
     make_fitted_effects_table,
-    make_parameter_bias_table,
+    make_misfit_table_before_and_after,
+    make_parameter_table_before_and_after,
     make_prediction_error_table,
-    make_segment_misfit_table,
     make_stage_duration_table,
     make_undetectable_effects_table,
+    map_candidate_names_to_labels,
 )
 from calibration.report.drawing import FigureEmbedder, format_count
 from calibration.report.layout import LAYOUT
@@ -77,14 +77,15 @@ def build_diagnosis_page(diagnosis: Diagnosis, before: FitEvidence, after: FitEv
              f"{format_law_title(diagnosis.law)}, {format_count(len(effects), 'effect')} in the catalogue</p>",
              _format_summary(diagnosis, effects, units)]
     if pictures is not None:
-        parts += _make_misfit_section(diagnosis, before, after, units, pictures)
-    parts += ["<h2>Parameters</h2>", make_parameter_bias_table(diagnosis.fit_before, diagnosis.fit_after, units)]
+        parts += _iterate_misfit_section_html(diagnosis, before, after, units, pictures)
+    parts += ["<h2>Parameters</h2>",
+              make_parameter_table_before_and_after(diagnosis.fit_before, diagnosis.fit_after, units)]
     if diagnosis.held_out:
         parts += ["<h2>Data that were not fitted</h2>", make_prediction_error_table(diagnosis.held_out, units)]
-    parts += _make_effect_catalogue_section(diagnosis, units, pictures)
+    parts += _iterate_effect_catalogue_html(diagnosis, units, pictures)
     if diagnosis.next_experiment:
         parts += ["<h2>What to measure next</h2>", _format_next_experiments(diagnosis)]
-    parts += ["<h2>Assumptions</h2>", make_html_list(_list_assumption_sentences(diagnosis, before, units)),
+    parts += ["<h2>Assumptions</h2>", make_html_list(_iterate_assumption_sentences(diagnosis, before, units)),
               "<h2>Time</h2>", make_stage_duration_table(diagnosis)]
     if diagnosis.files:
         parts += ["<h2>Files</h2>", make_html_list(f"{escape(what)}: <code>{escape(name)}</code>"
@@ -100,21 +101,22 @@ def _format_summary(diagnosis: Diagnosis, effects: Mapping[str, Effect], units: 
     is_stated = VERDICTS[verdict] in diagnosis.message.lower()
     meaning = [] if is_stated else [f'<span class="quiet">{verdict}: {escape(VERDICTS[verdict])}.</span>']
     rows = [(HEADINGS[verdict], [f"<b>{escape(diagnosis.message)}</b>", *meaning]),
-            ("Where", [escape(sentence) for sentence in list_misfit_sentences(diagnosis)]),
+            ("Where", [escape(sentence) for sentence in iterate_misfit_sentences(diagnosis)]),
             ("Influence",
              [f"{escape(capitalise_first_letter(effects[each.name].title))}: {escape(effects[each.name].signature)}"
               + (f"; largest here in {escape(join_as_enumeration(each.acts_in))}." if each.acts_in
-                              else ".")
+                 else ".")
               for each in diagnosis.effects if each.name in effects]),
-            ("Distinguished by", list(_list_separation_sentences(diagnosis, effects))),
-            ("Biased parameters", list(_list_bias_sentences(diagnosis.fit_before, diagnosis.fit_after, units))),
-            ("Data not fitted", list(_list_unfitted_sentences(diagnosis, units))),
+            ("Distinguished by", list(_iterate_how_to_separate_sentences(diagnosis, effects))),
+            ("Biased parameters",
+             list(_iterate_parameter_bias_sentences(diagnosis.fit_before, diagnosis.fit_after, units))),
+            ("Data not fitted", list(_iterate_held_out_prediction_sentences(diagnosis, units))),
             ("Next", [f"{escape(capitalise_first_letter(each.sentence))}." for each in diagnosis.next_experiment[:1]])]
     items = (f"<dt>{term}</dt><dd>" + "<br>".join(lines) + "</dd>" for term, lines in rows if lines)
     return f'<dl class="verdict">{"".join(items)}</dl>'
 
 
-def list_misfit_sentences(diagnosis: Diagnosis) -> Iterator[str]:
+def iterate_misfit_sentences(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield a sentence for each of the worst regions, and one for the regions that agree with the model."""
     # Holds first: a reader understands a change of force at constant displacement without a model.
     bad = sorted((each for each in diagnosis.regions if not each.adequate_before),
@@ -130,11 +132,11 @@ def list_misfit_sentences(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"{join_as_enumeration(good)} {'agrees' if len(good) == 1 else 'agree'}."
 
 
-def _list_separation_sentences(diagnosis: Diagnosis, effects: Mapping[str, Effect]) -> Iterator[str]:
+def _iterate_how_to_separate_sentences(diagnosis: Diagnosis, effects: Mapping[str, Effect]) -> Iterator[str]:
     """Yield for each effect that these data cannot distinguish a sentence on what would distinguish it."""
     if diagnosis.verdict != "SET":
         return
-    labels = format_candidate_labels(diagnosis.candidates)
+    labels = map_candidate_names_to_labels(diagnosis.candidates)
     ratios = {each.name: each.evidence_ratio for each in diagnosis.candidates}
     for name in diagnosis.indistinguishable:
         effect = effects.get(name.partition("@")[0])
@@ -146,10 +148,10 @@ def _list_separation_sentences(diagnosis: Diagnosis, effects: Mapping[str, Effec
         yield f"{label}{against}: {escape(effect.separated_by)}."
 
 
-def _list_bias_sentences(before: Fit, after: Fit | None, units: ReportUnits) -> Iterator[str]:
+def _iterate_parameter_bias_sentences(before: Fit, after: Fit | None, units: ReportUnits) -> Iterator[str]:
     """Yield a sentence for each parameter that was biased because the effect was missing in the model."""
     for name in before.parameters:
-        change = format_relative_bias(before, after, name)
+        change = compute_relative_bias_or_none(before, after, name)
         if after is not None and change is not None and abs(change) > _MIN_CHANGE:
             side = "too large" if change > 0 else "too small"
             yield (f"{format_parameter_symbol(before, name)} was {abs(100 * change):.2g}\u00a0% {side}: "
@@ -157,7 +159,7 @@ def _list_bias_sentences(before: Fit, after: Fit | None, units: ReportUnits) -> 
                    f"{use_minus_signs(format_parameter_estimate(after, name, units))} with the effect.")
 
 
-def _list_unfitted_sentences(diagnosis: Diagnosis, units: ReportUnits) -> Iterator[str]:
+def _iterate_held_out_prediction_sentences(diagnosis: Diagnosis, units: ReportUnits) -> Iterator[str]:
     """Yield a sentence on the prediction errors in recordings left out of the fit, and one on tests held out."""
     for kind, noun, how in (("replicate", "recording", "left out"), ("test", "test", "held out")):
         predicted = [each for each in diagnosis.held_out if each.kind == kind and each.before_N is not None]
@@ -165,7 +167,7 @@ def _list_unfitted_sentences(diagnosis: Diagnosis, units: ReportUnits) -> Iterat
             continue
         later = [each.after_N for each in predicted if each.after_N is not None]
         before, after = (" to ".join(units.force.format_quantity(size, 2)
-                                     for size in _format_smallest_and_largest(sizes))
+                                     for size in _get_distinct_minimum_and_maximum(sizes))
                          for sizes in ([each.before_N for each in predicted], later))
         judged = [each.adequate_before if each.after_N is None else each.adequate_after for each in predicted]
         held = sum(each is True for each in judged)
@@ -174,14 +176,14 @@ def _list_unfitted_sentences(diagnosis: Diagnosis, units: ReportUnits) -> Iterat
                "the error is within noise, jitter and parameter uncertainty.")
 
 
-def _format_smallest_and_largest(sizes: Sequence[float | None]) -> list[float]:
+def _get_distinct_minimum_and_maximum(sizes: Sequence[float | None]) -> list[float]:
     """Return the smallest and the largest value that is not None, once if they are equal; empty without values."""
     known = [size for size in sizes if size is not None]
     return sorted({min(known), max(known)}) if known else []
 
 
-def _make_misfit_section(diagnosis: Diagnosis, before: FitEvidence, after: FitEvidence | None, units: ReportUnits,
-                         pictures: FigureEmbedder) -> Iterator[str]:
+def _iterate_misfit_section_html(diagnosis: Diagnosis, before: FitEvidence, after: FitEvidence | None,
+                                 units: ReportUnits, pictures: FigureEmbedder) -> Iterator[str]:
     """Yield the HTML parts of the section on misfit: one figure for each test, then the evidence by region."""
     yield "<h2>Where model and measurement differ</h2>"
     yield f'<p class="quiet">{_NOTE}</p>'
@@ -193,19 +195,20 @@ def _make_misfit_section(diagnosis: Diagnosis, before: FitEvidence, after: FitEv
         count = format_count(len(before.measured[test.name]), "recording")
         yield f"<h3>{escape(test.name)} <small>{escape(test.kind.name.replace('_', ' '))}; {count}</small></h3>"
         regions = [region for region in before.region_tests if region.test == test.name]
-        later = None if after is None else select_diagnosis_curves(after, test.name)
-        yield pictures.embed_figure(make_test_figure_name(before.campaign, number), partial(
-            draw_test_misfit, select_diagnosis_curves(before, test.name), later, regions, gaps, label, units),
+        later = None if after is None else build_fitted_curves_of_test(after, test.name)
+        yield pictures.embed_figure(make_numbered_test_figure_name(before.campaign, number), partial(
+            draw_test_misfit, build_fitted_curves_of_test(before, test.name), later, regions, gaps, label, units),
             f"Recordings, model before and after, and residuals of {test.name}")
     yield "<h2>Evidence by region</h2>"
-    yield pictures.embed_figure("regions", partial(draw_region_significance, diagnosis.regions, units),
+    yield pictures.embed_figure("regions", partial(draw_region_significance_in_deviations, diagnosis.regions, units),
                                 "Significance of the residuals in each region, before and after",
                                 "Significance of the smooth part of the residuals, adjusted for the number of regions "
                                 "(Holm). Right: root mean square of the smooth part.")
-    yield f"<details><summary>In numbers</summary>{make_segment_misfit_table(diagnosis.regions, units)}</details>"
+    table = make_misfit_table_before_and_after(diagnosis.regions, units)
+    yield f"<details><summary>In numbers</summary>{table}</details>"
 
 
-def _make_effect_catalogue_section(diagnosis: Diagnosis, units: ReportUnits,
+def _iterate_effect_catalogue_html(diagnosis: Diagnosis, units: ReportUnits,
                                    pictures: FigureEmbedder | None) -> Iterator[str]:
     """Yield the HTML parts of the section on the effects of the catalogue: one figure and three tables."""
     seen = [each for each in diagnosis.candidates if each.testable]
@@ -214,8 +217,8 @@ def _make_effect_catalogue_section(diagnosis: Diagnosis, units: ReportUnits,
     drawn = [each for each in seen
              if each.refitted or (each.p is not None and each.p <= limits.effect_level)][:LAYOUT.drawn_effects]
     if drawn and pictures is not None:
-        draw = partial(draw_candidate_scores, drawn, [format_candidate_label(each) for each in drawn],
-                       _list_added_candidates(diagnosis, drawn))
+        draw = partial(draw_candidate_scores, drawn, [format_effect_title_with_test(each) for each in drawn],
+                       _get_names_of_added_candidates(diagnosis, drawn))
         yield pictures.embed_figure("candidates", draw, "Score and gain of each effect")
     yield make_fitted_effects_table(diagnosis.candidates, units)
     if seen:
@@ -231,7 +234,7 @@ def _make_effect_catalogue_section(diagnosis: Diagnosis, units: ReportUnits,
     yield make_undetectable_effects_table(diagnosis.candidates)
 
 
-def _list_added_candidates(diagnosis: Diagnosis, seen: Sequence[CandidateStatement]) -> list[str]:
+def _get_names_of_added_candidates(diagnosis: Diagnosis, seen: Sequence[CandidateStatement]) -> list[str]:
     """Return those names of the candidates `seen` whose effect was added to the model.
 
     An effect that acts in one test matches only the candidate of this test.
@@ -243,7 +246,7 @@ def _list_added_candidates(diagnosis: Diagnosis, seen: Sequence[CandidateStateme
 
 def _format_next_experiments(diagnosis: Diagnosis) -> str:
     """Return the proposed experiments as a numbered HTML list, with the effects that each would distinguish."""
-    labels = format_candidate_labels(diagnosis.candidates)
+    labels = map_candidate_names_to_labels(diagnosis.candidates)
     lines = []
     for each in diagnosis.next_experiment:
         by = "" if each.deviations is None else f" by {each.deviations:.2g} standard deviations"
@@ -253,7 +256,7 @@ def _format_next_experiments(diagnosis: Diagnosis) -> str:
     return f"<ol>{''.join(f'<li>{line}</li>' for line in lines)}</ol>"
 
 
-def _list_assumption_sentences(diagnosis: Diagnosis, before: FitEvidence, units: ReportUnits) -> Iterator[str]:
+def _iterate_assumption_sentences(diagnosis: Diagnosis, before: FitEvidence, units: ReportUnits) -> Iterator[str]:
     """Yield the assumptions of a diagnosis, one sentence each."""
     sources = sorted({curve.noise.source for curve in before.problem.measured})
     colour = "white" if not diagnosis.noise_correlation_s else \

@@ -16,12 +16,12 @@ from calibration.effects.effect import CATEGORIES
 from calibration.fit.fit import Fit
 from calibration.report.page import (
     format_parameter_estimate,
-    format_parameter_interval,
+    format_parameter_interval_without_unit,
     format_parameter_symbol,
     make_html_table,
     use_minus_signs,
 )
-from calibration.report.rounding import format_criterion_difference, format_odds_ratio, format_value_and_error
+from calibration.report.rounding import format_criterion_difference, format_odds_number, format_value_and_error
 from calibration.report.symbols import format_html_symbol, format_plain_symbol
 from calibration.report.units import DisplayUnit, ReportUnits
 
@@ -33,20 +33,21 @@ _MIN_WRONG_SIGN_SCORE = 3.0
 _LARGE_CHANGE = 0.5
 
 
-def format_candidate_label(candidate: CandidateStatement) -> str:
+def format_effect_title_with_test(candidate: CandidateStatement) -> str:
     """Return the display name of a candidate, such as ``plate friction`` or ``tilt in needle``."""
     test = candidate.name.partition("@")[2]
     return f"{candidate.title} in {test}" if test else candidate.title
 
 
-def format_candidate_labels(candidates: Iterable[CandidateStatement]) -> dict[str, str]:
+def map_candidate_names_to_labels(candidates: Iterable[CandidateStatement]) -> dict[str, str]:
     """Return a dictionary: name of each candidate -> display name."""
-    return {each.name: format_candidate_label(each) for each in candidates}
+    return {each.name: format_effect_title_with_test(each) for each in candidates}
 
 
 def choose_effect_parameter_unit(path: str, unit: str, units: ReportUnits) -> DisplayUnit:
     """Return the unit in which a parameter of an effect is written; gain errors are written in %."""
-    return DisplayUnit("%", 0.01) if unit == "1" and path.endswith("gain") else units.choose_parameter_unit(unit)
+    return DisplayUnit("%", 0.01) if unit == "1" and path.endswith("gain") \
+        else units.choose_display_unit_of_si_unit(unit)
 
 
 def format_detectable_sizes(candidate: CandidateStatement, units: ReportUnits) -> str:
@@ -68,7 +69,7 @@ def format_detectable_sizes(candidate: CandidateStatement, units: ReportUnits) -
     return ", ".join(words)
 
 
-def format_fitted_parameter(number: EffectParameter, units: ReportUnits) -> str:
+def format_fitted_parameter_as_html(number: EffectParameter, units: ReportUnits) -> str:
     """Return a fitted parameter as HTML, such as ``g₁ = 3.02 ± 0.05 %``."""
     unit, error = choose_effect_parameter_unit(number.path, number.unit, units), number.standard_error
     text = format_value_and_error(number.value / unit.size, error and error / unit.size, unit.name)
@@ -79,15 +80,15 @@ def make_fitted_effects_table(candidates: Sequence[CandidateStatement], units: R
     """Return the HTML table of the effects that were fitted, best first."""
     rows = []
     for each in (each for each in candidates if each.refitted):
-        fitted = "<br>".join(format_fitted_parameter(number, units) for number in each.parameters)
+        fitted = "<br>".join(format_fitted_parameter_as_html(number, units) for number in each.parameters)
         notes = [f"{', '.join(map(format_plain_symbol, each.on_bound))} on a bound"] if each.on_bound else []
         notes += [each.note] if each.note else []
         fitted += f'<br><span class="bad">{escape("; ".join(notes))}</span>' if notes else ""
-        rows.append([escape(format_candidate_label(each)), fitted or "-",
+        rows.append([escape(format_effect_title_with_test(each)), fitted or "-",
                      "-" if each.score is None else use_minus_signs(
             f"{each.score:.1f}"), "-" if each.delta_BIC is None else format_criterion_difference(each.delta_BIC),
             "-" if each.explained_percent is None else f"{each.explained_percent:.3g}\u00a0%",
-            escape(format_odds(each.evidence_ratio))])
+            escape(format_odds_against_candidate(each.evidence_ratio))])
     return make_html_table(["Fitted effect", "Parameters", "Score", "ΔBIC", "Explains", "Odds against"], rows,
                            text=(1,), narrow=True) if rows else ""
 
@@ -97,7 +98,7 @@ def make_detectable_effects_table(candidates: Sequence[CandidateStatement], unit
 
     Columns: smallest detectable size, score, probability and effects that these tests cannot distinguish.
     """
-    labels = format_candidate_labels(candidates)
+    labels = map_candidate_names_to_labels(candidates)
     seen = sorted((each for each in candidates if each.testable),
                   key=lambda each: (CATEGORIES.index(each.category), each.title))
     rows: list[list[str | None]] = []
@@ -107,7 +108,8 @@ def make_detectable_effects_table(candidates: Sequence[CandidateStatement], unit
         rows.append([None if each.category == last.category else escape(each.category),
                      None if each.effect == last.effect else escape(each.title), escape(test),
                      escape(format_detectable_sizes(each, units)),
-                     "-" if each.score is None else use_minus_signs(f"{each.score:.1f}"), _format_score_p_value(each),
+                     "-" if each.score is None else use_minus_signs(f"{each.score:.1f}"),
+                     _format_p_value_or_wrong_sign(each),
                      escape(", ".join(labels.get(name, name) for name in each.twins)) or "-"])
         last = each
     labelled = ["Category", "Effect", "Test", "Smallest detectable size", "Score", "p", "Similar effects"]
@@ -116,11 +118,11 @@ def make_detectable_effects_table(candidates: Sequence[CandidateStatement], unit
                            text=[kept.index(j) for j in (1, 2, 3, 6) if j in kept])
 
 
-def _format_score_p_value(each: CandidateStatement) -> str:
+def _format_p_value_or_wrong_sign(each: CandidateStatement) -> str:
     """Return the p value of the score, or ``wrong sign`` if no size of the effect gives a score of this sign."""
     if each.score is not None and each.p is not None and each.score < -_MIN_WRONG_SIGN_SCORE and each.p > 0.5:
         return '<span class="bad">wrong sign</span>'
-    return format_p_value(each.p)
+    return format_p_value_html_or_dash(each.p)
 
 
 def make_undetectable_effects_table(candidates: Sequence[CandidateStatement]) -> str:
@@ -129,7 +131,7 @@ def make_undetectable_effects_table(candidates: Sequence[CandidateStatement]) ->
     for each in candidates:
         if not each.testable:
             reasons.setdefault(each.reason, []).append(each)
-    rows = [[escape(", ".join(map(format_candidate_label, several))), escape(capitalise_first_letter(reason))]
+    rows = [[escape(", ".join(map(format_effect_title_with_test, several))), escape(capitalise_first_letter(reason))]
             for reason, several in reasons.items()]
     return make_html_table(["Effect", "Not detectable because"], rows, text=(0, 1), narrow=True) if rows else ""
 
@@ -139,19 +141,19 @@ def capitalise_first_letter(words: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def format_p_value(p: float | None) -> str:
+def format_p_value_html_or_dash(p: float | None) -> str:
     """Return a probability as HTML, such as ``0.031`` or ``< 10⁻⁴``; ``-`` for None."""
     return "-" if p is None else "&lt; 10⁻⁴" if p < _MIN_PROBABILITY else f"{p:.2g}".replace("e-0", "e-")
 
 
-def format_odds(ratio: float | None) -> str:
+def format_odds_against_candidate(ratio: float | None) -> str:
     """Return the odds against a candidate, such as ``45 : 1``; ``best`` for the best and ``-`` for None."""
     if ratio is None:
         return "-"
-    return "best" if ratio <= 1.0 else f"{format_odds_ratio(ratio)} : 1"
+    return "best" if ratio <= 1.0 else f"{format_odds_number(ratio)} : 1"
 
 
-def make_segment_misfit_table(regions: Sequence[SegmentMisfit], units: ReportUnits) -> str:
+def make_misfit_table_before_and_after(regions: Sequence[SegmentMisfit], units: ReportUnits) -> str:
     """Return the HTML table of the regions: misfit and significance, before and after."""
     rows: list[list[str | None]] = []
     last = None
@@ -161,20 +163,20 @@ def make_segment_misfit_table(regions: Sequence[SegmentMisfit], units: ReportUni
         sigma = "-" if each.after_sigma is None else f"{each.after_sigma:.1f}"
         rows.append([None if each.test == last else escape(each.test), escape(each.segment), speed,
                      units.force.format_quantity(each.before_N, 2), after,
-                     _mark_inadequate_p_value(f"{each.before_sigma:.1f}",
-                                                                         each.adequate_before),
-                     sigma if each.adequate_after is None else _mark_inadequate_p_value(sigma, each.adequate_after)])
+                     _mark_text_if_inadequate(f"{each.before_sigma:.1f}",
+                                              each.adequate_before),
+                     sigma if each.adequate_after is None else _mark_text_if_inadequate(sigma, each.adequate_after)])
         last = each.test
     return make_html_table(["Test", "Segment", "Speed [mm/s]", "Misfit before", "after", "Deviations before", "after"],
                            rows, text=(1,), narrow=True)
 
 
-def _mark_inadequate_p_value(text: str, adequate: bool) -> str:
+def _mark_text_if_inadequate(text: str, adequate: bool) -> str:
     """Return a number as HTML: in the colour of a warning if it is not adequate, otherwise unchanged."""
     return text if adequate else f'<span class="bad">{text}</span>'
 
 
-def make_parameter_bias_table(before: Fit, after: Fit | None, units: ReportUnits) -> str:
+def make_parameter_table_before_and_after(before: Fit, after: Fit | None, units: ReportUnits) -> str:
     """Return the HTML table of the parameters: estimates without and with the added effects, and the resulting bias."""
     rows = []
     for name in dict.fromkeys((*before.parameters, *(() if after is None else after.parameters))):
@@ -182,8 +184,8 @@ def make_parameter_bias_table(before: Fit, after: Fit | None, units: ReportUnits
         for fit in (before, after):
             cells += ["-", "-"] if fit is None or name not in fit.parameters else [
                 use_minus_signs(format_parameter_estimate(fit, name, units)),
-                use_minus_signs(format_parameter_interval(fit, name, units)) or "-"]
-        change = format_relative_bias(before, after, name)
+                use_minus_signs(format_parameter_interval_without_unit(fit, name, units)) or "-"]
+        change = compute_relative_bias_or_none(before, after, name)
         cells.append("-" if change is None else use_minus_signs(f"{100 * change:+.2g}\u00a0%"))
         rows.append(cells)
     labels = ["Parameter", "Nothing added", "95 % interval", "With the added effects", "95 % interval", "Bias"]
@@ -191,7 +193,7 @@ def make_parameter_bias_table(before: Fit, after: Fit | None, units: ReportUnits
     return make_html_table(labels[kept], [row[kept] for row in rows], narrow=True)
 
 
-def format_relative_bias(before: Fit, after: Fit | None, name: str) -> float | None:
+def compute_relative_bias_or_none(before: Fit, after: Fit | None, name: str) -> float | None:
     """Return the relative error (a number) of a parameter in the fit without the effect: value before / after - 1.
 
     Returns:
@@ -206,18 +208,19 @@ def format_relative_bias(before: Fit, after: Fit | None, name: str) -> float | N
 
 def make_prediction_error_table(held_out: Sequence[HeldOutPrediction], units: ReportUnits) -> str:
     """Return the HTML table of the prediction errors in data that were not fitted."""
-    def format_error(value: float | None, noise: float | None, adequate: bool | None) -> str:
+    def format_error_force_and_noise_ratio(value: float | None, noise: float | None, adequate: bool | None) -> str:
         """Return an error as HTML with its ratio to the noise, such as ``0.1 N (2 × noise)``; ``-`` for None."""
         if value is None:
             return "-"
         ratio = f" ({value / noise:.2g} × noise)" if noise else ""
-        return _mark_inadequate_p_value(f"{units.force.format_quantity(value, 2)}{ratio}", adequate is not False)
+        return _mark_text_if_inadequate(f"{units.force.format_quantity(value, 2)}{ratio}", adequate is not False)
 
     kinds = {"replicate": "recording, left out of the fits to the other recordings",
              "test": "test, held out of all fits"}
-    rows = [[escape(each.name), escape(kinds.get(each.kind, each.kind)), format_error(each.before_N, each.noise_N,
-                                                                               each.adequate_before),
-             format_error(each.after_N, each.noise_N, each.adequate_after),
+    rows = [[escape(each.name), escape(kinds.get(each.kind, each.kind)),
+             format_error_force_and_noise_ratio(each.before_N, each.noise_N,
+                                                each.adequate_before),
+             format_error_force_and_noise_ratio(each.after_N, each.noise_N, each.adequate_after),
              {None: "not tested", True: "yes", False: '<span class="bad">no</span>'}[
                  each.adequate_before if each.after_N is None else each.adequate_after],
              escape(each.note)] for each in held_out]

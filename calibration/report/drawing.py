@@ -44,7 +44,7 @@ def choose_marker_style(points: int) -> dict:
 
 
 def make_thinning_slice(size: int) -> slice:
-    """Return a slice with a constant step that reduces `size` samples to about `ReportLayout.data_points` samples."""
+    """Return a slice with a constant step that reduces `size` samples to about `ReportLayoutSettings.data_points`."""
     return slice(None, None, max(1, size // LAYOUT.data_points))
 
 
@@ -63,7 +63,7 @@ def create_figure(width: float, height: float):
     return figure
 
 
-def create_panel_figure(counts: Sequence[int], height: float, width: float = LAYOUT.width):
+def create_figure_with_panel_rows(counts: Sequence[int], height: float, width: float = LAYOUT.width):
     """Create a figure with rows of panels; rows may have different numbers of panels.
 
     Args:
@@ -80,13 +80,13 @@ def create_panel_figure(counts: Sequence[int], height: float, width: float = LAY
     return figure, [*figure.subplot_mosaic(mosaic).values()]
 
 
-def compute_panels_per_row(count: int, most: int = LAYOUT.panels_per_row) -> list[int]:
+def distribute_panels_over_rows(count: int, most: int = LAYOUT.panels_per_row) -> list[int]:
     """Return a list with the number of panels in each row, for `count` panels and at most `most` panels in a row."""
     rows = -(-count // most)
     return [count // rows + (row < count % rows) for row in range(rows)]
 
 
-def add_legend_above(figure, columns: int = LAYOUT.legend_columns) -> None:
+def add_figure_legend_above_panels(figure, columns: int = LAYOUT.legend_columns) -> None:
     """Add one legend of the whole figure above all panels; entries with the same label appear once."""
     handles: dict[str, Any] = {}
     for axes in figure.axes:
@@ -150,7 +150,7 @@ def make_png_data_uri(png: bytes) -> str:
     return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
-def draw_formula(law_name: str) -> bytes | None:
+def render_law_formula_png_or_none(law_name: str) -> bytes | None:
     """Draw the strain energy of a law as a PNG image; return None if mathtext cannot typeset the formula."""
     import matplotlib
 
@@ -165,7 +165,7 @@ def draw_formula(law_name: str) -> bytes | None:
             return None
 
 
-def compute_formula_width(png: bytes) -> int:
-    """Return the width in CSS pixels at which an image of `draw_formula` has its intended font size."""
+def get_formula_width_in_css_pixels(png: bytes) -> int:
+    """Return the width, CSS pixels, at which an image of `render_law_formula_png_or_none` has its font size."""
     # Bytes 16 to 20 of a PNG are its width: https://www.w3.org/TR/png/#11IHDR
     return round(int.from_bytes(png[16:20], "big") * 96 / LAYOUT.formula_dpi)

@@ -12,14 +12,14 @@ from calibration.fit.fit import Fit
 from calibration.report.curve_figures import MISFIT
 from calibration.report.drawing import (
     COLOURS,
-    add_legend_above,
-    compute_panels_per_row,
+    add_figure_legend_above_panels,
     create_figure,
-    create_panel_figure,
+    create_figure_with_panel_rows,
+    distribute_panels_over_rows,
     iterate_line_styles,
 )
 from calibration.report.layout import LAYOUT
-from calibration.report.page import list_free_parameters, use_minus_signs
+from calibration.report.page import list_parameters_with_standard_errors, use_minus_signs
 from calibration.report.rounding import format_error, format_interval, format_value_and_error
 from calibration.report.symbols import format_mathtext_symbol
 from calibration.report.units import ReportUnits
@@ -43,16 +43,16 @@ def draw_profiles(fit: Fit, bounds: Mapping[str, tuple[float, float]], units: Re
         The matplotlib figure.
     """
     names = list(fit.profiles)
-    figure, grid = create_panel_figure(compute_panels_per_row(len(names)), LAYOUT.profile_row_height)
+    figure, grid = create_figure_with_panel_rows(distribute_panels_over_rows(len(names)), LAYOUT.profile_row_height)
     for axes, name in zip(grid, names, strict=True):
         _draw_parameter_profile(axes, fit, name, bounds.get(name), units)
-    add_legend_above(figure, LAYOUT.profile_legend_columns)
+    add_figure_legend_above_panels(figure, LAYOUT.profile_legend_columns)
     return figure
 
 
 def _draw_parameter_profile(axes, fit: Fit, name: str, bounds: tuple[float, float] | None, units: ReportUnits) -> None:
     """Draw the profile likelihood of one parameter, its quadratic approximation, 95 % interval and bounds."""
-    profile, unit = fit.profiles[name], units.choose_parameter_unit(fit.units[name])
+    profile, unit = fit.profiles[name], units.choose_display_unit_of_si_unit(fit.units[name])
     values, rises = np.array(profile.values) / unit.size, np.array(profile.rises)
     estimate, error = fit.parameters[name] / unit.size, (fit.standard_errors[name] or 0.0) / unit.size
     ends = [end / unit.size for end in fit.intervals95.get(name) or ()]
@@ -93,7 +93,7 @@ def _draw_parameter_profile(axes, fit: Fit, name: str, bounds: tuple[float, floa
     axes.locator_params(axis="x", nbins=6)
 
 
-def draw_individual_parameters(fits: Sequence[Fit], units: ReportUnits):
+def draw_unshared_parameters_or_none(fits: Sequence[Fit], units: ReportUnits):
     """Draw the parameters that differ between specimens (or tests, or recordings), one panel per parameter.
 
     Estimates are drawn with standard errors and 95 % intervals.
@@ -110,13 +110,13 @@ def draw_individual_parameters(fits: Sequence[Fit], units: ReportUnits):
     owners_of = {root: owners for root, owners in owners_of.items() if len(owners) > 1}
     if not owners_of:
         return None
-    rows = compute_panels_per_row(len(owners_of))
+    rows = distribute_panels_over_rows(len(owners_of))
     width = max(rows) * (1.5 + LAYOUT.specimen_width * max(map(len, owners_of.values())))
-    figure, grid = create_panel_figure(rows, LAYOUT.profile_row_height,
-                                       float(np.clip(width, LAYOUT.width / 2, LAYOUT.width)))
+    figure, grid = create_figure_with_panel_rows(rows, LAYOUT.profile_row_height,
+                                                 float(np.clip(width, LAYOUT.width / 2, LAYOUT.width)))
     for axes, (root, owners) in zip(grid, owners_of.items(), strict=True):
         _draw_parameter_by_specimen(axes, fits, root, list(owners), units)
-    add_legend_above(figure)
+    add_figure_legend_above_panels(figure)
     return figure
 
 
@@ -127,7 +127,7 @@ def _draw_parameter_by_specimen(axes, fits: Sequence[Fit], root: str, owners: Se
               if any(symbol.startswith(f"{root}@") for symbol in fit.symbols.values())]
     for rank, (fit, style) in enumerate(having):
         names = {symbol: name for name, symbol in fit.symbols.items()}
-        unit = units.choose_parameter_unit(fit.units[names[f"{root}@{owners[0]}"]])
+        unit = units.choose_display_unit_of_si_unit(fit.units[names[f"{root}@{owners[0]}"]])
         for i, owner in enumerate(owners):
             name = names.get(f"{root}@{owner}")
             if name is None:
@@ -144,7 +144,7 @@ def _draw_parameter_by_specimen(axes, fits: Sequence[Fit], root: str, owners: Se
     axes.grid(visible=False, axis="x")
 
 
-def draw_parameters_by_strain_window(fit: Fit, units: ReportUnits):
+def draw_growing_window_parameters_or_none(fit: Fit, units: ReportUnits):
     """Draw the parameters fitted to the first part of the strain of each test, over the size of this part.
 
     The estimates from all data are drawn as a band.
@@ -152,13 +152,14 @@ def draw_parameters_by_strain_window(fit: Fit, units: ReportUnits):
     Returns:
         The matplotlib figure; None if there are fewer than two windows or no free parameter.
     """
-    names = [name for name in list_free_parameters(fit) if all(name in window.parameters for window in fit.windows)]
+    names = [name for name in list_parameters_with_standard_errors(fit)
+             if all(name in window.parameters for window in fit.windows)]
     if len(fit.windows) < 2 or not names:
         return None
     percentages = 100.0 * np.array([window.share for window in fit.windows])
-    figure, grid = create_panel_figure(compute_panels_per_row(len(names)), LAYOUT.window_row_height)
+    figure, grid = create_figure_with_panel_rows(distribute_panels_over_rows(len(names)), LAYOUT.window_row_height)
     for axes, name in zip(grid, names, strict=True):
-        unit = units.choose_parameter_unit(fit.units[name])
+        unit = units.choose_display_unit_of_si_unit(fit.units[name])
         value, error = fit.parameters[name] / unit.size, (fit.standard_errors[name] or 0.0) / unit.size
         axes.axhspan(value - error, value + error, color=COLOURS[0], alpha=0.2, lw=0,
                      label="all data, ± standard error")
@@ -166,11 +167,11 @@ def draw_parameters_by_strain_window(fit: Fit, units: ReportUnits):
                   label="first part of the strain only")
         axes.set(xlabel="fitted part of the largest strain [%]",
                  ylabel=unit.format_axis_label(format_mathtext_symbol(fit.symbols[name])))
-    add_legend_above(figure)
+    add_figure_legend_above_panels(figure)
     return figure
 
 
-def draw_parameter_correlation(fit: Fit, units: ReportUnits):
+def draw_parameter_correlation_or_none(fit: Fit, units: ReportUnits):
     """Draw the correlation matrix of the free parameters and how well the tests determine them jointly.
 
     For two parameters the second panel shows the joint confidence region, for more the poorly determined combinations.
@@ -178,7 +179,7 @@ def draw_parameter_correlation(fit: Fit, units: ReportUnits):
     Returns:
         The matplotlib figure; None with fewer than two free parameters.
     """
-    names = list_free_parameters(fit)
+    names = list_parameters_with_standard_errors(fit)
     if len(names) < 2:
         return None
     indices = [fit.covariance.order.index(name) for name in names]
@@ -191,10 +192,10 @@ def draw_parameter_correlation(fit: Fit, units: ReportUnits):
     _draw_correlation_matrix(figure, left, symbols, matrix)
     for axes in right:
         if len(names) == 2:
-            _draw_confidence_ellipse(axes, fit, names, units)
+            _draw_two_parameter_confidence_regions(axes, fit, names, units)
         else:
             _draw_poorly_determined_combinations(axes, fit, names)
-    add_legend_above(figure)
+    add_figure_legend_above_panels(figure)
     return figure
 
 
@@ -223,9 +224,9 @@ def _draw_correlation_matrix(figure, axes, symbols: Sequence[str], matrix: np.nd
     figure.colorbar(image, ax=axes, shrink=0.85, label="correlation").outline.set_visible(False)
 
 
-def _draw_confidence_ellipse(axes, fit: Fit, names: Sequence[str], units: ReportUnits) -> None:
+def _draw_two_parameter_confidence_regions(axes, fit: Fit, names: Sequence[str], units: ReportUnits) -> None:
     """Draw the joint 68 % and 95 % confidence regions of two parameters, and the 95 % interval of each."""
-    scales = [units.choose_parameter_unit(fit.units[name]) for name in names]
+    scales = [units.choose_display_unit_of_si_unit(fit.units[name]) for name in names]
     indices = [fit.covariance.order.index(name) for name in names]
     sizes = np.array([unit.size for unit in scales])
     centre = np.array([fit.parameters[name] for name in names]) / sizes

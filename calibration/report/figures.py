@@ -15,9 +15,9 @@ from calibration.fit.fit import Fit, Prediction
 from calibration.report.curve_figures import describe_region, format_p_value_text
 from calibration.report.drawing import (
     COLOURS,
-    add_legend_above,
-    compute_panels_per_row,
-    create_panel_figure,
+    add_figure_legend_above_panels,
+    create_figure_with_panel_rows,
+    distribute_panels_over_rows,
     iterate_line_styles,
 )
 from calibration.report.layout import LAYOUT
@@ -33,7 +33,7 @@ _POSITIVE_TICKS = (1e-3, 0.01, 0.1, 0.2, 0.5, 1, 2, 5, 10, 100, 1e3)
 _SIGNED_TICKS = (-1e3, -100, -10, -1, 0, 1, 10, 100, 1e3)
 
 
-def draw_region_misfits(fits: Sequence[Fit], tests: Sequence[Test], units: ReportUnits):
+def draw_region_misfit_map(fits: Sequence[Fit], tests: Sequence[Test], units: ReportUnits):
     """Draw the smooth misfit in each region of each test as a cell, coloured by its significance in standard errors.
 
     Args:
@@ -54,7 +54,7 @@ def draw_region_misfits(fits: Sequence[Fit], tests: Sequence[Test], units: Repor
     fits = [fit for fit in fits if fit.regions]
     tests = [test for test in tests if any(r.test == test.name for fit in fits for r in fit.regions)]
     blocks = len(tests) * (0.62 + 0.4 * len(fits))
-    figure, (axes,) = create_panel_figure([1], max(blocks + 0.3, 2.2))
+    figure, (axes,) = create_figure_with_panel_rows([1], max(blocks + 0.3, 2.2))
     axes.grid(visible=False)
     top, ticks, names = 0.0, [], []
     for test in tests:
@@ -109,7 +109,7 @@ def draw_prediction_errors(predictions: Sequence[Prediction], tests: Sequence[Te
     cases = list(dict.fromkeys((p.test, tuple(p.fitted)) for p in predictions))
     by_name = {test.name: test for test in tests}
     height, style_of = 0.8 / len(laws), dict(zip(laws, iterate_line_styles(), strict=False))
-    figure, (axes,) = create_panel_figure([1], 1.1 + max(0.3 * len(laws) + 0.25, 0.7) * len(cases))
+    figure, (axes,) = create_figure_with_panel_rows([1], 1.1 + max(0.3 * len(laws) + 0.25, 0.7) * len(cases))
     known = [p.percent for p in predictions if p.percent is not None] or [1.0]
     # A very poor law is cut off: its bar would make all others too short.
     limit = min(max(known), 6 * max((p.percent for p in predictions if p.percent is not None and p.law == laws[0]),
@@ -131,11 +131,12 @@ def draw_prediction_errors(predictions: Sequence[Prediction], tests: Sequence[Te
             # Keep the mark clear of the number.
             end = chance if length < chance < length + 0.1 * limit else length
             expected, = axes.plot([chance, chance], [y - 0.46 * height, y + 0.46 * height], color="0.1", lw=2.4)
-        axes.text(end + 0.008 * limit, y, f"{'▸ ' if p.percent > length else ''}{format_percent(p.percent)}   {force}",
+        axes.text(end + 0.008 * limit, y,
+                  f"{'▸ ' if p.percent > length else ''}{format_percentage_value(p.percent)}   {force}",
                   va="center", fontsize=9)
     axes.set(xlim=(0, 1.16 * limit), ylim=(-0.5, len(cases) - 0.5), yticks=range(len(cases)),
              xlabel="root mean square error, % of the largest measured force (or stress)",
-             yticklabels=[_format_prediction_label(by_name[test], fitted, several.get(test, 0))
+             yticklabels=[_format_test_and_fitted_data_label(by_name[test], fitted, several.get(test, 0))
                           for test, fitted in cases])
     axes.invert_yaxis()
     axes.set_axisbelow(True)
@@ -150,12 +151,12 @@ def draw_prediction_errors(predictions: Sequence[Prediction], tests: Sequence[Te
     return figure
 
 
-def format_percent(value: float) -> str:
+def format_percentage_value(value: float) -> str:
     """Return a number that is in percent as text, such as ``1.7 %`` for 1.7."""
     return f"{value:.2g}\u00a0%" if value < 99.5 else f"{value:.0f}\u00a0%"
 
 
-def _format_prediction_label(test: Test, fitted: Sequence[str], of_mean: int) -> str:
+def _format_test_and_fitted_data_label(test: Test, fitted: Sequence[str], of_mean: int) -> str:
     """Return the label of a prediction: name of the test, and the tests or specimens from which it is predicted."""
     if of_mean:
         return f"{test.name}\n{'held' if test.hold_out else 'left'} out, mean of {of_mean}"
@@ -166,19 +167,19 @@ def _format_prediction_label(test: Test, fitted: Sequence[str], of_mean: int) ->
 def draw_descent_history(fits: Sequence[Fit]):
     """Draw the convergence of all starts: error above, parameters relative to the estimate below, a column per law."""
     fits = [fit for fit in fits if fit.history]
-    counts = [count for count in compute_panels_per_row(len(fits)) for _ in ("error", "parameters")]
-    figure, axes = create_panel_figure(counts, LAYOUT.history_row_height)
+    counts = [count for count in distribute_panels_over_rows(len(fits)) for _ in ("error", "parameters")]
+    figure, axes = create_figure_with_panel_rows(counts, LAYOUT.history_row_height)
     remaining = iter(fits)
     for count in counts[::2]:
         for above, below in zip(axes[:count], axes[count:2 * count], strict=True):
             _draw_law_convergence(above, below, next(remaining))
         axes = axes[2 * count:]
     figure.align_labels()
-    add_legend_above(figure)
+    add_figure_legend_above_panels(figure)
     return figure
 
 
-def find_best_start_number(fit: Fit) -> int:
+def find_best_start_preferring_corrected(fit: Fit) -> int:
     """Return the number of the start with the lowest final error; starts on the accurate mesh are preferred."""
     last = {step.start: step for step in sorted(fit.history, key=lambda step: step.run)}
     return min(last, key=lambda start: (not last[start].corrected, last[start].error))
@@ -191,7 +192,7 @@ def _draw_law_convergence(above, below, fit: Fit) -> None:
     starts: dict[int, list] = {}
     for step in sorted(fit.history, key=lambda step: step.run):
         starts.setdefault(step.start, []).append(step)
-    chosen = find_best_start_number(fit)
+    chosen = find_best_start_preferring_corrected(fit)
     names = list(starts[chosen][0].parameters)
     scale = {name: fit.parameters[name] or max(abs(step.parameters[name]) for step in fit.history) or 1.0
              for name in names}

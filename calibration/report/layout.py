@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class ReportLayout:
+class ReportLayoutSettings:
     """Settings of the layout of all reports: sizes of figures, numbers of drawn points, and limits of lists.
 
     Attributes:
@@ -88,4 +88,4 @@ class ReportLayout:
 
 
 #: Layout of all reports.
-LAYOUT = ReportLayout()
+LAYOUT = ReportLayoutSettings()

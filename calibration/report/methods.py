@@ -8,17 +8,17 @@ from importlib.metadata import PackageNotFoundError, version
 import tissue_sim
 from calibration.campaign.experiments import ROUND_SOLVER
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.segmented import summarise_notes
+from calibration.campaign.segmented import format_notes_summary_by_test_and_subject
 from calibration.fit.fit import Fit
 from calibration.fit.population import describe_excluded_specimens
 from calibration.fit.result import CalibrationResult
-from calibration.forward.meshes import get_solver_meshes
+from calibration.forward.meshes import get_solver_fit_resolutions
 from calibration.report.drawing import format_count
-from calibration.report.figures import format_percent
+from calibration.report.figures import format_percentage_value
 from calibration.report.page import (
     are_laws_ranked_by_prediction,
     format_parameter_estimate,
-    format_parameter_interval,
+    format_parameter_interval_without_unit,
     format_young_modulus,
     use_minus_signs,
 )
@@ -31,40 +31,40 @@ from tissue_sim.specimen.specimen import add_article
 #: Subject -> (citation in the text, entry in the list of references).
 _REFERENCES = {
     "neo_hooke": ("Rivlin 1948a", "Rivlin RS (1948a) Large elastic deformations of isotropic materials. I. Fundamental "
-                                  "concepts. Phil Trans R Soc A 240:459-490"),
+                  "concepts. Phil Trans R Soc A 240:459-490"),
     "mooney_rivlin": ("Rivlin 1948b", "Rivlin RS (1948b) Large elastic deformations of isotropic materials. IV. "
-                                      "Further developments of the general theory. Phil Trans R Soc A 241:379-397"),
+                      "Further developments of the general theory. Phil Trans R Soc A 241:379-397"),
     "reduced_polynomial": ("Yeoh 1993", "Yeoh OH (1993) Some forms of the strain energy function for rubber. Rubber "
-                                        "Chem Technol 66:754-771"),
+                           "Chem Technol 66:754-771"),
     "ogden": ("Ogden 1972", "Ogden RW (1972) Large deformation isotropic elasticity: on the correlation of theory and "
-                            "experiment for incompressible rubberlike solids. Proc R Soc Lond A 326:565-584"),
+              "experiment for incompressible rubberlike solids. Proc R Soc Lond A 326:565-584"),
     "prony": ("Simo 1987", "Simo JC (1987) On a fully three-dimensional finite-strain viscoelastic damage model. "
-                           "Comput Methods Appl Mech Eng 60:153-173"),
+              "Comput Methods Appl Mech Eng 60:153-173"),
     "descent": ("Branch et al. 1999", "Branch MA, Coleman TF, Li Y (1999) A subspace, interior, and conjugate gradient "
-                                      "method for large-scale bound-constrained minimization problems. SIAM J Sci "
-                                      "Comput 21:1-23"),
+                "method for large-scale bound-constrained minimization problems. SIAM J Sci "
+                "Comput 21:1-23"),
     "projection": ("Golub and Pereyra 1973", "Golub GH, Pereyra V (1973) The differentiation of pseudo-inverses and "
-                                             "nonlinear least squares problems whose variables separate. SIAM J Numer "
-                                             "Anal 10:413-432"),
+                   "nonlinear least squares problems whose variables separate. SIAM J Numer "
+                   "Anal 10:413-432"),
     "profiles": ("Raue et al. 2009", "Raue A, Kreutz C, Maiwald T, et al. (2009) Structural and practical "
-                                     "identifiability analysis of partially observed dynamical models by exploiting "
-                                     "the profile likelihood. Bioinformatics 25:1923-1929"),
+                 "identifiability analysis of partially observed dynamical models by exploiting "
+                 "the profile likelihood. Bioinformatics 25:1923-1929"),
     "BIC": ("Schwarz 1978", "Schwarz G (1978) Estimating the dimension of a model. Ann Statist 6:461-464"),
     "holm": ("Holm 1979", "Holm S (1979) A simple sequentially rejective multiple test procedure. Scand J Statist "
-                          "6:65-70"),
+             "6:65-70"),
     "population": ("Harville 1977", "Harville DA (1977) Maximum likelihood approaches to variance component estimation "
-                                    "and to related problems. J Am Stat Assoc 72:320-338"),
+                   "and to related problems. J Am Stat Assoc 72:320-338"),
     "numpy": ("Harris et al. 2020", "Harris CR, Millman KJ, van der Walt SJ, et al. (2020) Array programming with "
-                                    "NumPy. Nature 585:357-362"),
+              "NumPy. Nature 585:357-362"),
     "scipy": ("Virtanen et al. 2020", "Virtanen P, Gommers R, Oliphant TE, et al. (2020) SciPy 1.0: fundamental "
-                                      "algorithms for scientific computing in Python. Nat Methods 17:261-272"),
+              "algorithms for scientific computing in Python. Nat Methods 17:261-272"),
     "taichi": ("Hu et al. 2019", "Hu Y, Li TM, Anderson L, et al. (2019) Taichi: a language for high-performance "
-                                 "computation on spatially sparse data structures. ACM Trans Graph 38:201"),
+               "computation on spatially sparse data structures. ACM Trans Graph 38:201"),
 }
 
 
-def write_methods_text(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
-                       units: ReportUnits) -> str:
+def make_plain_methods_text(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
+                            units: ReportUnits) -> str:
     """Return the methods section as plain text: data, model, method, noise, results, then the cited references.
 
     Args:
@@ -105,14 +105,14 @@ def _write_data_paragraph(result: CalibrationResult, measured: Mapping[str, Sequ
     found = "".join(f" In {format_count(several, 'recording')} of {test} displacement and force were measured from the "
                     "contact point, which was detected as the change point of the force relative to its zero and "
                     "drift."
-                    for test, several in _count_recordings_from_contact(result, measured))
-    notes = summarise_notes((curve.test.name, curve.name, curve.notes)
-                            for curves in measured.values() for curve in curves)
+                    for test, several in _iterate_detected_contact_counts(result, measured))
+    notes = format_notes_summary_by_test_and_subject((curve.test.name, curve.name, curve.notes)
+                                                     for curves in measured.values() for curve in curves)
     return f"Data. {'; '.join(parts)}.{found}{notes}"
 
 
-def _count_recordings_from_contact(result: CalibrationResult,
-                                   measured: Mapping[str, Sequence[MeasuredCurve]]) -> Iterator[tuple[str, int]]:
+def _iterate_detected_contact_counts(result: CalibrationResult,
+                                     measured: Mapping[str, Sequence[MeasuredCurve]]) -> Iterator[tuple[str, int]]:
     """Yield each test with the number of its recordings whose displacement starts at a detected contact."""
     for test in result.campaign.tests:
         shifted = sum(curve.whole is not None and curve.whole.shift != 0.0 for curve in measured[test.name])
@@ -145,7 +145,8 @@ def _write_method_paragraph(result: CalibrationResult, cite) -> str:
         return f"{text} {_write_ranking_sentence(result, cite)}"
     starts = format_count(result.campaign.fit.starts, "start")
     simulated = [test.solver for test in result.campaign.tests if test.experiment is not None]
-    elements = " or ".join(dict.fromkeys(get_solver_meshes(solver).elements for solver in simulated or [ROUND_SOLVER]))
+    elements = " or ".join(dict.fromkeys(get_solver_fit_resolutions(solver).elements for solver in simulated
+                                         or [ROUND_SOLVER]))
     return (f"Identification. All tests were simulated with {elements} (homogeneous tests: "
             "closed forms) under the recorded motion. The parameters were estimated by generalised least squares on "
             f"the force (trust region reflective, {starts}; {cite('descent')[1:-1]}). Contact offset and force zero of "
@@ -171,7 +172,7 @@ def _write_noise_paragraph(result: CalibrationResult, units: ReportUnits) -> str
     if result.noise_Pa is not None:
         levels = [f"{units.pressure.format_quantity(result.noise_Pa, 2)} of nominal stress ({result.noise_source})"]
     jitter = result.best.jitter
-    contact, zero = ("", "") if jitter is None else units.format_replicate_jitter(jitter, result.campaign.tests)
+    contact, zero = ("", "") if jitter is None else units.format_contact_and_zero_scatter(jitter, result.campaign.tests)
     scatter = f" Between recordings the contact point scatters by {contact} and the force zero by {zero}." \
         if contact else ""
     basis = {"noise": "this noise", "residuals": "the residuals, which exceed this noise",
@@ -186,7 +187,7 @@ def _write_results_paragraph(result: CalibrationResult, units: ReportUnits, cite
     sentences = []
     for fit in result.fits:
         unusable = f" Not usable: {fit.unusable}." if fit.unusable else ""
-        sentences.append(f"{find_law(fit.law).title}: {', '.join(_format_parameters(fit, units))}; E0 = "
+        sentences.append(f"{find_law(fit.law).title}: {', '.join(_iterate_parameter_estimate_texts(fit, units))}; E0 = "
                          f"{use_minus_signs(format_young_modulus(fit, units))}; R2 = {fit.R2:.4f}, "
                          f"residuals {fit.noise_ratio:.2g} times the noise.{unusable}")
         if fit.population is not None:
@@ -202,14 +203,14 @@ def _write_results_paragraph(result: CalibrationResult, units: ReportUnits, cite
         if p.law == result.best.law and p.percent is not None:
             of_mean = f" from the mean of {format_count(len(p.mean_of), 'other specimen')}" if p.mean_of else ""
             sentences.append(f"{find_law(p.law).title} predicts {p.test}, to which it was not fitted,{of_mean} with an "
-                             f"error of {format_percent(p.percent)} of the largest load (root mean square).")
+                             f"error of {format_percentage_value(p.percent)} of the largest load (root mean square).")
     return f"Results. {' '.join(sentences)}"
 
 
-def _format_parameters(fit: Fit, units: ReportUnits) -> Iterator[str]:
+def _iterate_parameter_estimate_texts(fit: Fit, units: ReportUnits) -> Iterator[str]:
     """Yield for each parameter its symbol, estimate and 95 % interval as text."""
     for name in fit.parameters:
-        interval = format_parameter_interval(fit, name, units)
+        interval = format_parameter_interval_without_unit(fit, name, units)
         estimate = format_parameter_estimate(fit, name, units)
         yield use_minus_signs(f"{format_plain_symbol(fit.symbols[name])} = {estimate}"
                               f"{f' [{interval}]' if interval else ''}")

@@ -19,10 +19,10 @@ from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit
 from calibration.fit.result import CalibrationResult, to_json
 from calibration.fit.self_weight import describe_self_weight
-from calibration.fit.typical_material import compute_representative_material
+from calibration.fit.typical_material import get_shared_and_population_mean_material
 from calibration.output_folder import FIT_FILE
 from calibration.report.drawing import FigureEmbedder
-from calibration.report.methods import write_methods_text
+from calibration.report.methods import make_plain_methods_text
 from calibration.report.page import format_law_title, make_html_page, make_html_table
 from calibration.report.report import build_report_page
 from calibration.report.units import ReportUnits
@@ -50,10 +50,11 @@ def write_calibration_files(result: CalibrationResult, curves: Curves, measured:
     """
     for fit in result.fits:
         if fit.material_file is not None:
-            write_material_file(build_material_file(fit, result, measured, method), result.output / fit.material_file)
-    write_text(result.output / "curves.csv", _format_curve_table(curves))
+            write_material_file(build_material_file_struct(fit, result, measured, method),
+                                result.output / fit.material_file)
+    write_text(result.output / "curves.csv", _format_csv_of_all_fitted_curves(curves))
     write_text(result.output / "residuals.csv", _format_residual_table(curves))
-    methods = write_methods_text(result, measured, ReportUnits.choose_for_calibration(result))
+    methods = make_plain_methods_text(result, measured, ReportUnits.choose_for_best_fit(result))
     write_text(result.output / "methods.txt", methods)
     pictures = FigureEmbedder(result.output, figures_format) if figures else None
     write_text(result.output / "report.html", build_report_page(result, curves, methods, pictures))
@@ -68,8 +69,8 @@ def write_failure_report(campaign: Campaign, failures: Mapping[str, str], folder
         "<p>No law has a fit.</p>", make_html_table(["Law", "Reason"], rows, text=(1,))]))
 
 
-def build_material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
-                        method: str) -> MaterialFile:
+def build_material_file_struct(fit: Fit, result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
+                               method: str) -> MaterialFile:
     """Return the content of the material file of a fit: parameters, uncertainty, valid range and provenance.
 
     Args:
@@ -81,10 +82,10 @@ def build_material_file(fit: Fit, result: CalibrationResult, measured: Mapping[s
     campaign = result.campaign
     law = find_law(fit.law)
     space = ParameterSpace.from_campaign(fit.law, campaign, {name: [curve.name for curve in curves]
-                                                  for name, curves in measured.items()})
+                                                             for name, curves in measured.items()})
     # The file format has no standard error for the bulk response. Parameters of experiment and rig are excluded.
-    material, of_material = compute_representative_material(fit), {each.path for each in space.unknowns
-                                                                   if each.of_material}
+    material, of_material = get_shared_and_population_mean_material(fit), {each.path for each in space.unknowns
+                                                                           if each.of_material}
     kept = [i for i, path in enumerate(material.parameters) if path in of_material and not path.startswith("bulk.")]
     order = [path for i, path in enumerate(material.parameters) if i in kept]
     errors = {path: error for path, error in material.errors.items() if error is not None and path in order}
@@ -129,7 +130,7 @@ def build_material_file(fit: Fit, result: CalibrationResult, measured: Mapping[s
 
 def write_summary_table(results: Sequence[CalibrationResult], path: Path) -> None:
     """Write ``summary.csv`` with one row per law and campaign; cells without a value are empty."""
-    units = {name: fit.display_unit(name) or "-" for result in results for fit in result.fits
+    units = {name: fit.get_unit_or_empty_if_dimensionless(name) or "-" for result in results for fit in result.fits
              for name in fit.parameters}
     header = ["campaign", "rank", "law", "status", "E0 [Pa]", "mu0 [Pa]", "R2", "RMSE [N]", "RMSE [Pa]", "AIC", "BIC",
               "left_out [%]", "noise_ratio", "stable_from", "stable_to", "not_identifiable", "fem_solves", "cpu [s]"]
@@ -149,7 +150,7 @@ def write_summary_table(results: Sequence[CalibrationResult], path: Path) -> Non
     write_text(path, format_csv_table(header, rows))
 
 
-def _format_curve_table(curves: Curves) -> str:
+def _format_csv_of_all_fitted_curves(curves: Curves) -> str:
     """Return a CSV table of the fitted curves of all laws and tests, with standard errors and prediction bands.
 
     The half widths of the 95 % bands are for single samples of a new recording and for its entire curve.
@@ -159,7 +160,7 @@ def _format_curve_table(curves: Curves) -> str:
         for test in tests:
             time = [None] * test.force.size if test.time is None else test.time.tolist()
             columns = (test.displacement, test.force, test.force_error, test.band, test.whole_band)
-            rows += [[law, test.test.name, t, *_format_curve_row(test, d, (f,), (e, b, w))]
+            rows += [[law, test.test.name, t, *_make_cells_of_abscissa_force_and_stress(test, d, (f,), (e, b, w))]
                      for t, d, f, e, b, w in zip(time, *(column.tolist() for column in columns), strict=True)]
     return format_csv_table(["law", "test", "time [s]", "abscissa", "value", "displacement [mm]", "force [N]",
                              "standard error [N]", "band95 [N]", "whole band95 [N]", "nominal stress [Pa]",
@@ -176,14 +177,15 @@ def _format_residual_table(curves: Curves) -> str:
         for test in tests:
             for curve, model in zip(test.measured, test.fitted, strict=True):
                 time = [None] * model.size if curve.time is None else curve.time.tolist()
-                rows += [[law, curve.name, t, *_format_curve_row(test, d, (f, m, m - f))] for t, d, f, m in zip(
+                rows += [[law, curve.name, t, *_make_cells_of_abscissa_force_and_stress(test, d, (f, m, m - f))] for t,
+                         d, f, m in zip(
                     time, curve.displacement.tolist(), curve.force.tolist(), model.tolist(), strict=True)]
     return format_csv_table(["law", "replicate", "time [s]", "abscissa", "value", "displacement [mm]", "measured [N]",
                              "model [N]", "residual [N]", "measured [Pa]", "model [Pa]", "residual [Pa]"], rows)
 
 
-def _format_curve_row(test: TestCurves, displacement: float, forces: Sequence[float],
-                      errors: Sequence[float] = ()) -> list[float | str | None]:
+def _make_cells_of_abscissa_force_and_stress(test: TestCurves, displacement: float, forces: Sequence[float],
+                                             errors: Sequence[float] = ()) -> list[float | str | None]:
     """Return the cells of a row: abscissa (name, value), displacement in mm, forces in N and stresses in Pa.
 
     Cells that the test does not define are None. A nominal stress is negative in compression, its errors are positive.
@@ -194,7 +196,7 @@ def _format_curve_row(test: TestCurves, displacement: float, forces: Sequence[fl
         return [None, None, *mechanical, *empty]
     sign, height = setup.kind.sign, 1.0 if setup.specimen is None else setup.specimen.height
     name = setup.kind.require_closed_form().label
-    value = setup.kind.compute_stretch_or_shear_strain(displacement / height)
+    value = setup.kind.convert_nominal_strain_to_abscissa(displacement / height)
     if setup.specimen is not None and setup.specimen.specific_weight:
         name = "1 - displacement/height [-]"
     return [name, value, *mechanical, *(sign * force / test.area for force in forces),

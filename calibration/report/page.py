@@ -9,8 +9,12 @@ from html import escape
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.fit import Fit
-from calibration.fit.typical_material import compute_representative_material
-from calibration.report.drawing import compute_formula_width, draw_formula, make_png_data_uri
+from calibration.fit.typical_material import get_shared_and_population_mean_material
+from calibration.report.drawing import (
+    get_formula_width_in_css_pixels,
+    make_png_data_uri,
+    render_law_formula_png_or_none,
+)
 from calibration.report.rounding import format_interval, format_value_and_error, format_value_rounded_by_error
 from calibration.report.symbols import format_html_symbol
 from calibration.report.units import DisplayUnit, ReportUnits
@@ -104,7 +108,7 @@ def are_laws_ranked_by_prediction(fits: Iterable[Fit]) -> bool:
     return any(fit.left_out is not None for fit in fits)
 
 
-def format_number(value: float | None, digits: int) -> str:
+def format_significant_digits_or_dash(value: float | None, digits: int) -> str:
     """Return a number as text with this many significant digits; ``-`` for None."""
     return "-" if value is None else f"{value:.{digits}g}"
 
@@ -120,7 +124,7 @@ def format_parameter_estimate(fit: Fit, name: str, units: ReportUnits) -> str:
     Without a standard error the text states the reason, or all values such as ``8 or -8`` if several optima fit equally
     well.
     """
-    unit, error = units.choose_parameter_unit(fit.units[name]), fit.standard_errors[name]
+    unit, error = units.choose_display_unit_of_si_unit(fit.units[name]), fit.standard_errors[name]
     known = "fixed" if error == 0 else "on its bound" if name in fit.on_bound else ""
     if error is None and fit.alternatives and not known:
         values = dict.fromkeys(f"{each[name] / unit.size:.4g}" for each in (
@@ -129,12 +133,12 @@ def format_parameter_estimate(fit: Fit, name: str, units: ReportUnits) -> str:
     return format_value_and_error(fit.parameters[name] / unit.size, error and error / unit.size, unit.name, known=known)
 
 
-def format_parameter_interval(fit: Fit, name: str, units: ReportUnits) -> str:
+def format_parameter_interval_without_unit(fit: Fit, name: str, units: ReportUnits) -> str:
     """Return the 95 % interval of a parameter in its display unit, without the unit, such as ``0.937 to 1.040``.
 
     The text is empty if the interval or the standard error is unknown.
     """
-    unit = units.choose_parameter_unit(fit.units[name])
+    unit = units.choose_display_unit_of_si_unit(fit.units[name])
     error, interval = fit.standard_errors[name], fit.intervals95[name]
     if interval is None or not error:
         return ""
@@ -142,7 +146,7 @@ def format_parameter_interval(fit: Fit, name: str, units: ReportUnits) -> str:
     return format_interval(low, high, error / unit.size, fit.parameters[name] / unit.size)
 
 
-def compute_shear_modulus_error(fit: Fit) -> float | None:
+def compute_shear_modulus_error_or_none(fit: Fit) -> float | None:
     """Return the standard error of the initial shear modulus, Pa, by linear propagation of the covariance.
 
     For specimens that differ the covariance of the mean material is used.
@@ -150,18 +154,18 @@ def compute_shear_modulus_error(fit: Fit) -> float | None:
     Returns:
         The standard error; None if a parameter of the law has no error or differs between tests.
     """
-    law, material = find_law(fit.law), compute_representative_material(fit)
+    law, material = find_law(fit.law), get_shared_and_population_mean_material(fit)
     values = {name: material.parameters[name] for name in law.parameters if name in material.parameters}
     if any(material.errors.get(name) is None for name in law.parameters):
         return None
 
-    def differentiate_modulus(name: str) -> float:
+    def differentiate_modulus_by_one_parameter(name: str) -> float:
         """Return the derivative of the initial shear modulus with respect to one parameter (central difference)."""
         step = _STEP * (abs(values[name]) or 1.0)
         ends = (law.mu0({**values, name: values[name] + side * step}) for side in (1, -1))
         return (next(ends) - next(ends)) / (2 * step)
 
-    rates = [differentiate_modulus(name) for name in law.parameters]
+    rates = [differentiate_modulus_by_one_parameter(name) for name in law.parameters]
     order = list(material.parameters)
     indices = [order.index(name) for name in law.parameters]
     variance = sum(rates[a] * rates[b] * float(material.covariance[i, j])
@@ -169,12 +173,12 @@ def compute_shear_modulus_error(fit: Fit) -> float | None:
     return math.sqrt(variance) if variance > 0 else None
 
 
-def format_initial_moduli(fit: Fit, units: ReportUnits) -> tuple[str, str]:
+def format_young_and_shear_modulus_values(fit: Fit, units: ReportUnits) -> tuple[str, str]:
     """Return Young's modulus and the shear modulus as text, in the pressure unit of the report but without its name.
 
     Both are rounded to the precision of their standard errors, which are not written.
     """
-    size, error = units.pressure.size, compute_shear_modulus_error(fit)
+    size, error = units.pressure.size, compute_shear_modulus_error_or_none(fit)
     ratio = fit.E0 / fit.mu0 if fit.mu0 else 3.0
     return (format_value_rounded_by_error(fit.E0 / size, error and abs(ratio) * error / size),
             format_value_rounded_by_error(fit.mu0 / size, error and error / size))
@@ -182,7 +186,7 @@ def format_initial_moduli(fit: Fit, units: ReportUnits) -> tuple[str, str]:
 
 def format_young_modulus(fit: Fit, units: ReportUnits) -> str:
     """Return Young's modulus with its standard error, such as ``5.93 ± 0.14 kPa``."""
-    size, error = units.pressure.size, compute_shear_modulus_error(fit)
+    size, error = units.pressure.size, compute_shear_modulus_error_or_none(fit)
     return format_value_and_error(fit.E0 / size, error and abs(fit.E0 / fit.mu0) * error / size, units.pressure.name)
 
 
@@ -198,8 +202,8 @@ def format_stable_stretches(fit: Fit) -> str:
     return "nowhere" if nowhere else f"{fit.stable_from:.3g} to {fit.stable_to:.3g}"
 
 
-def group_fits_by_remarks(fits: Sequence[Fit],
-                          of: Callable[[Fit], Sequence[str]]) -> Iterator[tuple[tuple[Fit, ...], str]]:
+def iterate_fit_groups_with_remarks(fits: Sequence[Fit],
+                                    of: Callable[[Fit], Sequence[str]]) -> Iterator[tuple[tuple[Fit, ...], str]]:
     """Yield (fits, their common remarks joined by ``;``) for each group of fits, the largest group first.
 
     A remark that several laws share appears once.
@@ -223,8 +227,8 @@ def group_fits_by_remarks(fits: Sequence[Fit],
 def make_remark_list(fits: Sequence[Fit]) -> str:
     """Return the HTML list of stability statements and messages; common ones appear once."""
     lines = []
-    for having, words in group_fits_by_remarks(fits, lambda fit: [*fit.message.split("; "),
-                                                                  f"Drucker: {fit.stability}"]):
+    for having, words in iterate_fit_groups_with_remarks(fits, lambda fit: [*fit.message.split("; "),
+                                                                            f"Drucker: {fit.stability}"]):
         laws = "All laws" if 1 < len(having) == len(fits) else ", ".join(format_law_title(fit.law) for fit in having)
         warn = "" if any(fit.status == "converged" for fit in having) else ' class="bad"'
         lines.append(f"<li{warn}>{laws}: {escape(words)}</li>")
@@ -235,16 +239,16 @@ def make_parameter_tables(fits: Sequence[Fit], units: ReportUnits, figures: bool
     """Return HTML parts: for each law a heading with its formula, and the table of its estimates and intervals."""
     parts = []
     for fit in fits:
-        png = draw_formula(fit.law) if figures else None
+        png = render_law_formula_png_or_none(fit.law) if figures else None
         formula = escape(fit.formula) if png is None else \
-            f'<img class="formula" width="{compute_formula_width(png)}" src="{make_png_data_uri(png)}" ' \
+            f'<img class="formula" width="{get_formula_width_in_css_pixels(png)}" src="{make_png_data_uri(png)}" ' \
             f'alt="{escape(fit.formula)}">'
         rows = []
         for name in fit.parameters:
             doubtful = ' <span class="bad">not determined</span>' if name in fit.not_identifiable else ""
             rows.append([f"{format_parameter_symbol(fit, name)}{doubtful}",
                          use_minus_signs(format_parameter_estimate(fit, name, units)),
-                         use_minus_signs(format_parameter_interval(fit, name, units)) or "-",
+                         use_minus_signs(format_parameter_interval_without_unit(fit, name, units)) or "-",
                          escape(fit.interval_notes.get(name, "").replace(f"{name} ", ""))])
         columns = slice(None, None if any(row[3] for row in rows) else 3)
         labels = ["Parameter", "Value ± standard error", "95 % interval", "Limit of the interval"]
@@ -257,7 +261,7 @@ def make_correlation_tables(fits: Sequence[Fit]) -> list[str]:
     """Return HTML parts: heading and table of correlations for each law with several free parameters; or no part."""
     parts = []
     for fit in fits:
-        free = list_free_parameters(fit)
+        free = list_parameters_with_standard_errors(fit)
         if len(free) < 2:
             continue
         indices, symbols = [fit.covariance.order.index(name) for name in free], [format_parameter_symbol(fit, name)
@@ -268,20 +272,21 @@ def make_correlation_tables(fits: Sequence[Fit]) -> list[str]:
     return ["<h2>Correlation of the parameters</h2>", *parts] if parts else []
 
 
-def list_free_parameters(fit: Fit) -> list[str]:
+def list_parameters_with_standard_errors(fit: Fit) -> list[str]:
     """Return the names of the parameters with a standard error: neither fixed nor at a bound, in covariance order."""
     return [name for name in fit.covariance.order if fit.standard_errors[name] not in (None, 0.0)]
 
 
-def make_nuisance_table(fit: Fit, travel: DisplayUnit, load: DisplayUnit) -> str:
+def make_recording_offset_table(fit: Fit, travel: DisplayUnit, load: DisplayUnit) -> str:
     """Return the HTML table of contact offset and force zero of each recording, in these units."""
 
-    def format_nuisance(value: float, error: float | None, size: float) -> str:
+    def format_nuisance_in_column_unit(value: float, error: float | None, size: float) -> str:
         """Return a value with its standard error as text without unit, in the unit with this size."""
         return use_minus_signs(format_value_and_error(value / size, error and error / size))
 
-    rows = [[escape(n.replicate), format_nuisance(n.contact_offset_mm, n.contact_offset_error_mm, travel.size * 1e3),
-             format_nuisance(n.zero_offset_N, n.zero_offset_error_N, load.size),
+    rows = [[escape(n.replicate),
+             format_nuisance_in_column_unit(n.contact_offset_mm, n.contact_offset_error_mm, travel.size * 1e3),
+             format_nuisance_in_column_unit(n.zero_offset_N, n.zero_offset_error_N, load.size),
              f'<span class="bad">{escape(", ".join(n.on_bound))}</span>'] for n in fit.nuisances]
     bound = slice(None, None if any(n.on_bound for n in fit.nuisances) else 3)
     labels = ["Recording", travel.format_axis_label("Contact offset"), load.format_axis_label("Zero"), "On its bound"]

@@ -61,7 +61,7 @@ def _cache_axis_measurements(figure: Any) -> Iterator[None]:
         methods = {(axis, name): _cache_by_frame_and_limits(axes, getattr(axis, name))
                    for axis in (axes.xaxis, axes.yaxis)
                    for name in _CACHED_METHODS if hasattr(axis, name)}
-        methods[axes, "get_tightbbox"] = _cache_tight_bbox_margin(axes)
+        methods[axes, "get_tightbbox"] = _make_margin_caching_get_tightbbox(axes)
         for (artist, name), method in methods.items():
             vars(artist)[name] = method
             replaced.append((artist, name))
@@ -95,7 +95,7 @@ def _cache_by_frame_and_limits(axes: Any, measure: Callable[..., Any]) -> Callab
     return measure_or_reuse
 
 
-def _cache_tight_bbox_margin(axes: Any) -> Callable[..., Any]:
+def _make_margin_caching_get_tightbbox(axes: Any) -> Callable[..., Any]:
     """Return a function in place of `get_tightbbox` that reuses the margin between the frame and the outer box.
 
     The margin is measured again if the tick labels change or if the frame changes its size by `_MAX_SIZE_CHANGE`.

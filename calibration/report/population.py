@@ -15,9 +15,9 @@ from calibration.fit.population_records import PopulationStatement
 from calibration.report.drawing import (
     COLOURS,
     FigureEmbedder,
-    add_legend_above,
-    compute_panels_per_row,
-    create_panel_figure,
+    add_figure_legend_above_panels,
+    create_figure_with_panel_rows,
+    distribute_panels_over_rows,
 )
 from calibration.report.page import format_law_title, make_html_table, use_minus_signs
 from calibration.report.rounding import NORMAL_95, format_error, format_interval, format_value_and_error
@@ -51,7 +51,7 @@ def iterate_population_rows(fit: Fit, population: PopulationStatement, units: Re
     """Yield the formatted statistics of each parameter of a population."""
     for k, path in enumerate(population.order):
         name = f"{path}@{population.specimens[0]}"
-        unit = units.choose_parameter_unit(fit.units[name])
+        unit = units.choose_display_unit_of_si_unit(fit.units[name])
         mean, error, spread = (getattr(population, key)[k] / unit.size for key in ("mean", "mean_errors", "spread"))
         # Standard error of a standard deviation from n specimens: spread / sqrt(2 (n - 1)).
         spread_error = max(spread / np.sqrt(2 * (len(population.specimens) - 1)), 1e-3 * abs(mean))
@@ -62,7 +62,7 @@ def iterate_population_rows(fit: Fit, population: PopulationStatement, units: Re
                             intervals[0], f"{format_error(spread)} {unit.name}".rstrip(), intervals[1], intervals[2])
 
 
-def make_population_section(fits: Sequence[Fit], units: ReportUnits, pictures: FigureEmbedder) -> Iterator[str]:
+def iterate_population_section_html(fits: Sequence[Fit], units: ReportUnits, pictures: FigureEmbedder) -> Iterator[str]:
     """Yield the HTML parts of the section on the population of specimens; no part if no fit has a population."""
     having = [(fit, fit.population) for fit in fits if fit.population is not None]
     if not having:
@@ -89,21 +89,21 @@ def make_population_section(fits: Sequence[Fit], units: ReportUnits, pictures: F
 def draw_population_figure(fit: Fit, population: PopulationStatement, units: ReportUnits):
     """Draw each parameter of each specimen: separate estimate, shrinkage estimate and mean of the population."""
     specimens = len(population.specimens)
-    rows = compute_panels_per_row(len(population.order))
-    figure, grid = create_panel_figure(rows, 1.5 + 0.3 * specimens)
+    rows = distribute_panels_over_rows(len(population.order))
+    figure, grid = create_figure_with_panel_rows(rows, 1.5 + 0.3 * specimens)
     firsts = {sum(rows[:row]) for row in range(len(rows))}
     for k, axes in enumerate(grid):
         _draw_population_parameter(axes, fit, population, k, units)
         axes.set_yticks(range(specimens), population.specimens if k in firsts else [])
         axes.set_ylim(specimens - 0.5, -0.5)
-    add_legend_above(figure)
+    add_figure_legend_above_panels(figure)
     return figure
 
 
 def _draw_population_parameter(axes, fit: Fit, population: PopulationStatement, k: int, units: ReportUnits) -> None:
     """Draw the parameter with index `k` of all specimens: estimates, population mean, range of further specimens."""
     name = f"{population.order[k]}@{population.specimens[0]}"
-    unit = units.choose_parameter_unit(fit.units[name])
+    unit = units.choose_display_unit_of_si_unit(fit.units[name])
     rows = np.arange(len(population.specimens))
     axes.axvspan(*(end / unit.size for end in population.next_specimen[k]), color="0.93", lw=0,
                  label="95 % of further specimens")

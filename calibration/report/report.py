@@ -12,17 +12,22 @@ from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Prediction
 from calibration.fit.population import describe_excluded_specimens
 from calibration.fit.result import CalibrationResult
-from calibration.output_folder import make_test_figure_name
+from calibration.output_folder import make_numbered_test_figure_name
 from calibration.report.assumptions import list_assumptions
 from calibration.report.curve_figures import describe_region, draw_test_figure, format_p_value_text
 from calibration.report.drawing import FigureEmbedder, format_count
 from calibration.report.estimate_figures import (
-    draw_individual_parameters,
-    draw_parameter_correlation,
-    draw_parameters_by_strain_window,
+    draw_growing_window_parameters_or_none,
+    draw_parameter_correlation_or_none,
     draw_profiles,
+    draw_unshared_parameters_or_none,
 )
-from calibration.report.figures import draw_descent_history, draw_prediction_errors, draw_region_misfits, format_percent
+from calibration.report.figures import (
+    draw_descent_history,
+    draw_prediction_errors,
+    draw_region_misfit_map,
+    format_percentage_value,
+)
 from calibration.report.layout import LAYOUT
 from calibration.report.page import (
     are_laws_ranked_by_prediction,
@@ -34,22 +39,22 @@ from calibration.report.page import (
     make_correlation_tables,
     make_html_list,
     make_html_page,
-    make_nuisance_table,
     make_parameter_tables,
     make_recording_list,
+    make_recording_offset_table,
     make_remark_list,
     use_minus_signs,
 )
-from calibration.report.population import make_population_section
+from calibration.report.population import iterate_population_section_html
 from calibration.report.report_tables import (
-    describe_suggestion,
-    make_history_table,
+    describe_suggested_test_and_errors,
     make_identifiability_table,
     make_prediction_table,
     make_ranking_table,
-    make_segment_test_table,
+    make_region_residual_test_table,
+    make_table_of_all_solves,
 )
-from calibration.report.segment_figures import make_segment_section
+from calibration.report.segment_figures import iterate_segment_section_html
 from calibration.report.symbols import format_plain_symbol
 from calibration.report.units import ReportUnits
 from calibration.report.usability import make_usability_section
@@ -74,15 +79,15 @@ def build_report_page(result: CalibrationResult, curves: Mapping[str, Sequence[T
         pictures: destination of the figures; None: summary and tables only.
     """
     campaign, analytical = result.campaign, result.campaign.fit.method == "analytical"
-    tests, units = {test.name: test for test in campaign.tests}, ReportUnits.choose_for_calibration(result)
-    typical = ReportUnits.choose_typical_test(campaign.tests)
+    tests, units = {test.name: test for test in campaign.tests}, ReportUnits.choose_for_best_fit(result)
+    typical = ReportUnits.choose_first_specimen_test_or_first(campaign.tests)
     recordings = {c.test.name: c.measured for c in next(iter(curves.values()))}
     parts = [f'<p class="quiet">{format_count(sum(map(len, recordings.values())), "recording")} of '
              f"{format_count(len(campaign.tests), 'test')}, {format_count(len(result.fits), 'law')}; "
              f"{'least squares on nominal stress' if analytical else 'inverse finite elements, all tests at once'}</p>",
              _format_summary(result, tests, units)]
     if pictures is not None:
-        parts += _make_figure_sections(result, curves, units, pictures)
+        parts += _iterate_all_figure_sections_html(result, curves, units, pictures)
     ranked_by = "prediction" if are_laws_ranked_by_prediction(result.fits) else "BIC"
     parts += [f"<h2>Ranking by {ranked_by}</h2>", make_ranking_table(result.fits, units),
               make_remark_list(result.fits), *make_usability_section(result.fits, result.failures, units),
@@ -90,20 +95,21 @@ def build_report_page(result: CalibrationResult, curves: Mapping[str, Sequence[T
     if result.predictions:
         parts += ["<h2>Predictions</h2>", make_prediction_table(result.predictions, tests, units)]
     if any(fit.regions for fit in result.fits):
-        parts += ["<h2>Residuals by region</h2>", make_segment_test_table(result.fits, tests, units)]
+        parts += ["<h2>Residuals by region</h2>", make_region_residual_test_table(result.fits, tests, units)]
     if not analytical:
         parts += ["<h2>Identifiability of the parameters</h2>", make_identifiability_table(result.fits, units)]
     parts += make_correlation_tables([fit for fit in result.fits if pictures is None
-                                      or not _has_parameter_figures(fit, result)])
+                                      or not _is_best_or_has_profiles(fit, result)])
     if result.best.nuisances:
         parts += [f"<h2>Contact offsets and zeros of {format_law_title(result.best.law)}</h2>",
-                  make_nuisance_table(result.best, units.get_displacement_unit(typical), units.get_load_unit(typical))]
+                  make_recording_offset_table(result.best, units.get_displacement_unit(typical),
+                                              units.get_load_unit(typical))]
     if any(fit.history for fit in result.fits):
         parts += ["<h2>Every solve</h2>", *(
             f"<details><summary>{format_law_title(fit.law)}: {_format_effort(fit)}</summary>"
-            f"{make_history_table(fit, units)}</details>"
+            f"{make_table_of_all_solves(fit, units)}</details>"
             for fit in result.fits if fit.history)]
-    parts += make_segment_section(campaign, recordings, pictures)
+    parts += iterate_segment_section_html(campaign, recordings, pictures)
     parts += ["<h2>Assumptions</h2>", make_html_list(map(escape, list_assumptions(result, units))),
               '<h2>Methods <small class="quiet">for a paper; also in methods.txt</small></h2>',
               f'<pre class="paste">{escape(methods)}</pre>', "<h2>Recordings</h2>",
@@ -114,14 +120,14 @@ def build_report_page(result: CalibrationResult, curves: Mapping[str, Sequence[T
 def _format_summary(result: CalibrationResult, tests: Mapping[str, Test], units: ReportUnits) -> str:
     """Return the summary as an HTML list: best law, its predictions, its misfits and undetermined parameters."""
     best = result.best
-    rows = [("Law", [_format_best_law(best, units), escape(_replace_law_names_by_titles(result))])]
+    rows = [("Law", [_format_best_law(best, units), escape(_get_message_with_law_titles(result))])]
     predictions = [_format_prediction(p, tests[p.test], units) for p in result.predictions if p.law == best.law]
     rows.append(("Predictions", predictions or ["No prediction: all tests were fitted. Add a second test, left out or "
                                                 "held out, to check the law on data that it was not fitted to."]))
     if best.regions:
-        rows.append(("Misfits", [*_list_misfit_sentences(best, tests, units)]
+        rows.append(("Misfits", [*_iterate_worst_misfit_sentences(best, tests, units)]
                      or ["All regions of all tests agree with the law within chance."]))
-    rows.append(("Undetermined", [*_list_undetermined_sentences(result.fits, units)]))
+    rows.append(("Undetermined", [*_iterate_undetermined_sentences(result.fits, units)]))
     items = (f"<dt>{term}</dt><dd>" + "<br>".join(lines) + "</dd>" for term, lines in rows)
     return f'<dl class="verdict">{"".join(items)}</dl>'
 
@@ -136,7 +142,7 @@ def _format_best_law(fit: Fit, units: ReportUnits) -> str:
             f"{format_stable_stretches(fit)}.{usable}")
 
 
-def _replace_law_names_by_titles(result: CalibrationResult) -> str:
+def _get_message_with_law_titles(result: CalibrationResult) -> str:
     """Return the message of a calibration, in which the names of laws are replaced by their titles."""
     message = result.message
     for law in sorted(result.campaign.fit.laws, key=len, reverse=True):
@@ -156,10 +162,10 @@ def _format_prediction(prediction: Prediction, test: Test, units: ReportUnits) -
     expected = prediction.expected_N
     chance = "" if expected is None else f" (expected by chance: {load.format_quantity(expected, 2)})"
     largest = "stress" if test.specimen is None else "force"
-    return f"{name}{size}{format_percent(prediction.percent)} of the largest {largest}{chance}"
+    return f"{name}{size}{format_percentage_value(prediction.percent)} of the largest {largest}{chance}"
 
 
-def _list_misfit_sentences(fit: Fit, tests: Mapping[str, Test], units: ReportUnits) -> Iterator[str]:
+def _iterate_worst_misfit_sentences(fit: Fit, tests: Mapping[str, Test], units: ReportUnits) -> Iterator[str]:
     """Yield HTML sentences on the most significant misfits of a fit, and the number of further ones."""
     bad = sorted((r for r in fit.regions if not r.adequate), key=lambda r: r.p)
     for r in bad[:LAYOUT.summary_misfits]:
@@ -171,12 +177,12 @@ def _list_misfit_sentences(fit: Fit, tests: Mapping[str, Test], units: ReportUni
         yield f"and {len(bad) - LAYOUT.summary_misfits} more regions, in the table below."
 
 
-def _list_undetermined_sentences(fits: Sequence[Fit], units: ReportUnits) -> Iterator[str]:
+def _iterate_undetermined_sentences(fits: Sequence[Fit], units: ReportUnits) -> Iterator[str]:
     """Yield an HTML sentence for each law with parameters that the tests do not determine, and one for the best law."""
     for i, fit in enumerate(fits):
         if fit.not_identifiable:
             names = ", ".join(format_parameter_symbol(fit, name) for name in fit.not_identifiable)
-            remedy = "".join(f"; {escape(describe_suggestion(each, fit, units, format_plain_symbol))}"
+            remedy = "".join(f"; {escape(describe_suggested_test_and_errors(each, fit, units, format_plain_symbol))}"
                              for each in fit.suggestions[:1])
             yield f'<span class="bad">{names}</span> of {format_law_title(fit.law)} from these tests{remedy}.'
         elif i == 0 and fit.left_out_specimens:
@@ -186,8 +192,8 @@ def _list_undetermined_sentences(fits: Sequence[Fit], units: ReportUnits) -> Ite
             yield f"These tests determine every parameter of {format_law_title(fit.law)}."
 
 
-def _make_figure_sections(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], units: ReportUnits,
-                          pictures: FigureEmbedder) -> Iterator[str]:
+def _iterate_all_figure_sections_html(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]],
+                                      units: ReportUnits, pictures: FigureEmbedder) -> Iterator[str]:
     """Yield the HTML parts of all figure sections: predictions, tests, misfit, specimens, estimates, convergence."""
     campaign, fits = result.campaign, result.fits
     # Without an expected error by chance the figure shows no more than the table.
@@ -209,24 +215,25 @@ def _make_figure_sections(result: CalibrationResult, curves: Mapping[str, Sequen
         of_test = {law: several[i] for law, several in curves.items()}
         count = len(next(iter(of_test.values())).measured)
         yield f"<h3>{escape(test.name)} <small>{escape(_format_test_description(test, count))}</small></h3>"
-        yield pictures.embed_figure(make_test_figure_name(campaign, i), partial(draw_test_figure, fits, of_test, units),
+        yield pictures.embed_figure(make_numbered_test_figure_name(campaign, i),
+                                    partial(draw_test_figure, fits, of_test, units),
                                     f"Recordings, curves, prediction band and residuals of {test.name}")
     if any(fit.regions for fit in fits):
         yield "<h2>Misfit by region</h2>"
-        yield pictures.embed_figure("regions", partial(draw_region_misfits, fits, campaign.tests, units),
+        yield pictures.embed_figure("regions", partial(draw_region_misfit_map, fits, campaign.tests, units),
                                     "Misfit of each law in each region of each test",
                                     "Root mean square of the misfit in each region and its probability by chance, "
                                     "adjusted for the number of regions (Holm); orange for p ≤ 0.05. Offsets, zeros "
                                     "and mesh error can compensate part of the misfit; the numbers do not include this "
                                     "compensation.")
-    yield from make_population_section(fits, units, pictures)
+    yield from iterate_population_section_html(fits, units, pictures)
     differing = "" if any(fit.population for fit in fits) else pictures.embed_figure(
-        "specimens", partial(draw_individual_parameters, fits, units), "Parameters of each specimen",
+        "specimens", partial(draw_unshared_parameters_or_none, fits, units), "Parameters of each specimen",
         "Thick: ± one standard error; thin: 95 % interval.")
     if differing:
         yield f"<h2>Differences between specimens</h2>{differing}"
-    for fit in (fit for fit in fits if _has_parameter_figures(fit, result)):
-        inside = "".join(_draw_estimate_figures(fit, campaign, units, pictures))
+    for fit in (fit for fit in fits if _is_best_or_has_profiles(fit, result)):
+        inside = "".join(_iterate_estimate_figures_html(fit, campaign, units, pictures))
         if inside:
             name = format_law_title(fit.law)
             yield f"<h2>How well {name} is determined</h2>{inside}" if fit is fits[0] else \
@@ -240,22 +247,23 @@ def _make_figure_sections(result: CalibrationResult, curves: Mapping[str, Sequen
                                     "rise, because the covariance of the fast mesh includes a larger mesh error.")
 
 
-def _has_parameter_figures(fit: Fit, result: CalibrationResult) -> bool:
+def _is_best_or_has_profiles(fit: Fit, result: CalibrationResult) -> bool:
     """Return whether a fit is the best one or has profile likelihoods, so that the report draws its parameters."""
     return fit is result.best or bool(fit.profiles)
 
 
-def _draw_estimate_figures(fit: Fit, campaign: Campaign, units: ReportUnits, pictures: FigureEmbedder) -> Iterator[str]:
+def _iterate_estimate_figures_html(fit: Fit, campaign: Campaign, units: ReportUnits,
+                                   pictures: FigureEmbedder) -> Iterator[str]:
     """Yield the HTML of the figures of the estimates of one law: profiles, strain windows and correlation."""
     if fit.profiles:
         note = ("Increase of the sum of squares when one parameter is fixed and all others are fitted again. If the "
                 "profile differs from the dashed parabola, ± 2 standard errors are not a 95 % interval.")
         yield pictures.embed_figure(f"profiles {fit.law}", partial(draw_profiles, fit, campaign.fit.bounds, units),
                                     f"Profile likelihoods of {fit.law}", note)
-    yield pictures.embed_figure(f"windows {fit.law}", partial(draw_parameters_by_strain_window, fit, units),
+    yield pictures.embed_figure(f"windows {fit.law}", partial(draw_growing_window_parameters_or_none, fit, units),
                                 f"Parameters of {fit.law} from parts of the strain",
                                 "Estimates from the first part of the strain of each test only, as with max_strain.")
-    yield pictures.embed_figure(f"correlation {fit.law}", partial(draw_parameter_correlation, fit, units),
+    yield pictures.embed_figure(f"correlation {fit.law}", partial(draw_parameter_correlation_or_none, fit, units),
                                 f"Correlation of the parameters of {fit.law}")
 
 

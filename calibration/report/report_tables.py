@@ -9,13 +9,13 @@ from calibration.campaign.campaign import Test
 from calibration.fit.fit import Fit, Prediction, SuggestedTest, WeakDirection
 from calibration.report.curve_figures import describe_region, format_p_value_text
 from calibration.report.estimate_figures import UNDETERMINED
-from calibration.report.figures import format_percent
+from calibration.report.figures import format_percentage_value
 from calibration.report.page import (
-    format_initial_moduli,
     format_law_title,
-    format_number,
     format_parameter_symbol,
+    format_significant_digits_or_dash,
     format_stable_stretches,
+    format_young_and_shear_modulus_values,
     make_html_table,
     use_minus_signs,
 )
@@ -31,11 +31,11 @@ def make_ranking_table(fits: Sequence[Fit], units: ReportUnits) -> str:
     for fit in fits:
         # An unusable law gets no difference: a negative value would suggest to use this law.
         difference = f"{fit.BIC - best.BIC:.3g}" if fit.unusable is None else "-"
-        rows.append([format_law_title(fit.law), "-" if fit.left_out is None else format_percent(fit.left_out),
-                     *format_initial_moduli(fit, units), f"{fit.R2:.5f}",
-                     format_number(fit.RMSE_N and fit.RMSE_N / force.size, 3),
-                     format_number(fit.RMSE_Pa and fit.RMSE_Pa / pressure.size, 3), f"{fit.noise_ratio:.3g}",
-                     difference, format_stable_stretches(fit)])
+        rows.append([format_law_title(fit.law), "-" if fit.left_out is None else format_percentage_value(fit.left_out),
+                     *format_young_and_shear_modulus_values(fit, units), f"{fit.R2:.5f}",
+                     format_significant_digits_or_dash(fit.RMSE_N and fit.RMSE_N / force.size, 3),
+                     format_significant_digits_or_dash(fit.RMSE_Pa and fit.RMSE_Pa / pressure.size, 3),
+                     f"{fit.noise_ratio:.3g}", difference, format_stable_stretches(fit)])
     labels = ["Law", "Left-out error", f"E<sub>0</sub> [{pressure.name}]", f"μ<sub>0</sub> [{pressure.name}]", "R²",
               force.format_axis_label("RMSE"), pressure.format_axis_label("RMSE"), "Residual / noise", "ΔBIC",
               "Stable stretches"]
@@ -57,13 +57,13 @@ def make_prediction_table(predictions: Iterable[Prediction], tests: Mapping[str,
         error, chance = (None if value is None else load.format_quantity(value, 2) for value in (
             p.RMSE_Pa if test.specimen is None else p.RMSE_N, p.expected_N))
         rows.append([None if p.law == last else format_law_title(p.law), escape(p.test), escape(how), error or "-",
-                     "-" if p.percent is None else format_percent(p.percent), chance or "-"])
+                     "-" if p.percent is None else format_percentage_value(p.percent), chance or "-"])
         last = p.law
     return make_html_table(["Law", "Test", "Fitted to", "RMSE", "RMSE / largest load", "RMSE by chance"], rows,
                            text=(1, 2))
 
 
-def make_segment_test_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: ReportUnits) -> str:
+def make_region_residual_test_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: ReportUnits) -> str:
     """Return the HTML table of the statistical tests of the residuals, one row per law and region of a test."""
     rows: list[list[str | None]] = []
     for fit in fits:
@@ -87,21 +87,24 @@ def make_identifiability_table(fits: Sequence[Fit], units: ReportUnits) -> str:
 
     Columns: condition number, poorly determined combinations, parameters that are not identifiable, and remedies.
     """
-    def format_suggestions(fit: Fit) -> str:
+    def join_suggestions_with_semicolons(fit: Fit) -> str:
         """Return the suggested tests of a fit as HTML, separated by semicolons; empty if there is none."""
-        return "; ".join(escape(describe_suggestion(each, fit, units, format_plain_symbol)) for each in fit.suggestions)
+        return "; ".join(escape(describe_suggested_test_and_errors(each, fit, units, format_plain_symbol))
+                         for each in fit.suggestions)
 
-    rows = [[format_law_title(fit.law), format_number(fit.condition, 3),
-             "; ".join(escape(describe_direction(d, fit, format_plain_symbol)) for d in fit.directions) or "none",
+    rows = [[format_law_title(fit.law), format_significant_digits_or_dash(fit.condition, 3),
+             "; ".join(escape(describe_poorly_determined_combination(d, fit, format_plain_symbol))
+                       for d in fit.directions) or "none",
              '<span class="bad">'
              f'{", ".join(format_parameter_symbol(fit, name) for name in fit.not_identifiable)}</span>'
              if fit.not_identifiable else "none",
-             format_suggestions(fit) or "-"] for fit in fits]
+             join_suggestions_with_semicolons(fit) or "-"] for fit in fits]
     return make_html_table(["Law", "Condition number", "Poorly determined", "Not identifiable", "Remedy"], rows,
                            text=(2, 3, 4))
 
 
-def describe_direction(direction: WeakDirection, fit: Fit, symbol: Callable[[str], str] = str) -> str:
+def describe_poorly_determined_combination(direction: WeakDirection, fit: Fit,
+                                           symbol: Callable[[str], str] = str) -> str:
     """Return a poorly determined combination as text, such as ``0.99 C20 − 0.08 C10, known to ± 35 %``.
 
     The numbers are relative parameter changes that together change the forces little.
@@ -120,8 +123,8 @@ def describe_direction(direction: WeakDirection, fit: Fit, symbol: Callable[[str
         else f"{words}, undetermined"
 
 
-def describe_suggestion(suggestion: SuggestedTest, fit: Fit, units: ReportUnits,
-                        symbol: Callable[[str], str] = str) -> str:
+def describe_suggested_test_and_errors(suggestion: SuggestedTest, fit: Fit, units: ReportUnits,
+                                       symbol: Callable[[str], str] = str) -> str:
     """Return a suggested test as text, such as ``a test would give C20 ± 6.5 Pa``.
 
     Args:
@@ -134,14 +137,14 @@ def describe_suggestion(suggestion: SuggestedTest, fit: Fit, units: ReportUnits,
         or list(suggestion.standard_errors)
     errors = ", ".join(f"{symbol(fit.symbols[name])} ± {format_error(suggestion.standard_errors[name] / unit.size)} "
                        f"{unit.name}".rstrip() for name in worst
-                       for unit in (units.choose_parameter_unit(fit.units[name]),))
+                       for unit in (units.choose_display_unit_of_si_unit(fit.units[name]),))
     return f"{suggestion.test} would give {errors}"
 
 
-def make_history_table(fit: Fit, units: ReportUnits) -> str:
+def make_table_of_all_solves(fit: Fit, units: ReportUnits) -> str:
     """Return the HTML table of all solves of all starts of a fit: parameters, error and RMSE, one row per solve."""
     names = list(fit.history[0].parameters)
-    scales = [units.choose_parameter_unit(fit.units[name]) for name in names]
+    scales = [units.choose_display_unit_of_si_unit(fit.units[name]) for name in names]
     rows = [[f"{step.start}", f"{step.run}", *(use_minus_signs(f"{step.parameters[name] / unit.size:.5g}")
                                                for name, unit in zip(names, scales, strict=True)),
              f"{step.error:.5g}", f"{step.RMSE_N / units.force.size:.3g}", "yes" if step.corrected else "-"]

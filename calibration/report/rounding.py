@@ -16,7 +16,7 @@ NORMAL_95 = 1.96
 
 
 @dataclass(frozen=True)
-class NumberFormat:
+class NumberDigitSettings:
     """Settings of numbers in reports: digits without an error, and limits for powers of ten.
 
     Attributes:
@@ -30,7 +30,7 @@ class NumberFormat:
     max_plain: float = 1e6
 
 
-_FORMAT = NumberFormat()
+_FORMAT = NumberDigitSettings()
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -95,7 +95,7 @@ def format_criterion_difference(gain: float) -> str:
     return text.replace(",", "\u202f").replace("-", "−")
 
 
-def format_odds_ratio(ratio: float) -> str:
+def format_odds_number(ratio: float) -> str:
     """Return the number of odds ``n : 1`` as text, such as ``4.9``, ``48 600`` or ``> 10⁶``."""
     if ratio > 1e6:
         return "> 10⁶"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.output_folder import make_test_figure_name
+from calibration.output_folder import make_numbered_test_figure_name
 from calibration.report.drawing import FigureEmbedder, create_figure
 from calibration.report.layout import LAYOUT
 from calibration.report.page import make_html_list
@@ -79,7 +79,7 @@ def _draw_displacement_over_time(axes, clock: np.ndarray, travel: np.ndarray, la
 def _draw_segment_spans(axes, clock: np.ndarray, segmentation: Segmentation) -> None:
     """Shade the time span of each segment in the colour of its name."""
     named: set[str] = set()
-    for name, first, end in segmentation.iterate_segments():
+    for name, first, end in segmentation.iterate_segment_names_and_bounds():
         last = min(end, clock.size - 1)
         axes.axvspan(clock[first], clock[last], color=SPANS.get(name, "0.8"), alpha=0.22, lw=0, zorder=0,
                      label=None if name in named else name)
@@ -118,8 +118,8 @@ def _draw_contact_detail(axes, travel: np.ndarray, load: np.ndarray, clock: np.n
     axes.legend(loc="upper left", fontsize=8.5)
 
 
-def make_segment_section(campaign: Campaign, recordings: Mapping[str, Sequence[MeasuredCurve]],
-                         pictures: FigureEmbedder | None) -> Iterator[str]:
+def iterate_segment_section_html(campaign: Campaign, recordings: Mapping[str, Sequence[MeasuredCurve]],
+                                 pictures: FigureEmbedder | None) -> Iterator[str]:
     """Yield the HTML of the section on segments: segments and fitted samples of each recording, one figure per test.
 
     The figure shows the first recording with a note, or the first recording if none has a note.
@@ -138,7 +138,7 @@ def make_segment_section(campaign: Campaign, recordings: Mapping[str, Sequence[M
         yield make_html_list(_describe_recording(curve) for curve in curves)
         if pictures is not None:
             drawn = next((curve for curve in curves if curve.notes), curves[0])
-            yield pictures.embed_figure(make_test_figure_name(campaign, number, "segments"),
+            yield pictures.embed_figure(make_numbered_test_figure_name(campaign, number, "segments"),
                                         partial(_draw_recording_segments, drawn), f"Segments of {drawn.name}",
                                         f"{escape(drawn.name)}: raw recording; the fitted samples are blue if only a "
                                         "part is fitted.")
@@ -157,8 +157,8 @@ def _describe_recording(curve: MeasuredCurve) -> str:
     whole = curve.whole
     assert whole is not None
     found = whole.segmentation
-    runs = [name for name, _, _ in found.iterate_segments()]
-    parts = [f"{'stated' if found.stated else 'found'}: {_count_segments(runs)}",
+    runs = [name for name, _, _ in found.iterate_segment_names_and_bounds()]
+    parts = [f"{'stated' if found.stated else 'found'}: {_format_segments_with_repeat_counts(runs)}",
              f"{int(whole.used.sum())} of {whole.used.size} samples fitted"]
     if found.contact is not None:
         parts.append(found.contact.in_words(stressed=found.stressed))
@@ -168,7 +168,7 @@ def _describe_recording(curve: MeasuredCurve) -> str:
     return f"<b>{escape(curve.name)}</b>: {escape('; '.join(parts))}{notes}"
 
 
-def _count_segments(runs: Sequence[str]) -> str:
+def _format_segments_with_repeat_counts(runs: Sequence[str]) -> str:
     """Return the names of the segments as text, equal pairs counted: ``approach, ramp, 3 × (unload, reload)``."""
     parts: list[str] = []
     k = 0

@@ -12,14 +12,14 @@ _PARTS = re.compile(r"([A-Za-z]+)_?(\d*)$")
 
 def format_html_symbol(symbol: str) -> str:
     """Return a symbol as HTML, such as ``μ<sub>1</sub>``, with its specimen, test or recording in brackets."""
-    name, index, owner = _split_symbol(symbol)
+    name, index, owner = _split_symbol_name_index_and_owner(symbol)
     letter = f"<i>{escape(_GREEK.get(name, name))}</i>" if index or name in _GREEK else escape(name)
     return letter + (f"<sub>{index}</sub>" if index else "") + (f" ({escape(owner)})" if owner else "")
 
 
 def format_mathtext_symbol(symbol: str) -> str:
     """Return a symbol as matplotlib mathtext (subscripts, Greek letters), with its specimen, test or recording."""
-    name, index, owner = _split_symbol(symbol)
+    name, index, owner = _split_symbol_name_index_and_owner(symbol)
     if not index and name not in _GREEK:
         return symbol.replace("$", r"\$")
     letter = f"\\{name}" if name in _GREEK else name
@@ -29,11 +29,11 @@ def format_mathtext_symbol(symbol: str) -> str:
 
 def format_plain_symbol(symbol: str) -> str:
     """Return a symbol in plain text, such as ``μ1`` or ``C10 (A)``."""
-    name, index, owner = _split_symbol(symbol)
+    name, index, owner = _split_symbol_name_index_and_owner(symbol)
     return f"{_GREEK.get(name, name)}{index}" + (f" ({owner})" if owner else "")
 
 
-def _split_symbol(symbol: str) -> tuple[str, str, str]:
+def _split_symbol_name_index_and_owner(symbol: str) -> tuple[str, str, str]:
     """Split a symbol into name, index and owner; a symbol of another form is returned as the name without index."""
     front, _, owner = symbol.partition("@")
     found = _PARTS.match(front)

@@ -56,7 +56,7 @@ class ReportUnits:
     pressure: DisplayUnit
 
     @classmethod
-    def choose_for_calibration(cls, result: CalibrationResult) -> ReportUnits:
+    def choose_for_best_fit(cls, result: CalibrationResult) -> ReportUnits:
         """Return the units for a calibration, which suit the best fit.
 
         The pressure unit suits the shear modulus of the best law. Length and force are in mm and N, or in smaller units
@@ -75,7 +75,8 @@ class ReportUnits:
     def choose_for_typical_sizes(cls, travel: float, force: float, modulus: float) -> ReportUnits:
         """Return the units that suit typical displacements (m), forces (N) and moduli (Pa)."""
         return cls(_choose_largest_fitting_unit(_LENGTH_UNITS, 10 * travel),
-                   _choose_largest_fitting_unit(_FORCE_UNITS, 10 * force), DisplayUnit(*choose_pressure_unit(modulus)))
+                   _choose_largest_fitting_unit(_FORCE_UNITS, 10 * force),
+                   DisplayUnit(*choose_pressure_unit_name_and_size(modulus)))
 
     def get_load_unit(self, test: Test) -> DisplayUnit:
         """Return the unit of force, or of stress for a test without specimen."""
@@ -85,23 +86,24 @@ class ReportUnits:
         """Return the unit of displacement, or of strain for a test without specimen."""
         return DisplayUnit("", 1.0) if test.specimen is None else self.length
 
-    def format_replicate_jitter(self, jitter: ReplicateJitterStatement, tests: Sequence[Test]) -> tuple[str, str]:
+    def format_contact_and_zero_scatter(self, jitter: ReplicateJitterStatement,
+                                        tests: Sequence[Test]) -> tuple[str, str]:
         """Return two texts: standard deviations of contact point and of force zero between recordings, with units.
 
         The scatter is a length and a force, or a strain and a stress if no test has a specimen.
         """
-        test = self.choose_typical_test(tests)
+        test = self.choose_first_specimen_test_or_first(tests)
         contact = jitter.contact_mm * 1e-3
         return self.get_displacement_unit(test).format_quantity(contact, 2) + (" of strain" if test.specimen is None
                                                                                else ""), \
             self.get_load_unit(test).format_quantity(jitter.zero_N, 2)
 
     @staticmethod
-    def choose_typical_test(tests: Sequence[Test]) -> Test:
+    def choose_first_specimen_test_or_first(tests: Sequence[Test]) -> Test:
         """Return the test that decides the units of common quantities: the first with a specimen, else the first."""
         return next((test for test in tests if test.specimen is not None), tests[0])
 
-    def choose_parameter_unit(self, unit: str) -> DisplayUnit:
+    def choose_display_unit_of_si_unit(self, unit: str) -> DisplayUnit:
         """Return the display unit of a parameter whose SI unit is `unit`."""
         known = {"Pa": self.pressure, "N": self.force, "m": self.length, "1": DisplayUnit("", 1.0),
                  "m/N": DisplayUnit("mm/N", 1e-3), "m2/s": DisplayUnit("mm²/s", 1e-6),
@@ -115,7 +117,7 @@ def _choose_largest_fitting_unit(units: Mapping[str, float], size: float) -> Dis
     return DisplayUnit(*next((pair for pair in units.items() if size >= pair[1]), [*units.items()][-1]))
 
 
-def choose_pressure_unit(pressure: float) -> tuple[str, float]:
+def choose_pressure_unit_name_and_size(pressure: float) -> tuple[str, float]:
     """Return (name, size in Pa) of the unit that suits a pressure in Pa; ``("Pa", 1.0)`` for 0, NaN and infinity."""
     # Round first: 999.999 Pa is written as 1 kPa.
     size = float(f"{abs(pressure):.4g}") if math.isfinite(pressure) else 0.0
@@ -125,5 +127,5 @@ def choose_pressure_unit(pressure: float) -> tuple[str, float]:
 
 def format_pressure(pressure: float, digits: int = 5) -> str:
     """Return a pressure in Pa as text in a suitable unit, such as ``'8.4296 kPa'`` for 8429.6."""
-    unit, factor = choose_pressure_unit(pressure)
+    unit, factor = choose_pressure_unit_name_and_size(pressure)
     return f"{pressure / factor:.{digits}g} {unit}"

@@ -51,18 +51,19 @@ def make_usability_section(fits: Sequence[Fit], failures: Mapping[str, str], uni
 
 def _make_alternatives_table(fit: Fit, units: ReportUnits) -> str:
     """Return the HTML table of the alternative optima of a law and the tests that distinguish them."""
-    def format_values(parameters: Mapping[str, float]) -> list[str]:
+    def format_values_with_units_as_cells(parameters: Mapping[str, float]) -> list[str]:
         """Return the values of parameters with their display units as texts, one for each cell of a row."""
-        scales = [units.choose_parameter_unit(fit.units[name]) for name in parameters]
+        scales = [units.choose_display_unit_of_si_unit(fit.units[name]) for name in parameters]
         return [use_minus_signs(f"{value / unit.size:.5g} {unit.name}".strip())
                 for value, unit in zip(parameters.values(), scales, strict=True)]
 
     pressure = units.pressure
-    rows: list[list[str | None]] = [[*format_values(fit.parameters), f"{fit.R2:.5f}", "reported", "-"]]
+    rows: list[list[str | None]] = [[*format_values_with_units_as_cells(fit.parameters), f"{fit.R2:.5f}", "reported",
+                                     "-"]]
     for each in fit.alternatives:
         stress = (f"{each.alternative_stress_Pa / pressure.size:.4g} {pressure.name} instead of "
-                  f"{each.stress_Pa / pressure.size:.4g} {pressure.name}{each.stress_ratio_text}")
-        rows.append([*format_values(each.parameters), f"{each.R2:.5f}", escape(each.separated_by),
+                  f"{each.stress_Pa / pressure.size:.4g} {pressure.name}{each.stress_ratio_suffix_or_empty}")
+        rows.append([*format_values_with_units_as_cells(each.parameters), f"{each.R2:.5f}", escape(each.separated_by),
                      use_minus_signs(stress)])
     labels = [*(escape(fit.symbols[name]) for name in fit.parameters), "R²", "Distinguished by",
               "Nominal stress there"]

@@ -62,7 +62,7 @@ class CurveTrace:
         """Return the trace of the measured force and displacement of a recording, without a band."""
         return cls(measured.time, measured.displacement, measured.force, measured.segment)
 
-    def iterate_segments(self) -> Iterator[tuple[str, int, int]]:
+    def iterate_segment_names_and_bounds(self) -> Iterator[tuple[str, int, int]]:
         """Yield (label, first index, index after the last) of each segment; without labels one segment ``ramp``."""
         if self.segment is None:
             yield "ramp", 0, self.force.size
@@ -77,7 +77,7 @@ Lines = Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
 
 
 @dataclass(frozen=True, eq=False)
-class PanelView:
+class PanelLabelsAndLineFunction:
     """Panel of a figure: labels of the axes, and the function that converts a curve to lines in the panel.
 
     Attributes:
@@ -99,7 +99,7 @@ class PanelView:
     rates: bool = False
 
 
-def list_panel_views(best: TestCurves, units: ReportUnits) -> list[PanelView]:
+def list_panel_views(best: TestCurves, units: ReportUnits) -> list[PanelLabelsAndLineFunction]:
     """Return the panels in which the curves of a test are drawn.
 
     - Force against displacement, for tests with a specimen.
@@ -108,34 +108,36 @@ def list_panel_views(best: TestCurves, units: ReportUnits) -> list[PanelView]:
     - Load against time, and load in holds against the logarithm of time, for timed tests.
     """
     test, found = best.test, []
-    x, load, area = units.get_displacement_unit(test), units.get_load_unit(test), _find_loaded_area(best)
-    curve, x_label, history = _LoadDisplacementView(x, load), x.format_axis_label("displacement"), _LoadTimeView(load)
+    x, load, area = units.get_displacement_unit(test), units.get_load_unit(test), _find_loaded_area_or_none(best)
+    curve, x_label, history = _LoadDisplacementLines(x, load), x.format_axis_label("displacement"), _LoadTimeLines(load)
     if test.specimen is not None:
-        found.append(PanelView("Force and displacement", x_label, load.format_axis_label("force"), curve.iterate_lines))
+        found.append(PanelLabelsAndLineFunction("Force and displacement", x_label, load.format_axis_label("force"),
+                                                curve.iterate_lines))
     if area is not None:
         height = 1.0 if test.specimen is None else test.specimen.height
-        curve = _LoadDisplacementView(DisplayUnit("", height),
-                                      DisplayUnit(units.pressure.name, units.pressure.size * area))
+        curve = _LoadDisplacementLines(DisplayUnit("", height),
+                                       DisplayUnit(units.pressure.name, units.pressure.size * area))
         x_label = test.kind.strain_name
-        found.append(PanelView("Stress and strain", x_label, units.pressure.format_axis_label("nominal stress"),
-                               curve.iterate_lines))
-    tangent = replace(curve, window=_choose_tangent_half_width(best.measured, curve))
+        found.append(PanelLabelsAndLineFunction("Stress and strain", x_label,
+                                                units.pressure.format_axis_label("nominal stress"),
+                                                curve.iterate_lines))
+    tangent = replace(curve, window=_choose_tangent_half_width_in_axis_unit(best.measured, curve))
     words, rate = ("tangent modulus", curve.y.name) if area is not None else \
         ("stiffness", f"{curve.y.name}/{curve.x.name}")
-    found.append(PanelView(words.capitalize(), x_label, f"{words} [{rate}]", tangent.iterate_tangents, own=True,
-                           rates=True))
-    if is_drawn_over_time(best.measured):
+    found.append(PanelLabelsAndLineFunction(words.capitalize(), x_label, f"{words} [{rate}]", tangent.iterate_tangents,
+                                            own=True, rates=True))
+    if have_times_and_several_segments(best.measured):
         name = load.format_axis_label("nominal stress" if test.specimen is None else "force")
-        found.append(PanelView("Load over time", "time [s]", name, history.iterate_lines))
+        found.append(PanelLabelsAndLineFunction("Load over time", "time [s]", name, history.iterate_lines))
         if any(label.startswith("hold") for label, _,
-               _ in CurveTrace.from_recording(best.measured[0]).iterate_segments()):
-            found.append(PanelView("Relaxation in holds", "time since the start of the hold [s]", name,
-                                   history.iterate_holds,
-                                   own=True, log=True))
+               _ in CurveTrace.from_recording(best.measured[0]).iterate_segment_names_and_bounds()):
+            found.append(PanelLabelsAndLineFunction("Relaxation in holds", "time since the start of the hold [s]", name,
+                                                    history.iterate_holds,
+                                                    own=True, log=True))
     return found
 
 
-def _find_loaded_area(curves: TestCurves) -> float | None:
+def _find_loaded_area_or_none(curves: TestCurves) -> float | None:
     """Return the loaded cross-section, m2; 1 for recordings of stress.
 
     Returns:
@@ -148,12 +150,12 @@ def _find_loaded_area(curves: TestCurves) -> float | None:
     return test.specimen.area if whole and test.specimen.is_prism else curves.area
 
 
-def is_drawn_over_time(recordings: Sequence[MeasuredCurve]) -> bool:
+def have_times_and_several_segments(recordings: Sequence[MeasuredCurve]) -> bool:
     """Return whether a test has several segments and time, so that it must be drawn over time."""
     return all(m.time is not None and m.segment is not None and np.unique(m.segment).size > 1 for m in recordings)
 
 
-def compute_law_curve(curves: TestCurves, own: bool = False) -> CurveTrace | None:
+def get_law_trace_or_none(curves: TestCurves, own: bool = False) -> CurveTrace | None:
     """Return the fitted curve of a law for drawing; None if the recording and the model have no common time.
 
     For a timed test the curve is evaluated at the samples of the first recording, otherwise along the model's motion.
@@ -166,15 +168,15 @@ def compute_law_curve(curves: TestCurves, own: bool = False) -> CurveTrace | Non
         The curve; None if model and recording have no common time.
     """
     first = curves.measured[0]
-    if own and is_drawn_over_time(curves.measured):
+    if own and have_times_and_several_segments(curves.measured):
         return replace(CurveTrace.from_recording(first), force=curves.fitted[0])
-    if not is_drawn_over_time(curves.measured):
+    if not have_times_and_several_segments(curves.measured):
         return CurveTrace(curves.time, curves.displacement, curves.force, None, curves.band)
-    values = interpolate_law_at_samples(curves, first)
+    values = interpolate_force_and_bands_or_none(curves, first)
     return None if values is None else replace(CurveTrace.from_recording(first), force=values[:, 0], band=values[:, 1])
 
 
-def interpolate_law_at_samples(curves: TestCurves, measured: MeasuredCurve) -> np.ndarray | None:
+def interpolate_force_and_bands_or_none(curves: TestCurves, measured: MeasuredCurve) -> np.ndarray | None:
     """Interpolate a law to the samples of a recording, over time if both have time, otherwise over displacement.
 
     Returns:
@@ -194,7 +196,7 @@ def interpolate_law_at_samples(curves: TestCurves, measured: MeasuredCurve) -> n
 
 
 @dataclass(frozen=True)
-class _LoadDisplacementView:
+class _LoadDisplacementLines:
     """Conversion of traces to lines of load against displacement, or of stress against strain, in display units.
 
     Attributes:
@@ -215,13 +217,13 @@ class _LoadDisplacementView:
     def iterate_tangents(self, trace: CurveTrace) -> Lines:
         """Yield the local slopes of each loading segment; the window is the same for all traces."""
         (x, y, _), = self.iterate_lines(trace)
-        for label, first, after in trace.iterate_segments():
+        for label, first, after in trace.iterate_segment_names_and_bounds():
             if label.startswith(_LOADING) and after - first >= TANGENTS.min_samples:
-                yield (*compute_local_slopes(x[first:after], y[first:after], self.window), None)
+                yield (*compute_positions_and_local_slopes(x[first:after], y[first:after], self.window), None)
 
 
 @dataclass(frozen=True)
-class _LoadTimeView:
+class _LoadTimeLines:
     """Conversion of traces to lines of load against time, in display units.
 
     Attributes:
@@ -238,7 +240,7 @@ class _LoadTimeView:
     def iterate_holds(self, trace: CurveTrace) -> Lines:
         """Yield the load in each hold against the time since the start of the hold."""
         assert trace.time is not None
-        for label, first, after in trace.iterate_segments():
+        for label, first, after in trace.iterate_segment_names_and_bounds():
             start = max(first - 1, 0)
             if label.startswith("hold") and after - first > 1:
                 since = trace.time[start:after] - trace.time[start]
@@ -247,7 +249,8 @@ class _LoadTimeView:
                 yield since[resolved], trace.force[start:after][resolved] / self.y.size, None
 
 
-def _choose_tangent_half_width(recordings: Sequence[MeasuredCurve], curve: _LoadDisplacementView) -> float:
+def _choose_tangent_half_width_in_axis_unit(recordings: Sequence[MeasuredCurve],
+                                            curve: _LoadDisplacementLines) -> float:
     """Return the half width h of the tangent window, in the unit of the x axis, for the allowed noise of a slope.
 
     The slope of a line through n samples over a width of 2 h has the standard deviation s sqrt(3 / n) / h, where s is
@@ -257,14 +260,15 @@ def _choose_tangent_half_width(recordings: Sequence[MeasuredCurve], curve: _Load
     (x, y, _), = curve.iterate_lines(CurveTrace.from_recording(first))
     reach, secant = np.ptp(x) or 1.0, np.ptp(y) or 1.0
     loading = sum(after - start for label, start,
-                  after in CurveTrace.from_recording(first).iterate_segments() if label.startswith(_LOADING))
+                  after in CurveTrace.from_recording(first).iterate_segment_names_and_bounds()
+                  if label.startswith(_LOADING))
     allowed = TANGENTS.max_noise * secant / reach
     noise, density = first.noise.deviation / curve.y.size, max(loading, 1) / reach
     window = (noise * np.sqrt(1.5 / density) / allowed)**(2 / 3)
     return float(np.clip(window, TANGENTS.min_window / 2 * reach, TANGENTS.max_window / 2 * reach))
 
 
-def compute_local_slopes(x: np.ndarray, y: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
+def compute_positions_and_local_slopes(x: np.ndarray, y: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
     """Fit straight lines to the samples in windows along a curve; return their mean positions and slopes.
 
     Args:

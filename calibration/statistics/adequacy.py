@@ -10,7 +10,7 @@ from scipy import special
 
 
 @dataclass(frozen=True)
-class ScoreTestSettings:
+class ScoreTestTolerances:
     """Numerical tolerances of Rao's score tests: which modes and directions count as independent.
 
     Attributes:
@@ -24,7 +24,7 @@ class ScoreTestSettings:
     rank_tolerance: float = 1e-10
 
 
-SCORE_TEST = ScoreTestSettings()
+SCORE_TEST = ScoreTestTolerances()
 
 
 @dataclass(frozen=True, eq=False)

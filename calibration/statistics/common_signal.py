@@ -56,7 +56,7 @@ class CommonSignal:
     waves: float = 0.0
 
 
-def compute_variance_ratio(residuals: np.ndarray) -> tuple[float, int, int]:
+def compute_f_ratio_and_freedoms(residuals: np.ndarray) -> tuple[float, int, int]:
     """Compute the F ratio of one-way analysis of variance: squared mean over recordings against their scatter.
 
     F = R sum_j m_j^2 / (sum_ij (r_ij - m_j)^2 / (R - 1)), with the mean m_j over R recordings. Its expectation is 1
@@ -74,7 +74,7 @@ def compute_variance_ratio(residuals: np.ndarray) -> tuple[float, int, int]:
     return count * float(mean @ mean) / max(scatter, 1e-300), size, (count - 1) * size
 
 
-def find_common_signal(residuals: np.ndarray, segments: Sequence[slice]) -> CommonSignal:
+def get_most_significant_common_signal(residuals: np.ndarray, segments: Sequence[slice]) -> CommonSignal:
     """Return the most significant common signal of several recordings, also if it is not significant (large p value).
 
     F ratios are computed over all samples, in windows of dyadic widths, and at Fourier frequencies. The p value is
@@ -88,19 +88,19 @@ def find_common_signal(residuals: np.ndarray, segments: Sequence[slice]) -> Comm
 
     Source: Fisher, Proc. R. Soc. A 125 (1929) 54 (test of a periodogram), here with the measured scatter.
     """
-    ratio, *freedom = compute_variance_ratio(residuals)
+    ratio, *freedom = compute_f_ratio_and_freedoms(residuals)
     whole = slice(0, residuals.shape[1])
     ranges = [whole, *segments] if len(segments) > 1 else [whole]
     found = [CommonSignal(float(special.fdtrc(*freedom, ratio)), 0, whole.stop - 1),
-             *_find_best_window_signal(residuals),
-             *(wave for each in ranges for wave in _find_best_wave_signal(residuals, each))]
+             *_list_best_window_signal_if_any(residuals),
+             *(wave for each in ranges for wave in _list_best_wave_signal_if_any(residuals, each))]
     best = min(found, key=lambda each: each.p)
     specific = [each for each in found[1:] if len(found) * each.p < _SETTINGS.significance]
     reported = min(specific, key=lambda each: (each.p, -each.waves)) if specific else best
     return replace(reported, p=min(len(found) * best.p, 1.0))
 
 
-def _find_best_window_signal(residuals: np.ndarray) -> list[CommonSignal]:
+def _list_best_window_signal_if_any(residuals: np.ndarray) -> list[CommonSignal]:
     """Return a list of one item: the most significant window of dyadic width; an empty list for few samples.
 
     The windows overlap by half, and the p value is corrected for their number.
@@ -122,7 +122,7 @@ def _find_best_window_signal(residuals: np.ndarray) -> list[CommonSignal]:
     return [CommonSignal(min(tried * best[0], 1.0), best[1], best[2])] if tried else []
 
 
-def _find_best_wave_signal(residuals: np.ndarray, segment: slice) -> list[CommonSignal]:
+def _list_best_wave_signal_if_any(residuals: np.ndarray, segment: slice) -> list[CommonSignal]:
     """Return a list of one item: the most significant wave in a segment; an empty list for a short segment.
 
     The p value is corrected for the number of frequencies.

@@ -34,7 +34,7 @@ _SETTINGS = JitterEstimateSettings()
 
 
 @dataclass(frozen=True)
-class ReplicateJitter:
+class ContactAndForceZeroJitter:
     """Jitter: standard deviations of contact point and force zero between the replicates of a test.
 
     Attributes:
@@ -68,7 +68,7 @@ class WhitenedReplicate:
 
 
 def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: float | None = None,
-                    zero: float | None = None) -> ReplicateJitter:
+                    zero: float | None = None) -> ContactAndForceZeroJitter:
     """Estimate the jitter by restricted maximum likelihood (REML) in a linear mixed-effects model.
 
     The model of the residuals of a test has fixed effects (the parameters, and an offset and a zero of the whole test)
@@ -92,13 +92,13 @@ def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: fl
     Source: Patterson and Thompson, Biometrika 58 (1971) 545.
     """
     if contact is not None and zero is not None:
-        return ReplicateJitter(contact, zero, None)
+        return ContactAndForceZeroJitter(contact, zero, None)
     freedom = sum(len(test) - 1 for test in tests if test)
     if not freedom:
-        return ReplicateJitter(contact or 0.0, zero or 0.0, 0)
+        return ContactAndForceZeroJitter(contact or 0.0, zero or 0.0, 0)
     repeated = [test for test in tests if len(test) > 1]
-    grams = [_GramMatrices(test) for test in repeated]
-    fixed = _remove_dependent_effects(grams)
+    grams = [_GramMatricesOfTest(test) for test in repeated]
+    fixed = _find_independent_fixed_effects(grams)
     unknown = [kind for kind, stated in enumerate((contact, zero)) if stated is None]
 
     def insert_stated_values(values: np.ndarray) -> np.ndarray:
@@ -107,23 +107,23 @@ def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: fl
         result[..., unknown] = values
         return result
 
-    def evaluate_reml_criterion(values: np.ndarray) -> np.ndarray:
+    def evaluate_reml_criteria(values: np.ndarray) -> np.ndarray:
         """Return -2 log restricted likelihood for unknown standard deviations, shape (..., unknowns) -> (...)."""
-        return _evaluate_criterion(grams, fixed, insert_stated_values(values))
+        return _evaluate_reml_criteria(grams, fixed, insert_stated_values(values))
 
-    ranges = [_find_search_range(repeated, kind) for kind in unknown]
-    best, lowest = np.zeros(len(unknown)), float(evaluate_reml_criterion(np.zeros(len(unknown))))
+    ranges = [_find_deviation_search_range(repeated, kind) for kind in unknown]
+    best, lowest = np.zeros(len(unknown)), float(evaluate_reml_criteria(np.zeros(len(unknown))))
     # A standard deviation may be 0, where its logarithm is infinite: each subset of nonzero ones is minimised.
     for present in [[0]] if len(unknown) == 1 else [[0], [1], [0, 1]]:
-        value, candidate = _minimise_over_log_deviations(evaluate_reml_criterion, len(unknown), present,
-                                                         [ranges[k] for k in present])
+        value, candidate = _get_least_criterion_and_deviations(evaluate_reml_criteria, len(unknown), present,
+                                                               [ranges[k] for k in present])
         if value < lowest - _SETTINGS.gain:
             best, lowest = candidate, value
     found = insert_stated_values(best)
-    return ReplicateJitter(float(found[0]), float(found[1]), freedom)
+    return ContactAndForceZeroJitter(float(found[0]), float(found[1]), freedom)
 
 
-class _GramMatrices:
+class _GramMatricesOfTest:
     """Gram matrices (products of all pairs of columns) of the replicates of one test.
 
     Column blocks: offset and zero of each replicate (2), shared effects (m), fixed effects (p + 2), residual (1).
@@ -139,7 +139,7 @@ class _GramMatrices:
         self.shared, self.parameters = test[0].shared.shape[1], test[0].parameters.shape[1]
         self.own, self.cross, self.rest = gram[:, :2, :2], gram[:, :2, 2:], gram[:, 2:, 2:].sum(axis=0)
 
-    def eliminate_jitter(self, deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def compute_normal_matrix_and_log_determinant(self, deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return X'V^-1 X with the columns X of fixed effects and residual, and log det V, for this test.
 
         Args:
@@ -160,7 +160,8 @@ class _GramMatrices:
                 logarithm + np.linalg.slogdet(block)[1])
 
 
-def _assemble_normal_matrix(grams: Sequence[_GramMatrices], blocks: Sequence[np.ndarray]) -> np.ndarray:
+def _assemble_normal_matrix_of_all_tests(grams: Sequence[_GramMatricesOfTest],
+                                         blocks: Sequence[np.ndarray]) -> np.ndarray:
     """Return X'V^-1 X over all tests: parameters (p), offset and zero of each test, residual (1)."""
     p = grams[0].parameters
     total = np.zeros((*blocks[0].shape[:-2], *(p + 2 * len(grams) + 1,) * 2))
@@ -170,12 +171,14 @@ def _assemble_normal_matrix(grams: Sequence[_GramMatrices], blocks: Sequence[np.
     return total
 
 
-def _remove_dependent_effects(grams: Sequence[_GramMatrices]) -> np.ndarray:
+def _find_independent_fixed_effects(grams: Sequence[_GramMatricesOfTest]) -> np.ndarray:
     """Return the coefficients of linearly independent combinations of the fixed effects, shape (fixed effects, rank).
 
     The rank does not depend on the covariance, so one computation serves all standard deviations.
     """
-    total = _assemble_normal_matrix(grams, [gram.eliminate_jitter(np.zeros(2))[0] for gram in grams])[:-1, :-1]
+    total = _assemble_normal_matrix_of_all_tests(grams,
+                                                 [gram.compute_normal_matrix_and_log_determinant(np.zeros(2))[0]
+                                                  for gram in grams])[:-1, :-1]
     scale = np.sqrt(np.diag(total))
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
@@ -183,7 +186,8 @@ def _remove_dependent_effects(grams: Sequence[_GramMatrices]) -> np.ndarray:
     return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
 
 
-def _evaluate_criterion(grams: Sequence[_GramMatrices], fixed: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+def _evaluate_reml_criteria(grams: Sequence[_GramMatricesOfTest], fixed: np.ndarray,
+                            deviations: np.ndarray) -> np.ndarray:
     """Return -2 log restricted likelihood, up to a constant, for pairs of standard deviations.
 
     The value is infinite if rounding makes a fixed effect vanish, which happens for jitter many orders of magnitude
@@ -191,11 +195,12 @@ def _evaluate_criterion(grams: Sequence[_GramMatrices], fixed: np.ndarray, devia
 
     Args:
         grams: Gram matrices of the tests.
-        fixed: independent combinations of the fixed effects from `_remove_dependent_effects`.
+        fixed: independent combinations of the fixed effects from `_find_independent_fixed_effects`.
         deviations: standard deviations of contact, m, and zero, N, shape (..., 2).
     """
-    blocks, logarithms = zip(*(gram.eliminate_jitter(deviations) for gram in grams), strict=True)
-    total = _assemble_normal_matrix(grams, blocks)
+    blocks, logarithms = zip(*(gram.compute_normal_matrix_and_log_determinant(deviations) for gram in grams),
+                             strict=True)
+    total = _assemble_normal_matrix_of_all_tests(grams, blocks)
     information, score = fixed.T @ total[..., :-1, :-1] @ fixed, fixed.T @ total[..., :-1, -1:]
     sign, logarithm = np.linalg.slogdet(information)
     good = sign > 0
@@ -204,7 +209,7 @@ def _evaluate_criterion(grams: Sequence[_GramMatrices], fixed: np.ndarray, devia
     return np.where(good, sum(logarithms) + logarithm + total[..., -1, -1] - explained, np.inf)
 
 
-def _find_search_range(tests: Sequence[Sequence[WhitenedReplicate]], kind: int) -> tuple[float, float]:
+def _find_deviation_search_range(tests: Sequence[Sequence[WhitenedReplicate]], kind: int) -> tuple[float, float]:
     """Return the smallest and largest trial value of a standard deviation (m or N); (0, 0) if it has no influence.
 
     Args:
@@ -224,8 +229,8 @@ def _find_search_range(tests: Sequence[Sequence[WhitenedReplicate]], kind: int) 
     return _SETTINGS.smallest * error, _SETTINGS.largest * (offset + largest_error)
 
 
-def _minimise_over_log_deviations(criterion: Callable[[np.ndarray], np.ndarray], size: int, present: list[int],
-                                  ranges: list[tuple[float, float]]) -> tuple[float, np.ndarray]:
+def _get_least_criterion_and_deviations(criterion: Callable[[np.ndarray], np.ndarray], size: int, present: list[int],
+                                        ranges: list[tuple[float, float]]) -> tuple[float, np.ndarray]:
     """Minimise the criterion over the logarithms of nonzero standard deviations: grid search, then L-BFGS-B.
 
     Args:

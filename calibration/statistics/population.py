@@ -118,14 +118,14 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
     scale = np.sqrt(np.mean(x**2, axis=0) + variances.mean(axis=0))
     x, V = x / scale, V / np.outer(scale, scale)
     shared = np.zeros((n, p, 0)) if common is None else np.asarray(common) / scale[:, None]
-    W = _estimate_between_covariance(x, V)
+    W = _estimate_between_covariance_by_reml(x, V)
     total = np.linalg.inv(W + V)
     mean_covariance = np.linalg.inv(total.sum(axis=0))
     mean = mean_covariance @ np.einsum("npq,nq->p", total, x)
     moved = mean_covariance @ np.einsum("npq,nqh->ph", total, shared)
     together = moved @ moved.T
     variances, spread = np.diagonal(V, axis1=1, axis2=2), np.sqrt(np.diag(W))
-    intervals = [_compute_intervals(x[:, j], variances[:, j], together[j, j]) for j in range(p)]
+    intervals = [_compute_intervals_of_one_parameter(x[:, j], variances[:, j], together[j, j]) for j in range(p)]
     mean_intervals, spread_intervals, next_specimen = (np.array([each[k] for each in intervals]) for k in range(3))
     gain = W @ total
     shrunken = mean + np.einsum("npq,nq->np", gain, x - mean)
@@ -142,7 +142,7 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
         np.sqrt(np.maximum(shrunken_variances, 0.0)) * scale)
 
 
-def _estimate_between_covariance(x: np.ndarray, V: np.ndarray) -> np.ndarray:
+def _estimate_between_covariance_by_reml(x: np.ndarray, V: np.ndarray) -> np.ndarray:
     """Estimate the between-specimen covariance W by restricted maximum likelihood, shape (p, p).
 
     The unknowns are the entries of a lower triangular L with W = L L', so that W is positive semidefinite.
@@ -154,7 +154,7 @@ def _estimate_between_covariance(x: np.ndarray, V: np.ndarray) -> np.ndarray:
     p = x.shape[1]
     lower = np.tril_indices(p)
 
-    def evaluate_minus_twice_log_likelihood(entries):
+    def evaluate_reml_criterion_and_gradient(entries):
         """Return -2 log restricted likelihood, up to a constant, and its gradient with respect to the entries of L."""
         root = np.zeros((p, p))
         root[lower] = entries
@@ -169,14 +169,14 @@ def _estimate_between_covariance(x: np.ndarray, V: np.ndarray) -> np.ndarray:
 
     scatter = np.cov(x, rowvar=False).reshape(p, p) + V.mean(axis=0)
     start = np.linalg.cholesky(scatter)[lower]
-    found = optimize.minimize(evaluate_minus_twice_log_likelihood, start, jac=True, method="L-BFGS-B",
+    found = optimize.minimize(evaluate_reml_criterion_and_gradient, start, jac=True, method="L-BFGS-B",
                               options={"ftol": 1e-13, "gtol": 1e-9, "maxiter": 1000})
     root = np.zeros((p, p))
     root[lower] = found.x
     return root @ root.T
 
 
-def _compute_intervals(x: np.ndarray, v: np.ndarray, together: float):
+def _compute_intervals_of_one_parameter(x: np.ndarray, v: np.ndarray, together: float):
     """Return three 95 % intervals for one parameter: of the mean, of the spread, and of a further specimen.
 
     For the true spread s the statistic Q(s) = sum w_i (x_i - m)^2 with w_i = 1 / (v_i + s^2) is chi-square distributed
@@ -196,12 +196,13 @@ def _compute_intervals(x: np.ndarray, v: np.ndarray, together: float):
                        for statistic in special.chdtri(x.size - 1, 1 - _PROBABILITIES)])
     weight = 1.0 / (v + spread[:, None]**2)
     centre, variance = weight @ x / weight.sum(axis=1), 1.0 / weight.sum(axis=1) + together
-    mean, following = (tuple(_compute_mixture_quantile(centre, np.sqrt(variances), level) for level in (low, high))
+    mean, following = (tuple(_compute_normal_mixture_quantile(centre, np.sqrt(variances), level)
+                             for level in (low, high))
                        for variances in (variance, variance + spread**2))
     return mean, ends, following
 
 
-def _compute_mixture_quantile(centres: np.ndarray, deviations: np.ndarray, level: float) -> float:
+def _compute_normal_mixture_quantile(centres: np.ndarray, deviations: np.ndarray, level: float) -> float:
     """Return the quantile of a mixture of normal distributions with equal weights.
 
     Args:
@@ -215,21 +216,24 @@ def _compute_mixture_quantile(centres: np.ndarray, deviations: np.ndarray, level
 
 
 def _solve_spread_for_q_statistic(x: np.ndarray, v: np.ndarray, statistic: float) -> float:
-    """Return the spread s at which the statistic Q(s) of `_compute_intervals` has a value; 0 if Q(0) is smaller.
+    """Return the spread s at which the statistic Q(s) has a value; 0 if Q(0) is smaller.
+
+    For Q(s) see `_compute_intervals_of_one_parameter`.
 
     Args:
         x: estimates, shape (n,).
         v: variances of the estimates, shape (n,).
         statistic: value of Q.
     """
-    def evaluate_q_statistic(variance: float) -> float:
+    def evaluate_q_statistic_at_variance(variance: float) -> float:
         """Return Q for a between-specimen variance s^2."""
         weight = 1.0 / (v + variance)
         return float(np.sum(weight * (x - np.sum(weight * x) / np.sum(weight))**2))
 
-    if evaluate_q_statistic(0.0) <= statistic:
+    if evaluate_q_statistic_at_variance(0.0) <= statistic:
         return 0.0
     # Upper bound: Q(s) <= sum (x_i - mean(x))^2 / s^2.
     top = float(np.sum((x - x.mean())**2)) / statistic
-    return float(np.sqrt(optimize.brentq(lambda variance: evaluate_q_statistic(variance) - statistic, 0.0, top,
-                                         xtol=1e-14 * top)))
+    return float(
+        np.sqrt(optimize.brentq(lambda variance: evaluate_q_statistic_at_variance(variance) - statistic, 0.0, top,
+                                xtol=1e-14 * top)))

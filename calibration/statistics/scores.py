@@ -70,7 +70,7 @@ class EffectDirection:
                            SCORE_TEST.rank_tolerance * sizes.max(initial=0.0), 1e-12)
         return cls(left[:, kept], length, float(np.linalg.norm(sizes[kept])), positive)
 
-    def compute_score(self, residual: np.ndarray) -> np.ndarray:
+    def compute_score_components(self, residual: np.ndarray) -> np.ndarray:
         """Return the score: components of data minus model along the basis, standard normal without the effect.
 
         Args:

@@ -92,7 +92,7 @@ def whiten_columns(columns: np.ndarray, time: np.ndarray | None, noise: SensorNo
     if not noise.correlation_time:
         return columns / noise.deviation
     spread_time = spread_time_stamps(time, columns.shape[0])
-    correlation, deviation = _compute_autoregression_coefficients(spread_time, noise.correlation_time)
+    correlation, deviation = _get_correlations_and_innovation_scales(spread_time, noise.correlation_time)
     return _compute_innovations(columns, correlation, deviation) / noise.deviation
 
 
@@ -123,16 +123,17 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
     if deviation is not None and correlation_time is not None:
         return SensorNoise(deviation, correlation_time)
     checked = SensorNoise(1.0 if deviation is None else deviation, correlation_time or 0.0)
-    pieces = [piece for force, time, segment in recordings for piece in _split_segments(force, time, segment)]
+    pieces = [piece for force, time, segment in recordings
+              for piece in _split_recording_by_segment_labels(force, time, segment)]
     if not pieces:
         raise InputError(f"no segment has the {_SETTINGS.min_samples} samples that an estimate of the noise requires; "
                          "state noise.force_N", field="noise.force_N")
-    tau, degrees = _select_correlation_time(pieces, correlation_time)
+    tau, degrees = _select_correlation_time_and_degrees(pieces, correlation_time)
     if correlation_time is None and tau:
         tau = _refine_correlation_time(pieces, degrees, tau)
     if deviation is not None:
         return replace(checked, correlation_time=tau)
-    squares, freedom, _ = _compute_restricted_likelihood_terms(pieces, degrees, tau)
+    squares, freedom, _ = _get_squares_freedom_and_log_determinant(pieces, degrees, tau)
     level = float(np.sqrt(squares / freedom))
     step = max(find_quantisation_step(np.asarray(force, dtype=float)) for force, _, _ in recordings)
     rounding = step / float(np.sqrt(12.0))
@@ -155,7 +156,7 @@ class _RecordingSegment:
     columns: np.ndarray
     time: np.ndarray
 
-    def factorise_whitened_columns(self, tau: float) -> tuple[np.ndarray, float]:
+    def compute_whitened_r_factor_and_log_det(self, tau: float) -> tuple[np.ndarray, float]:
         """Return (R of the QR decomposition of the whitened columns, log determinant of the correlation matrix).
 
         Leading blocks of R are those of trends of lower degree.
@@ -165,13 +166,13 @@ class _RecordingSegment:
         """
         if not tau:
             return np.asarray(np.linalg.qr(self.columns, mode="r")), 0.0
-        correlation, deviation = _compute_autoregression_coefficients(self.time, tau)
+        correlation, deviation = _get_correlations_and_innovation_scales(self.time, tau)
         whitened = np.asarray(np.linalg.qr(_compute_innovations(self.columns, correlation, deviation), mode="r"))
         return whitened, 2.0 * float(np.log(deviation).sum())
 
 
-def _split_segments(force: np.ndarray, time: np.ndarray | None,
-                    segment: Sequence | np.ndarray | None) -> list[_RecordingSegment]:
+def _split_recording_by_segment_labels(force: np.ndarray, time: np.ndarray | None,
+                                       segment: Sequence | np.ndarray | None) -> list[_RecordingSegment]:
     """Return the segments of a recording, split where the label changes.
 
     Segments with fewer than `SensorNoiseSettings.min_samples` samples are omitted.
@@ -190,7 +191,8 @@ def _split_segments(force: np.ndarray, time: np.ndarray | None,
     return pieces
 
 
-def _select_correlation_time(pieces: list[_RecordingSegment], stated: float | None) -> tuple[float, list[int]]:
+def _select_correlation_time_and_degrees(pieces: list[_RecordingSegment],
+                                         stated: float | None) -> tuple[float, list[int]]:
     """Return (correlation time in s, list of the degrees of the segments' trends) with the smallest BIC.
 
     Args:
@@ -206,7 +208,8 @@ def _select_correlation_time(pieces: list[_RecordingSegment], stated: float | No
         candidates += list(np.geomspace(shortest, longest, _SETTINGS.grid)) if longest > shortest else []
     best: tuple[float, float, list] = (np.inf, 0.0, [])
     for tau in candidates:
-        triangles, logarithms = zip(*(piece.factorise_whitened_columns(tau) for piece in pieces), strict=True)
+        triangles, logarithms = zip(*(piece.compute_whitened_r_factor_and_log_det(tau) for piece in pieces),
+                                    strict=True)
         # Sums of squared residuals of each segment for the degrees 0, 1, 2, ...
         squares = [np.cumsum(R[:, -1][::-1]**2)[::-1][1:] for R in triangles]
         degrees = _select_trend_degrees(squares, samples)
@@ -238,8 +241,8 @@ def _select_trend_degrees(squares: list[np.ndarray], samples: int) -> list[int]:
         degrees = lower
 
 
-def _compute_restricted_likelihood_terms(pieces: list[_RecordingSegment], degrees: list[int],
-                                         tau: float) -> tuple[float, int, float]:
+def _get_squares_freedom_and_log_determinant(pieces: list[_RecordingSegment], degrees: list[int],
+                                             tau: float) -> tuple[float, int, float]:
     """Return the terms of -2 log restricted likelihood: residual sum of squares, degrees of freedom, log determinants.
 
     Args:
@@ -249,7 +252,7 @@ def _compute_restricted_likelihood_terms(pieces: list[_RecordingSegment], degree
     """
     squares, freedom, logarithm = 0.0, 0, 0.0
     for piece, degree in zip(pieces, degrees, strict=True):
-        R, own = piece.factorise_whitened_columns(tau)
+        R, own = piece.compute_whitened_r_factor_and_log_det(tau)
         fixed = degree + 1
         squares += float(R[fixed:, -1] @ R[fixed:, -1])
         freedom += piece.time.size - fixed
@@ -264,7 +267,8 @@ def _refine_correlation_time(pieces: list[_RecordingSegment], degrees: list[int]
 
     def evaluate_likelihood_criterion(logarithm: float) -> float:
         """Return -2 log restricted likelihood, up to a constant, for the logarithm of a correlation time in s."""
-        squares, freedom, determinants = _compute_restricted_likelihood_terms(pieces, degrees, float(np.exp(logarithm)))
+        squares, freedom, determinants = _get_squares_freedom_and_log_determinant(
+            pieces, degrees, float(np.exp(logarithm)))
         return freedom * np.log(max(squares / freedom, _SETTINGS.floor**2)) + determinants
 
     # The first guess maximises the likelihood, whose optimum is below that of the restricted likelihood.
@@ -297,7 +301,7 @@ def spread_time_stamps(time: np.ndarray | None, samples: int) -> np.ndarray:
     return np.interp(np.arange(samples), [*first, samples], [*time[first], end])
 
 
-def _compute_autoregression_coefficients(time: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarray]:
+def _get_correlations_and_innovation_scales(time: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the correlation of each sample with its predecessor, and the relative deviation of its innovation.
 
     The correlation is rho = exp(-lag / tau), 0 for the first sample; the deviation is sqrt(1 - rho^2).

@@ -86,7 +86,7 @@ def find_quantisation_step(samples: np.ndarray) -> float:
     return step if np.abs(multiples - whole).max() < 1e-3 and np.unique(whole).size > 1 else 0.0
 
 
-def compute_pooled_noise(noise: np.ndarray, replicate: np.ndarray) -> float:
+def compute_sample_weighted_rms_noise(noise: np.ndarray, replicate: np.ndarray) -> float:
     """Return the root mean square of the noise over all samples; a replicate counts by its number of samples.
 
     Args:
@@ -96,7 +96,7 @@ def compute_pooled_noise(noise: np.ndarray, replicate: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.asarray(noise)[replicate]**2)))
 
 
-def compute_effective_samples(interpolation: csr_array | None, points: int) -> tuple[float, float]:
+def get_effective_samples_and_variance_ratio(interpolation: csr_array | None, points: int) -> tuple[float, float]:
     """Return the effective number of independent samples of interpolated points, and their relative noise variance.
 
     Interpolated points are correlated, and interpolation reduces the variance of the noise. With the interpolation
@@ -115,8 +115,8 @@ def compute_effective_samples(interpolation: csr_array | None, points: int) -> t
     return trace**2 / float(covariance.multiply(covariance).sum()), trace / points
 
 
-def compute_chi_square(residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray,
-                       interpolations: Interpolations | None = None) -> tuple[float, float]:
+def compute_chi_square_and_sample_count(residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray,
+                                        interpolations: Interpolations | None = None) -> tuple[float, float]:
     """Return (chi-square of the residuals, effective number of independent samples).
 
     Args:
@@ -128,13 +128,14 @@ def compute_chi_square(residual: np.ndarray, replicate: np.ndarray, noise: np.nd
     total = samples = 0.0
     for i, deviation in enumerate(noise):
         part = residual[replicate == i]
-        count, variance = compute_effective_samples(None if interpolations is None else interpolations[i], part.size)
+        count, variance = get_effective_samples_and_variance_ratio(None if interpolations is None
+                                                                   else interpolations[i], part.size)
         total += float(part @ part) / (deviation**2 * variance) * count / part.size
         samples += count
     return float(total), float(samples)
 
 
-def compute_information_criteria(squares: float, samples: float, unknowns: int) -> tuple[float, float]:
+def compute_aic_and_bic(squares: float, samples: float, unknowns: int) -> tuple[float, float]:
     """Return (AIC, BIC) for known noise: AIC = chi-square + 2 k and BIC = chi-square + k ln n.
 
     Args:

@@ -8,7 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, special
 
-from calibration.statistics.statistics import Interpolations, compute_chi_square, compute_pooled_noise
+from calibration.statistics.statistics import (
+    Interpolations,
+    compute_chi_square_and_sample_count,
+    compute_sample_weighted_rms_noise,
+)
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ class ParameterUncertainty:
         quantile: half widths of the 95 % intervals in standard errors, shape (k,).
         inflation: factor of all variances because the residuals exceed the noise, at least 1.
         ratio: root mean square of the residuals in units of their noise.
-        criteria: chi-square and effective number of samples for `compute_information_criteria`.
+        criteria: chi-square and effective number of samples for `compute_aic_and_bic`.
         sizes: scale of each unknown, SI, shape (k,).
         information: Fisher information of the unknowns in units of `sizes`, shape (k, k).
     """
@@ -62,11 +66,11 @@ class ParameterUncertainty:
     information: np.ndarray
 
 
-def compute_sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray,
-                                noise: np.ndarray | float,
-                                prior_precision: np.ndarray, jitter: np.ndarray | None = None,
-                                interpolations: Interpolations | None = None, on_bound: np.ndarray | None = None,
-                                repeats: float = 1.0) -> ParameterUncertainty:
+def compute_cluster_robust_uncertainty(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray,
+                                       noise: np.ndarray | float,
+                                       prior_precision: np.ndarray, jitter: np.ndarray | None = None,
+                                       interpolations: Interpolations | None = None, on_bound: np.ndarray | None = None,
+                                       repeats: float = 1.0) -> ParameterUncertainty:
     """Return the uncertainty of a least-squares estimate with priors, by the cluster-robust sandwich covariance.
 
     At the minimum, cov = A^-1 M A^-1 with A = J'J + s^2 P, where J is the Jacobian, P the diagonal prior precision, s
@@ -96,14 +100,14 @@ def compute_sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, repl
     unknowns, count = jacobian.shape[1], int(replicate.max()) + 1
     noise = np.broadcast_to(np.asarray(noise, dtype=float), count)
     parts = [replicate == i for i in range(count)]
-    weight = compute_pooled_noise(noise, replicate)**2
-    squares, samples = compute_chi_square(residual, replicate, noise, interpolations)
+    weight = compute_sample_weighted_rms_noise(noise, replicate)**2
+    squares, samples = compute_chi_square_and_sample_count(residual, replicate, noise, interpolations)
     freedom = max(samples - unknowns, 1.0)
     basis, quantile, deviations = "noise", special.ndtri(0.975), noise
     if squares > COVARIANCE.residual_ratio**2 * freedom:
         basis, quantile = "residuals", special.stdtrit(freedom, 0.975)
-        own = np.array([compute_chi_square(residual[part], np.zeros(part.sum(), int), noise[i:i + 1],
-                                           None if interpolations is None else interpolations[i:i + 1])
+        own = np.array([compute_chi_square_and_sample_count(residual[part], np.zeros(part.sum(), int), noise[i:i + 1],
+                                                            None if interpolations is None else interpolations[i:i + 1])
                         for i, part in enumerate(parts)])
         deviations = noise * np.sqrt(repeats * np.maximum(own[:, 0] / own[:, 1] * samples / freedom, 1.0))
     spread = weight**2 * np.diag(prior_precision)
@@ -120,11 +124,11 @@ def compute_sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, repl
     # A unit diagonal makes the condition number independent of the units of the unknowns.
     scale = np.sqrt(np.diag(hessian))
     scale = np.where(scale > 0, scale, 1.0)
-    root, singular = compute_pseudo_inverse_root(hessian / np.outer(scale, scale))
+    root, singular = get_inverse_root_and_undetermined_mask(hessian / np.outer(scale, scale))
     root = root / scale[:, None]
     spread = root.T @ spread @ root
     if jitter is None and count >= COVARIANCE.min_replicates and root.shape[1]:
-        scores = _compute_replicate_scores(jacobian, residual, parts) @ root
+        scores = _compute_replicate_scores_with_priors(jacobian, residual, parts) @ root
         spread = _combine_larger_principal_variances(count / (count - 1) * scores.T @ scores, spread)
         basis, quantile = "replicates", special.stdtrit(count - 1, 0.975)
     # The product of a factor with its transpose is symmetric and positive semidefinite in floating point.
@@ -141,7 +145,7 @@ def compute_sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, repl
                                 information)
 
 
-def compute_pseudo_inverse_root(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def get_inverse_root_and_undetermined_mask(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return a root of the pseudo-inverse of a scaled Hessian, and a mask of the unknowns in undetermined directions.
 
     Args:
@@ -156,7 +160,8 @@ def compute_pseudo_inverse_root(hessian: np.ndarray) -> tuple[np.ndarray, np.nda
     return vectors[:, ~flat] / np.sqrt(values[~flat]), (np.abs(vectors[:, flat]) > 0.1).any(axis=1)
 
 
-def _compute_replicate_scores(jacobian: np.ndarray, residual: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
+def _compute_replicate_scores_with_priors(jacobian: np.ndarray, residual: np.ndarray,
+                                          parts: Sequence[np.ndarray]) -> np.ndarray:
     """Return the gradient of each replicate including its part of the priors' gradient, shape (R, k).
 
     At the minimum the gradients of priors and data cancel, so the priors' gradient is minus that of the data. It is

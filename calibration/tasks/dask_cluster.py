@@ -8,7 +8,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.decode import read_json
+from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
 from tissue_sim.packing import pack_task, run_packed_task
 
@@ -46,7 +46,7 @@ class DaskCluster:
                              'pip install "tissue-sim[cluster]"', field="dask") from None
         self.death = KilledWorker
         if Path(address).is_file():
-            address = _read_address(Path(address))
+            address = _read_scheduler_file_address(Path(address))
         try:
             # Check the form of the address first: a client that fails because of it cannot be closed.
             get_address_host(address)
@@ -76,14 +76,14 @@ class DaskCluster:
         self._client.close()
 
 
-def _read_address(file: Path) -> str:
+def _read_scheduler_file_address(file: Path) -> str:
     """Return the address of the scheduler that the scheduler file (JSON) contains.
 
     Raises:
         InputError: the file has no address.
     """
     try:
-        return str(read_json(file, "a scheduler file")["address"])
+        return str(read_json_value(file, "a scheduler file")["address"])
     except (ValueError, LookupError, TypeError):
         raise InputError("a scheduler file must be JSON with an address; create one with \"dask scheduler "
                          "--scheduler-file FILE\"", file=file, field="dask") from None

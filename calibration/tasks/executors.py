@@ -119,7 +119,7 @@ class _ParallelTaskExecutor(TaskExecutor):
         results: dict[int, Any] = {}
         failures: dict[int, BaseException] = {}
         try:
-            self._run_until_first_failure(function, arguments, on_done, results, failures)
+            self._run_and_collect_until_first_failure(function, arguments, on_done, results, failures)
         except BaseException:
             # Ctrl-C, an error of on_done, or failed workers: running tasks are abandoned.
             self._executor.stop()
@@ -128,7 +128,7 @@ class _ParallelTaskExecutor(TaskExecutor):
             raise failures[min(failures)]
         return [results[index] for index in range(len(arguments))]
 
-    def _run_until_first_failure(self, function, arguments, on_done, results, failures):
+    def _run_and_collect_until_first_failure(self, function, arguments, on_done, results, failures):
         """Run the tasks until all are finished or one raises an exception; store the exception and start no more tasks.
 
         Args:
@@ -150,15 +150,15 @@ class _ParallelTaskExecutor(TaskExecutor):
         lost: list[int] = []
         running: dict[Future, int] = {}
 
-        def start_next_task(index: int) -> None:
+        def submit_task(index: int) -> None:
             """Submit the task with this index to the workers."""
             running[executor.submit(function, arguments[index])] = index
 
         while running or ((waiting or suspects) and not failures):
             while waiting and not failures and len(running) < executor.capacity:
-                start_next_task(waiting.popleft())
+                submit_task(waiting.popleft())
             if not running:
-                start_next_task(suspects.popleft())
+                submit_task(suspects.popleft())
             done, _ = wait(running, timeout=_LONGEST_WAIT, return_when=FIRST_COMPLETED)
             for future in done:
                 index = running.pop(future)

@@ -11,7 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from calibration.tasks.errors import WorkerError
-from tissue_sim.child_process import child_processes_ignore_ctrl_c, exit_when_parent_ends
+from tissue_sim.child_process import child_processes_ignore_ctrl_c, ignore_ctrl_c_and_exit_with_parent
 from tissue_sim.packing import pack_task, run_packed_task
 
 #: Environment variables that limit native libraries to one thread per worker; more threads would compete for the cores.
@@ -49,16 +49,17 @@ class ProcessPool:
                 return self._executor.submit(run_packed_task, task)
             except BrokenProcessPool:
                 self.close()
-        return self._start_processes().submit(run_packed_task, task)
+        return self._start_processes_and_wait_for_first().submit(run_packed_task, task)
 
-    def _start_processes(self) -> ProcessPoolExecutor:
+    def _start_processes_and_wait_for_first(self) -> ProcessPoolExecutor:
         """Start all processes of the pool, wait until the first one works, and return their executor.
 
         Raises:
             WorkerError: the processes end before they accept a task.
         """
         # Spawned, not forked: Taichi and the threads of this process do not survive a fork.
-        self._executor = ProcessPoolExecutor(self.capacity, multiprocessing.get_context("spawn"), exit_when_parent_ends)
+        self._executor = ProcessPoolExecutor(self.capacity, multiprocessing.get_context("spawn"),
+                                             ignore_ctrl_c_and_exit_with_parent)
         # Start all processes now: the executor would wait forever for a process that starts while another one ends, and
         # all processes must inherit the same environment.
         self._executor._safe_to_dynamically_spawn_children = False  # type: ignore[attr-defined]

@@ -16,8 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
-from haptics.devices.settings import read_settings, read_word_settings, split_address_and_settings
-from haptics.protocols.ati_calibration import MAX_SIZE, AtiCalibration, read_calibration
+from haptics.devices.settings import (
+    read_settings,
+    read_word_settings_and_remaining_text,
+    split_address_and_settings_text,
+)
+from haptics.protocols.ati_calibration import MAX_SIZE, AtiVoltageCalibration, parse_ati_calibration
 from haptics.protocols.ati_serial import CHANNELS
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_bytes
@@ -29,7 +33,7 @@ _EXAMPLE = "ati-daq:FT01234.cal,volts=my_board:read_volts"
 
 
 @dataclass(frozen=True)
-class AtiDaqTiming:
+class AtiDaqWaitingTimes:
     """Waiting time for samples and averaging time of the tare of an `AtiDaqSensor`."""
 
     #: Time without a sample after which the board counts as lost, s; at least `silent_periods` sampling periods.
@@ -41,7 +45,7 @@ class AtiDaqTiming:
 
 
 #: Settings of all sensors of this process.
-TIMING = AtiDaqTiming()
+TIMING = AtiDaqWaitingTimes()
 
 
 class AtiDaqSensor(ForceSensor):
@@ -65,7 +69,7 @@ class AtiDaqSensor(ForceSensor):
 
     channels = CHANNELS
 
-    def __init__(self, calibration: AtiCalibration, read_volts: Callable[[], Any] | str | None = None,
+    def __init__(self, calibration: AtiVoltageCalibration, read_volts: Callable[[], Any] | str | None = None,
                  rate: float = 1000.0, volts: tuple[float, float] | None = None):
         if not 0 < rate < math.inf:
             raise InputError(f"the sampling rate must be above 0; got {rate:g} Hz. Give the sampling rate of the board",
@@ -100,7 +104,7 @@ class AtiDaqSensor(ForceSensor):
         """
         if self._read_volts is not None:
             return
-        read_volts = _import_function(self._given) if isinstance(self._given, str) else self._given
+        read_volts = _import_user_function(self._given) if isinstance(self._given, str) else self._given
         if read_volts is None:
             raise DeviceError(f"the ATI sensor {self.calibration.serial} has no function that reads its voltages; give "
                               f"one that returns the new samples as an array (n, 6) of volts, as in {_EXAMPLE}")
@@ -112,7 +116,7 @@ class AtiDaqSensor(ForceSensor):
 
     def read(self) -> tuple[ForceSample, ...]:
         """Return all samples received since the last call, oldest first, forces in N and torques in N m."""
-        self._read_new_voltages()
+        self._store_new_voltages()
         found = []
         while self._waiting:
             received = self._waiting.popleft()
@@ -120,7 +124,7 @@ class AtiDaqSensor(ForceSensor):
             self._next = received.sequence + 1
         return tuple(found)
 
-    def _read_new_voltages(self) -> None:
+    def _store_new_voltages(self) -> None:
         """Call the function that reads the voltages, check its result, and store the new samples."""
         if self._read_volts is None:
             raise DeviceError(f"the ATI sensor {self.calibration.serial} is not started; start it first")
@@ -136,8 +140,9 @@ class AtiDaqSensor(ForceSensor):
         except (TypeError, ValueError):
             volts = np.full(0, np.nan)
         if volts.ndim != 2 or volts.shape[1] != 6:
-            raise DeviceError(f"{name} must return an array (n, 6) of volts; got {_describe_type(result)}. Return the "
-                              "samples since the last call, one per row, and an array (0, 6) if there are none")
+            raise DeviceError(
+                f"{name} must return an array (n, 6) of volts; got {_describe_shape_or_type(result)}. Return the "
+                "samples since the last call, one per row, and an array (0, 6) if there are none")
         if not np.isfinite(volts).all():
             raise DeviceError(f"{name} must return finite voltages; got NaN or infinity. Check the board, and leave "
                               "such samples out")
@@ -166,10 +171,10 @@ class AtiDaqSensor(ForceSensor):
 
     def tare(self) -> None:
         """Set the mean voltages of the last 0.1 s as zero; if that time has no sample, those of the last sample."""
-        self._read_new_voltages()
+        self._store_new_voltages()
         while not self._recent:
             time.sleep(1e-3)
-            self._read_new_voltages()
+            self._store_new_voltages()
         count = min(max(round(TIMING.tare * self.rate), 1), len(self._recent))
         self._zero = np.mean([each.volts for each in list(self._recent)[-count:]], axis=0)
 
@@ -197,13 +202,13 @@ class _ReceivedSample(NamedTuple):
     time: float
 
 
-def _describe_type(value: Any) -> str:
+def _describe_shape_or_type(value: Any) -> str:
     """Return text for a message: the shape of an array, or the type of another value."""
     shape = getattr(value, "shape", None)
     return f"shape {shape}" if shape is not None else f"a {type(value).__name__}"
 
 
-def _import_function(path: str) -> Callable[[], Any]:
+def _import_user_function(path: str) -> Callable[[], Any]:
     """Return the function at the import path ``package.module:function``.
 
     Raises:
@@ -226,10 +231,10 @@ def open_ati_daq(text: str) -> AtiDaqSensor:
 
     ``range_V`` is the largest voltage of the board, in both directions; 0: from the calibration file.
     """
-    file, rest = split_address_and_settings(text, "the calibration file", _EXAMPLE)
-    words, rest = read_word_settings(rest, volts=("",))
+    file, rest = split_address_and_settings_text(text, "the calibration file", _EXAMPLE)
+    words, rest = read_word_settings_and_remaining_text(rest, volts=("",))
     given = read_settings(rest, rate_hz=1000.0, range_V=0.0)
-    calibration = read_calibration(read_bytes(file, "the .cal file of an ATI sensor", MAX_SIZE), file)
+    calibration = parse_ati_calibration(read_bytes(file, "the .cal file of an ATI sensor", MAX_SIZE), file)
     reach = given["range_V"]
     return AtiDaqSensor(calibration, words["volts"] or None, given["rate_hz"], (-reach, reach) if reach else None)
 

@@ -20,7 +20,11 @@ from haptics.devices.ati_serial_records import (
 )
 from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.devices.serial_line import SerialLine
-from haptics.devices.settings import read_settings, read_word_settings, split_address_and_settings
+from haptics.devices.settings import (
+    read_settings,
+    read_word_settings_and_remaining_text,
+    split_address_and_settings_text,
+)
 from haptics.protocols.ati_serial import (
     CARRIAGE_RETURN,
     CHANNELS,
@@ -39,7 +43,7 @@ _OWNER = "the ATI controller"
 
 
 @dataclass(frozen=True)
-class AtiSerialTiming:
+class AtiSerialWaitingTimes:
     """Waiting times of an `AtiSerialSensor`, s."""
 
     #: Time for which `start` observes the records to find their form and rate.
@@ -60,7 +64,7 @@ class AtiSerialTiming:
 
 
 #: Settings of all sensors of this process.
-TIMING = AtiSerialTiming()
+TIMING = AtiSerialWaitingTimes()
 
 
 class AtiSerialSensor(ForceSensor):
@@ -68,7 +72,7 @@ class AtiSerialSensor(ForceSensor):
 
     In ASCII mode the controller streams (command ``QS``). A record with a missing, additional or wrong character is
     left out, and its sequence number with it. Without a checksum some errors are undetectable, see
-    `haptics.protocols.ati_serial.decode_ascii_record`.
+    `haptics.protocols.ati_serial.decode_ascii_record_or_none`.
 
     In binary mode this program requests each record (``^T``), so that a lost byte damages one record only: the 13 bytes
     have no marker of their beginning. Wrong bytes are undetectable. The checksum of ``CD E`` is not used, because its
@@ -124,11 +128,11 @@ class AtiSerialSensor(ForceSensor):
             return
         line = SerialLine(self._port, self._baud, _OWNER)
         try:
-            self._configure_controller(line)
+            self._stop_stream_and_set_record_mode(line)
             source = (AsciiRecordStream(line) if self._mode == "ascii"
                       else BinaryRecordRequester(line, self._baud, TIMING.answer))
             source.start_stream()
-            self._observe_records(source)
+            self._measure_record_form_and_rate(source)
         except BaseException:
             line.close()
             raise
@@ -137,7 +141,8 @@ class AtiSerialSensor(ForceSensor):
 
     def read(self) -> tuple[ForceSample, ...]:
         """Return all samples received since the last call, oldest first, forces in N and torques in N m."""
-        return tuple(self._convert_record(*each) for each in self._require_started().take_new_records())
+        return tuple(self._convert_record(*each)
+                     for each in self._get_receiver_or_raise().take_new_records_with_gap_flags())
 
     def _convert_record(self, received: _ReceivedRecord, gap: bool) -> ForceSample:
         """Return the force sample of a record; `gap` tells whether records before it were lost."""
@@ -154,7 +159,7 @@ class AtiSerialSensor(ForceSensor):
 
     def tare(self) -> None:
         """Set the mean counts of the last 0.1 s as zero; if that time has no record, those of the last record."""
-        recent = self._require_started().wait_for_recent_counts(TIMING.tare)
+        recent = self._get_receiver_or_raise().get_recent_counts_after_first_record(TIMING.tare)
         self._zero = tuple(sum(counts) / len(recent) for counts in zip(*recent, strict=True))
 
     def stop(self) -> None:
@@ -173,13 +178,13 @@ class AtiSerialSensor(ForceSensor):
                 "garbled_records": self._receiver.garbled if self._receiver else 0,
                 "verified": "against an emulator only"}
 
-    def _require_started(self) -> _RecordReceiverThread:
+    def _get_receiver_or_raise(self) -> _RecordReceiverThread:
         """Return the thread that receives the records; raise a `DeviceError` if the sensor is not started."""
         if self._receiver is None:
             raise DeviceError(f"the ATI controller at {self._port} is not started; start it first")
         return self._receiver
 
-    def _configure_controller(self, line: SerialLine) -> None:
+    def _stop_stream_and_set_record_mode(self, line: SerialLine) -> None:
         """Stop the stream of the controller, and set the mode: forces and torques, no checksum, no biases.
 
         Raises:
@@ -204,17 +209,21 @@ class AtiSerialSensor(ForceSensor):
                                       "start again")
                 answer += line.read_within(0.1)
 
-    def _observe_records(self, source: AsciiRecordStream | BinaryRecordRequester) -> None:
-        """Read records for `AtiSerialTiming.observation` to fix their form and to set `rate`; discards the records."""
+    def _measure_record_form_and_rate(self, source: AsciiRecordStream | BinaryRecordRequester) -> None:
+        """Read records to fix their form and to set `rate`; discards the records.
+
+        The duration is `AtiSerialWaitingTimes.observation`.
+        """
         times: list[float] = []
         end = time.monotonic() + TIMING.patience
         while not times or time.monotonic() < times[0] + TIMING.observation or len(times) < 3:
-            times += [time.monotonic() for record in source.read_records(0.1) if record is not None]
+            times += [time.monotonic() for record in source.read_records_with_none_for_garbled(0.1)
+                      if record is not None]
             if time.monotonic() >= end + (TIMING.observation if times else 0.0):
                 raise DeviceError(f"the ATI controller at {self._port} sends no records of a flag and six counts "
                                   f"({quote_last_bytes(source.wrong)}); select all six components (CV 3F), and check "
                                   "the baud rate and the cable")
-        source.fix_record_format()
+        source.accept_only_observed_record_format()
         line_rate = 1.0 / compute_transmission_time(source.length, self._baud)
         measured = (len(times) - 1) / max(times[-1] - times[0], 1e-9)
         is_close = abs(measured - line_rate) <= TIMING.rate_tolerance * line_rate
@@ -259,7 +268,7 @@ class _RecordReceiverThread:
         last_received, wrong = time.monotonic(), b""
         try:
             while not self._ending.is_set():
-                records = self._source.read_records(0.02)
+                records = self._source.read_records_with_none_for_garbled(0.02)
                 now = time.monotonic()
                 for record in records:
                     if record is None:
@@ -279,7 +288,7 @@ class _RecordReceiverThread:
         except DeviceError as error:
             self._trouble = error
 
-    def take_new_records(self) -> list[tuple[_ReceivedRecord, bool]]:
+    def take_new_records_with_gap_flags(self) -> list[tuple[_ReceivedRecord, bool]]:
         """Return (record, whether records before it are missing) for each record received since the last call.
 
         Raises:
@@ -294,7 +303,7 @@ class _RecordReceiverThread:
             raise self._trouble
         return found
 
-    def wait_for_recent_counts(self, seconds: float) -> list[tuple[int, ...]]:
+    def get_recent_counts_after_first_record(self, seconds: float) -> list[tuple[int, ...]]:
         """Return the counts of the records of the last `seconds` s; wait until at least one record was received.
 
         Raises:
@@ -341,8 +350,8 @@ def open_ati_serial(text: str) -> AtiSerialSensor:
     ``rate_hz=0`` measures the rate.
     """
     example = "ati-serial:/dev/ttyUSB0,counts_per_N=100,counts_per_Nm=4000"
-    port, rest = split_address_and_settings(text, "the port of the controller", example)
-    words, rest = read_word_settings(rest, mode=MODES)
+    port, rest = split_address_and_settings_text(text, "the port of the controller", example)
+    words, rest = read_word_settings_and_remaining_text(rest, mode=MODES)
     given = read_settings(rest, counts_per_N=0.0, counts_per_Nm=0.0, baud=9600, rate_hz=0.0, average=0)
     return AtiSerialSensor(port, given["counts_per_N"], given["counts_per_Nm"], int(given["baud"]), words["mode"],
                            given["rate_hz"] or None, int(given["average"]))

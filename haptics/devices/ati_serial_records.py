@@ -11,8 +11,8 @@ from haptics.protocols.ati_serial import (
     ONE_RECORD,
     AtiSerialRecord,
     compute_transmission_time,
-    decode_ascii_record,
-    decode_binary_record,
+    decode_ascii_record_or_none,
+    decode_binary_record_or_none,
     has_padded_fields,
 )
 
@@ -39,7 +39,7 @@ class AsciiRecordStream:
         """Send the command that makes the controller stream records."""
         self._line.write(b"QS" + CARRIAGE_RETURN)
 
-    def read_records(self, timeout: float) -> list[AtiSerialRecord | None]:
+    def read_records_with_none_for_garbled(self, timeout: float) -> list[AtiSerialRecord | None]:
         """Return the records that arrive within `timeout` seconds, with None in place of each garbled record."""
         *lines, self._rest = (self._rest + self._line.read_within(timeout)).split(CARRIAGE_RETURN)
         if len(self._rest) > 4 * FORMAT.padded_length:
@@ -48,7 +48,7 @@ class AsciiRecordStream:
         records = []
         for text in (line.removeprefix(b"\n") for line in lines):
             if text:
-                record = decode_ascii_record(text, self._padded)
+                record = decode_ascii_record_or_none(text, self._padded)
                 records.append(record)
                 if record is None:
                     self.wrong = text
@@ -57,7 +57,7 @@ class AsciiRecordStream:
                     self.length = len(text) + 2
         return records
 
-    def fix_record_format(self) -> None:
+    def accept_only_observed_record_format(self) -> None:
         """From now on accept only lines of the form, padded or not, that all records so far had."""
         self._padded = self._forms == {True}
 
@@ -89,7 +89,7 @@ class BinaryRecordRequester:
         """Do nothing; each record is requested."""
         return
 
-    def read_records(self, timeout: float) -> list[AtiSerialRecord | None]:
+    def read_records_with_none_for_garbled(self, timeout: float) -> list[AtiSerialRecord | None]:
         """Request one record; return [record], [None] for a wrong length, or [] without an answer.
 
         `timeout` is ignored.
@@ -102,14 +102,14 @@ class BinaryRecordRequester:
         answer += self._line.read()
         if not answer:
             return []
-        record = decode_binary_record(answer)
+        record = decode_binary_record_or_none(answer)
         if record is None:
             self.wrong = answer
             if len(answer) > FORMAT.binary_length:
                 read_until_quiet(self._line, self._pause)
         return [record]
 
-    def fix_record_format(self) -> None:
+    def accept_only_observed_record_format(self) -> None:
         """Do nothing; binary records have one form."""
         return
 

@@ -22,12 +22,12 @@ Device = TypeVar("Device")
 MOTIONS: Registry[Callable[[str], Motion]] = Registry("motion", "tissue_sim.motions", {
     "random": "haptics.devices.motions:open_random",
     "sine": "haptics.devices.motions:open_sine",
-    "protocol": "haptics.devices.motions:open_protocol",
-    "hand": "haptics.devices.motions:open_hand",
+    "protocol": "haptics.devices.motions:open_motion_from_protocol_text",
+    "hand": "haptics.devices.motions:open_target_following_motion",
 })
 #: Force sensors.
 FORCE_SENSORS: Registry[Callable[[str], ForceSensor]] = Registry("force sensor", "tissue_sim.force_sensors", {
-    "virtual": "haptics.devices.virtual.force_sensor:open_virtual_sensor",
+    "virtual": "haptics.devices.virtual.force_sensor:open_constant_load_sensor",
     "replay": "haptics.devices.replay:open_replay",
     "rdt": "haptics.devices.rdt:open_rdt",
     "ati-serial": "haptics.devices.ati_serial:open_ati_serial",
@@ -35,31 +35,31 @@ FORCE_SENSORS: Registry[Callable[[str], ForceSensor]] = Registry("force sensor",
 })
 #: Linear stages.
 STAGES: Registry[Callable[[str], Stage]] = Registry("stage", "tissue_sim.stages", {
-    "virtual": "haptics.devices.virtual.stage:open_virtual_stage",
+    "virtual": "haptics.devices.virtual.stage:open_stand_alone_virtual_stage",
     "tic": "haptics.devices.tic:open_tic",
     "grbl": "haptics.devices.grbl:open_grbl",
     "phidget": "haptics.devices.phidget:open_phidget",
 })
 #: Haptic devices.
 HAPTIC_DEVICES: Registry[Callable[[str], HapticDevice]] = Registry("haptic device", "tissue_sim.haptic_devices", {
-    "virtual": "haptics.devices.virtual.hand:open_virtual_hand",
+    "virtual": "haptics.devices.virtual.hand:open_virtual_hand_following_motion",
     "haply": "haptics.devices.haply:open_haply",
 })
 
 
 def open_motion(name: str) -> Motion:
     """Return the motion with a name such as ``sine:frequency_hz=2``, not started; see `open_haptic`."""
-    return _make_device_by_name(MOTIONS, name)
+    return _make_device_of_registered_back_end(MOTIONS, name)
 
 
 def open_sensor(name: str) -> ForceSensor:
     """Return the force sensor with a name such as ``virtual:``, not started; see `open_haptic`."""
-    return _make_device_by_name(FORCE_SENSORS, name)
+    return _make_device_of_registered_back_end(FORCE_SENSORS, name)
 
 
 def open_stage(name: str) -> Stage:
     """Return the stage with a name such as ``virtual:``, not started; see `open_haptic`."""
-    return _make_device_by_name(STAGES, name)
+    return _make_device_of_registered_back_end(STAGES, name)
 
 
 def open_haptic(name: str) -> HapticDevice:
@@ -71,10 +71,10 @@ def open_haptic(name: str) -> HapticDevice:
     Raises:
         InputError: No back-end has this name (the message names the nearest), or the settings are invalid.
     """
-    return _make_device_by_name(HAPTIC_DEVICES, name)
+    return _make_device_of_registered_back_end(HAPTIC_DEVICES, name)
 
 
-def _make_device_by_name(table: Registry[Callable[[str], Device]], name: str) -> Device:
+def _make_device_of_registered_back_end(table: Registry[Callable[[str], Device]], name: str) -> Device:
     """Return the device with a name ``BACK_END:SETTINGS`` from a table of back-ends, not started.
 
     Raises:

@@ -316,7 +316,8 @@ class HapticDevice(ABC):
                           stacklevel=2)
             cls.set_approach = own["go_along"]  # type: ignore[method-assign]
         elif "set_approach" in own and "go_along" not in own:
-            cls.go_along = _deprecated_go_along(own["set_approach"])  # type: ignore[method-assign,assignment]
+            method = _make_deprecated_go_along_method(own["set_approach"])
+            cls.go_along = method  # type: ignore[method-assign,assignment]
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
         """Begin to move the tool to a depth, if the device is a steerable motion such as `HandMotion`.
@@ -337,7 +338,7 @@ class HapticDevice(ABC):
         return {"device": type(self).__name__}
 
 
-def _deprecated_go_along(set_approach: _SetApproach) -> _SetApproach:
+def _make_deprecated_go_along_method(set_approach: _SetApproach) -> _SetApproach:
     """Return the method ``go_along``, which warns and calls `set_approach` of the same class."""
     def go_along(self: Any, approach: Approach | None) -> None:
         """Call `set_approach` of the same class, with a deprecation warning."""

@@ -12,7 +12,7 @@ from haptics.protocols import tic
 _ANSWER_TIMEOUT = 0.3
 
 
-def identify_controller(line: SerialLine) -> str:
+def find_controller_hint_or_empty(line: SerialLine) -> str:
     """Find which controller answers on an open serial line, and return a hint to append to an error message.
 
     Sends an empty line and a status query of a Tic; neither moves a motor.
@@ -21,21 +21,21 @@ def identify_controller(line: SerialLine) -> str:
         A text such as ``"; a Tic answers there: name it tic:PORT"``; ``""`` if no known controller answers.
     """
     try:
-        text = _query_controller(line, b"\r")
+        text = _send_and_collect_answer_bytes(line, b"\r")
         if b"Grbl" in text or text.strip() == b"ok" or b"\nok" in text or text.startswith((b"error:", b"ALARM:")):
             return f"; a Grbl answers there: name it grbl:{line.port}"
         if text.rstrip().endswith(b">"):
             return f"; an ATI controller answers there: name it ati-serial:{line.port}"
         query = tic.encode_command(tic.TicCommand.GET_VARIABLE, tic.VariableOffset.STATUS, tic.BlockLength.STATUS)
-        block = _query_controller(line, query)
-        if tic.parse_status(block) is not None:
+        block = _send_and_collect_answer_bytes(line, query)
+        if tic.parse_status_or_none(block) is not None:
             return f"; a Tic answers there: name it tic:{line.port}"
     except DeviceError:
         return ""
     return ""
 
 
-def _query_controller(line: SerialLine, question: bytes) -> bytes:
+def _send_and_collect_answer_bytes(line: SerialLine, question: bytes) -> bytes:
     """Discard received bytes, send `question`, and return all bytes (or none) that arrive in `_ANSWER_TIMEOUT` s."""
     line.read()
     line.write(question)

@@ -9,7 +9,7 @@ from typing import Any
 
 from haptics.devices.back_ends import FORCE_SENSORS, HAPTIC_DEVICES, STAGES
 from haptics.devices.contracts import DeviceError
-from haptics.devices.serial_line import SerialLine, list_serial_ports
+from haptics.devices.serial_line import SerialLine, list_serial_port_names
 from tissue_sim.errors import InputError
 
 #: Kinds of devices and their tables of back-ends.
@@ -56,12 +56,13 @@ def find_devices(names: Sequence[str] = ()) -> list[ProbeResult]:
     Raises:
         InputError: A name is the name of no back-end.
     """
-    return [each for name in names for each in _probe_named_device(name)] if names else list(_probe_all_back_ends())
+    return [each for name in names for each in _iterate_probe_results_of_name(name)] if names \
+        else list(_iterate_default_probe_results())
 
 
-def _probe_all_back_ends() -> Iterator[ProbeResult]:
+def _iterate_default_probe_results() -> Iterator[ProbeResult]:
     """Yield a result for each back-end, opened only if it has a factory address, and for each serial port."""
-    ports = list_serial_ports()
+    ports = list_serial_port_names()
     for kind, table in _TABLES:
         for back_end in table:
             if back_end in _SERIAL:
@@ -72,10 +73,10 @@ def _probe_all_back_ends() -> Iterator[ProbeResult]:
             else:
                 yield ProbeResult(f"{back_end}:", kind, False, _FILES.get(back_end, "give its name with its settings"))
     for port in ports:
-        yield _probe_serial_port(port)
+        yield _check_serial_port_opens(port)
 
 
-def _probe_serial_port(port: str) -> ProbeResult:
+def _check_serial_port_opens(port: str) -> ProbeResult:
     """Open and close a port without sending anything: a query of one device can be a motion command of another."""
     try:
         SerialLine(port, 9600, "a device").close()
@@ -84,7 +85,7 @@ def _probe_serial_port(port: str) -> ProbeResult:
     return ProbeResult(port, "serial port", True, f"to identify its device: tissue-sim devices tic:{port}")
 
 
-def _probe_named_device(name: str) -> Iterator[ProbeResult]:
+def _iterate_probe_results_of_name(name: str) -> Iterator[ProbeResult]:
     """Yield a result for each table (sensors, stages, haptic devices) with the name's back-end; InputError if none."""
     back_end = name.partition(":")[0]
     tables = [(kind, table) for kind, table in _TABLES if back_end in table]

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
-from haptics.devices.grbl_connection import AxisStatusReport, GrblConnection
+from haptics.devices.grbl_connection import AxisReportInMillimetres, GrblConnection
 from haptics.devices.settings import read_settings
 from haptics.protocols import grbl
 from haptics.protocols.grbl import GrblSetting
@@ -120,14 +120,14 @@ class GrblStage(Stage):
         self._reset_state()
         connection = GrblConnection(self._port, self._baud, grbl.AXES.index(self._axis))
         try:
-            self._check_settings(connection.read_settings())
-            connection.start_thread(self._send_next_jogs_or_homing)
+            self._check_settings_and_derive_motion_data(connection.check_version_and_read_settings())
+            connection.start_thread(self._send_next_commands_and_get_is_moving)
         except BaseException:
             connection.close()
             raise
         self._connection = connection
 
-    def _check_settings(self, settings: dict[int, float]) -> None:
+    def _check_settings_and_derive_motion_data(self, settings: dict[int, float]) -> None:
         """Raise an error if ``$$`` does not permit the limits of this stage; store steps, direction and homing time."""
         number = grbl.AXES.index(self._axis)
 
@@ -165,9 +165,9 @@ class GrblStage(Stage):
 
     def home(self) -> None:
         """Request Grbl's homing cycle and return at once; the thread sends it, and `position` shows its end."""
-        connection = self._require_started()
+        connection = self._get_connection_or_raise()
         with connection.lock:
-            self._raise_thread_error(connection)
+            self._raise_thread_error_if_any(connection)
             if self._homing_until is not None:
                 return
             report = self._wait_for_new_report(connection)
@@ -175,7 +175,7 @@ class GrblStage(Stage):
                 raise DeviceError(f"{self._name} {_BLOCKED[report.state]}")
             if report.critical:
                 # A critical alarm accepts only a reset. The axis is at rest, so the reset loses no position.
-                connection.soft_reset()
+                connection.reset_and_wait_for_banner()
             self._goal = self._sent = self._zero = None
             self._homing_until = time.monotonic() + self._longest_homing
             self._homing_sent, connection.alarm, connection.error = False, None, None
@@ -183,12 +183,12 @@ class GrblStage(Stage):
 
     def move(self, position: float, speed: float) -> None:
         """Set the target, m, and the speed, m/s, and return at once; the thread then sends the jogs."""
-        halts, connection = self._halts, self._require_started()
+        halts, connection = self._halts, self._get_connection_or_raise()
         self.limits.require_within_limits(position, speed, slowest=grbl.LEAST_FEED / 60e3)
         with connection.lock:
-            self._raise_thread_error(connection)
+            self._raise_thread_error_if_any(connection)
             report = connection.latest if self._homing_until is not None else self._wait_for_new_report(connection)
-            self._require_motion_allowed(report, connection)
+            self._require_report_allows_motion(report, connection)
             zero = self._zero
             if zero is None:
                 raise DeviceError(f"{self._name} does not know its zero; home it first, and wait until it is homed")
@@ -199,10 +199,10 @@ class GrblStage(Stage):
 
     def position(self) -> StageSample:
         """Return a sample with the commanded position, m, of a new report; during homing, of the latest report."""
-        connection = self._require_started()
+        connection = self._get_connection_or_raise()
         with connection.lock:
             self._last_call = time.monotonic()
-            self._raise_thread_error(connection)
+            self._raise_thread_error_if_any(connection)
             report = connection.latest if self._homing_until is not None else self._wait_for_new_report(connection)
             homing = self._homing_until is not None
             moving = (homing or self._goal is not None or connection.unanswered > 0
@@ -262,7 +262,7 @@ class GrblStage(Stage):
                 "runs_on_s": self.runs_on, "homing_runs_on": "to its end",
                 "checked_with": "emulator; unverified on hardware"}
 
-    def _send_next_jogs_or_homing(self, connection: GrblConnection) -> bool:
+    def _send_next_commands_and_get_is_moving(self, connection: GrblConnection) -> bool:
         """Send the next commands, in the connection's thread with the lock held; return True during a motion."""
         if connection.lost:
             self._goal = None
@@ -297,14 +297,14 @@ class GrblStage(Stage):
             return
         goal, speed = motion
         if self._sent is None:
-            if not connection.has_current_report:
+            if not connection.has_report_after_last_answer:
                 return
             if report.state != "Idle":
                 connection.send_bytes(grbl.JOG_CANCEL)
                 return
             self._sent = report.position
         elif self._sent == goal:
-            if report.state == "Idle" and connection.has_current_report:
+            if report.state == "Idle" and connection.has_report_after_last_answer:
                 self._goal = self._sent = None
             return
         if (goal - self._sent) * (self._sent - report.position) < 0:
@@ -312,12 +312,12 @@ class GrblStage(Stage):
             connection.send_bytes(grbl.JOG_CANCEL)
             self._sent = None
             return
-        for target in self._list_jog_targets(report.position, self._sent, goal, speed):
-            connection.send_line(grbl.encode_jog(self._axis, target, speed * 60.0))
+        for target in self._iterate_jog_targets(report.position, self._sent, goal, speed):
+            connection.send_line(grbl.encode_machine_jog_line(self._axis, target, speed * 60.0))
             self._sent = target
 
     @staticmethod
-    def _list_jog_targets(position: float, sent: float, goal: float, speed: float) -> Iterator[float]:
+    def _iterate_jog_targets(position: float, sent: float, goal: float, speed: float) -> Iterator[float]:
         """Yield the targets, mm, in machine coordinates, of the next jogs that fit into the queue of Grbl.
 
         Args:
@@ -347,32 +347,32 @@ class GrblStage(Stage):
             self._homing_until = None
             connection.send_bytes(grbl.RESET)
         elif not self._homing_sent:
-            if connection.has_current_report and report.state in ("Idle", "Alarm"):
+            if connection.has_report_after_last_answer and report.state in ("Idle", "Alarm"):
                 self._homing_sent, connection.was_reset = True, False
                 connection.send_line(b"$H\n")
             elif report.state == "Jog" and report.number != connection.handled:
                 connection.handled = report.number
                 connection.send_bytes(grbl.JOG_CANCEL)
-        elif connection.has_current_report and report.state == "Idle":
+        elif connection.has_report_after_last_answer and report.state == "Idle":
             self._zero, self._homing_until, connection.was_reset = report.position, None, False
 
-    def _wait_for_new_report(self, connection: GrblConnection) -> AxisStatusReport:
+    def _wait_for_new_report(self, connection: GrblConnection) -> AxisReportInMillimetres:
         """Wait for a report requested after this call and return it; DeviceError if none. Requires the lock."""
-        report = connection.wait_for_report(JOGS.report)
+        report = connection.wait_for_new_report_or_none(JOGS.report)
         if report is None:
-            self._raise_thread_error(connection)
+            self._raise_thread_error_if_any(connection)
             raise DeviceError(f"{self._name} has sent no report for {JOGS.report:g} s; check that it has power, the "
                               "cable and the baud rate")
         return report
 
-    def _require_motion_allowed(self, report: AxisStatusReport, connection: GrblConnection) -> None:
+    def _require_report_allows_motion(self, report: AxisReportInMillimetres, connection: GrblConnection) -> None:
         """Raise a DeviceError with the remedy if the reported state of Grbl forbids a motion."""
         if report.state == "Alarm" and connection.alarm is not None:
             raise DeviceError(f"{self._name} is in alarm {connection.alarm}: {grbl.describe_alarm(connection.alarm)}")
         if report.state in _BLOCKED:
             raise DeviceError(f"{self._name} {_BLOCKED[report.state]}")
 
-    def _raise_thread_error(self, connection: GrblConnection) -> None:
+    def _raise_thread_error_if_any(self, connection: GrblConnection) -> None:
         """Raise a DeviceError with the message that the thread has stored, if any; clear it unless the port is lost."""
         if connection.lost:
             raise DeviceError(connection.lost)
@@ -380,7 +380,7 @@ class GrblStage(Stage):
         if trouble:
             raise DeviceError(trouble)
 
-    def _require_started(self) -> GrblConnection:
+    def _get_connection_or_raise(self) -> GrblConnection:
         """Return the connection; raises a DeviceError if the stage is not started."""
         connection = self._connection
         if connection is None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from haptics.devices.contracts import DeviceError
-from haptics.devices.controller_identification import identify_controller
+from haptics.devices.controller_identification import find_controller_hint_or_empty
 from haptics.devices.serial_line import SerialLine
 from haptics.protocols import grbl
 
@@ -43,7 +43,7 @@ TIMING = GrblTiming()
 
 
 @dataclass(frozen=True)
-class AxisStatusReport:
+class AxisReportInMillimetres:
     """A status report of Grbl about one axis; lengths in mm, times in s.
 
     Attributes:
@@ -110,13 +110,13 @@ class GrblConnection:
         self._critical = False
         #: Received bytes of an incomplete line.
         self._partial_line = b""
-        self.latest = AxisStatusReport("Idle", 0.0, "", time.monotonic(), 0, 0.0, -1)
+        self.latest = AxisReportInMillimetres("Idle", 0.0, "", time.monotonic(), 0, 0.0, -1)
         self.unanswered, self.handled, self.lost = 0, 0, ""
         self.error: int | None = None
         self.alarm: int | None = None
         self.was_reset = False
 
-    def read_settings(self) -> dict[int, float]:
+    def check_version_and_read_settings(self) -> dict[int, float]:
         """Check that a Grbl 1.1 answers and is not in use, and return its settings ``$$``, values by number.
 
         Sends no reset, which would lose the position of a moving axis. Cancels a jog that another program has left.
@@ -124,7 +124,7 @@ class GrblConnection:
         Raises:
             DeviceError: No Grbl 1.1 answers, or it executes another program's commands.
         """
-        state = self._wait_for_first_state()
+        state = self._request_and_get_first_state()
         if state == "Jog":
             # Jogs of another program that has ended.
             self.send_bytes(grbl.JOG_CANCEL)
@@ -132,14 +132,15 @@ class GrblConnection:
             raise DeviceError(f"{self._name} is in the state {state} because of another program; end that program, and "
                               "start again")
         lines = self._query_answer_lines(b"$I\n")
-        versions = [version for version in map(grbl.parse_version, lines) if version]
+        versions = [version for version in map(grbl.parse_version_and_date, lines) if version]
         if not versions or not versions[0][0].startswith("1.1"):
             version = versions[0][0] if versions else "no version"
             raise DeviceError(f"{self._name} reports {version}; install Grbl 1.1, which can jog")
-        settings = [setting for setting in map(grbl.parse_setting, self._query_answer_lines(b"$$\n")) if setting]
+        settings = [setting for setting in map(grbl.parse_setting_or_none, self._query_answer_lines(b"$$\n"))
+                    if setting]
         return dict(settings)
 
-    def _wait_for_first_state(self) -> str:
+    def _request_and_get_first_state(self) -> str:
         """Request reports until the first one arrives, return its state, such as ``"Idle"``; DeviceError if none."""
         end, requested, received = time.monotonic() + TIMING.boot, -1.0, b""
         while time.monotonic() < end:
@@ -148,16 +149,16 @@ class GrblConnection:
                 self.send_bytes(grbl.STATUS)
             received += self._line.read()
             for line in received.decode("latin-1").split("\n")[:-1]:
-                report = grbl.parse_report(line.strip())
+                report = grbl.parse_report_or_none(line.strip())
                 if report:
                     return report.state
             time.sleep(TIMING.busy_poll)
         if received:
             raise DeviceError(f"the device at {self._port} is no Grbl, or its baud rate is not {self._baud} (it sent "
                               f"{received[:20]!r}); check the baud rate and the device"
-                              f"{identify_controller(self._line)}")
+                              f"{find_controller_hint_or_empty(self._line)}")
         raise DeviceError(f"nothing answers at {self._port} within {TIMING.boot:g} s; check that the Grbl has power, "
-                          f"the cable and the baud rate ({self._baud}){identify_controller(self._line)}")
+                          f"the cable and the baud rate ({self._baud}){find_controller_hint_or_empty(self._line)}")
 
     def _query_answer_lines(self, command: bytes) -> list[str]:
         """Send a command before the thread runs, and return the lines before its ``ok``; DeviceError for an error."""
@@ -165,8 +166,8 @@ class GrblConnection:
         lines: list[str] = []
         end = time.monotonic() + TIMING.line
         while time.monotonic() < end:
-            line = self._line.read_line(TIMING.line).decode("latin-1").strip()
-            answer = grbl.parse_answer(line)
+            line = self._line.read_line_or_raise(TIMING.line).decode("latin-1").strip()
+            answer = grbl.parse_answer_kind_and_number(line)
             if answer == ("ok", 0):
                 return lines
             if answer:
@@ -187,11 +188,11 @@ class GrblConnection:
             try:
                 data = self._line.read()
                 with self.lock:
-                    lines = self._split_lines(data)
+                    lines = self._take_complete_lines(data)
                     for line in lines:
                         self._handle_line(line)
                     busy = act(self) or self._report_awaited or self.unanswered > 0
-                    self._request_report(TIMING.busy_report_interval if busy else TIMING.idle_report_interval)
+                    self._request_report_if_due(TIMING.busy_report_interval if busy else TIMING.idle_report_interval)
                     if lines:
                         self._received.notify_all()
             except DeviceError as error:
@@ -203,7 +204,7 @@ class GrblConnection:
             self._wakeup.wait(TIMING.busy_poll if busy else TIMING.idle_poll)
             self._wakeup.clear()
 
-    def _split_lines(self, data: bytes) -> list[str]:
+    def _take_complete_lines(self, data: bytes) -> list[str]:
         """Add bytes to the buffer; remove and return its complete lines. Keeps 1000 bytes of an incomplete one."""
         *lines, self._partial_line = (self._partial_line + data).split(b"\n")
         self._partial_line = self._partial_line[-1000:]
@@ -211,16 +212,16 @@ class GrblConnection:
 
     def _handle_line(self, line: str) -> None:
         """Update the attributes from a received line: report, answer, alarm or banner; ignores other lines."""
-        report, answer = grbl.parse_report(line), grbl.parse_answer(line)
+        report, answer = grbl.parse_report_or_none(line), grbl.parse_answer_kind_and_number(line)
         if report is not None:
-            self._handle_report(report)
+            self._store_requested_report(report)
         elif answer is not None:
             kind, number = answer
             if kind == "ALARM":
                 self.alarm, self._critical = number, number in (1, 2)
                 last = self.latest
-                self.latest = AxisStatusReport("Alarm", last.position, last.pins, last.received, last.number,
-                                               last.requested, -1, self._critical)
+                self.latest = AxisReportInMillimetres("Alarm", last.position, last.pins, last.received, last.number,
+                                                      last.requested, -1, self._critical)
                 # Grbl discards its queue on an alarm and answers none of its lines.
                 self.unanswered = 0
             else:
@@ -228,12 +229,12 @@ class GrblConnection:
                 if kind == "error":
                     self.error = number
             self._exchanges += 1
-        elif grbl.parse_banner(line) is not None:
+        elif grbl.parse_banner_version_or_none(line) is not None:
             self.was_reset, self.unanswered, self._critical = True, 0, False
             self._banners += 1
             self._exchanges += 1
 
-    def _handle_report(self, report: grbl.StatusReport) -> None:
+    def _store_requested_report(self, report: grbl.StatusReport) -> None:
         """Store a report as `latest`, in machine coordinates; ignores a report that was not requested."""
         if report.offset is not None and self._axis < len(report.offset):
             self._offset = report.offset[self._axis]
@@ -248,11 +249,11 @@ class GrblConnection:
             position += self._offset
         if report.state != "Alarm":
             self._critical = False
-        self.latest = AxisStatusReport(report.state, position, report.pins, time.monotonic(), self.latest.number + 1,
-                                       requested, exchange, self._critical)
+        self.latest = AxisReportInMillimetres(report.state, position, report.pins, time.monotonic(),
+                                              self.latest.number + 1, requested, exchange, self._critical)
         self._report_awaited = False
 
-    def _request_report(self, interval: float) -> None:
+    def _request_report_if_due(self, interval: float) -> None:
         """Request a report if the last one was requested `interval` s ago, or a pending request has had no answer."""
         now = time.monotonic()
         if ((now - self.latest.requested >= interval) if self._requested is None else
@@ -262,11 +263,11 @@ class GrblConnection:
             self.send_bytes(grbl.STATUS)
 
     @property
-    def has_current_report(self) -> bool:
+    def has_report_after_last_answer(self) -> bool:
         """True if all sent lines have an answer and `latest` was requested after the last answer."""
         return self.unanswered == 0 and self.latest.exchange == self._exchanges
 
-    def wait_for_report(self, timeout: float) -> AxisStatusReport | None:
+    def wait_for_new_report_or_none(self, timeout: float) -> AxisReportInMillimetres | None:
         """Wait up to `timeout` s for a report requested after this call; return it, or None. Requires the lock."""
         begin = time.monotonic()
         self._wakeup.set()
@@ -298,7 +299,7 @@ class GrblConnection:
             if has_lock:
                 self._writing.release()
 
-    def soft_reset(self) -> None:
+    def reset_and_wait_for_banner(self) -> None:
         """Reset Grbl and wait for its banner, at most `GrblTiming.line` s; clears `alarm`. Requires the lock."""
         self.alarm, before = None, self._banners
         self.send_bytes(grbl.RESET)

@@ -15,8 +15,8 @@ from typing import Any
 
 from haptics.devices.contracts import DeviceError, HapticDevice
 from haptics.devices.settings import read_settings
-from haptics.devices.web_socket import WebSocketClosedError, WebSocketConnection, parse_address
-from haptics.protocols.haply import ADDRESS, HaplyDeviceState, decode_device_state, encode_force_message
+from haptics.devices.web_socket import WebSocketClientConnection, WebSocketClosedError, parse_host_and_port
+from haptics.protocols.haply import ADDRESS, HaplyDeviceState, encode_force_message, find_device_state_in_message
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Quaternion, Screw, Vector
 
@@ -67,7 +67,7 @@ class HaplyDevice(HapticDevice):
         largest_force: Largest force on the hand, N.
 
     Attributes:
-        exchange_error: Reason why poses are missing; empty while the exchange works.
+        exchange_error_message: Reason why poses are missing; empty while the exchange works.
 
     Raises:
         InputError: The address, a scale, the axes or the largest force are invalid.
@@ -76,28 +76,28 @@ class HaplyDevice(HapticDevice):
     def __init__(self, address: str = ADDRESS, scale: float = 1.0, force_scale: float = 1.0, axes: str = "xyz",
                  origin: Vector | None = None, above: float = 10e-3, turn: bool = False,
                  largest_force: float = LARGEST_FORCE):
-        parse_address(address)
+        parse_host_and_port(address)
         for value, unit, field in ((scale, "", "scale"), (force_scale, "", "force_scale"),
                                    (largest_force, " N", "largest_force")):
             if not 0 < value < math.inf:
                 raise InputError(f"scales and largest force must be finite numbers above 0; got {value:g}{unit}",
                                  field=field)
         self.address, self._scale, self._force_scale, self._uses_orientation = address, scale, force_scale, turn
-        self._axes, self._axis_order = axes, _parse_axes(axes)
+        self._axes, self._axis_order = axes, _parse_axis_indices_and_signs(axes)
         self._given_origin, self._above, self._largest_hand_force = origin, above, largest_force
         #: Largest force of the loop, N, with which the force on the hand stays within its limit.
         self.largest_force = largest_force / force_scale
         self._origin: Vector = origin or (0.0, 0.0, 0.0)
         self._first_orientation: Quaternion | None = None
-        self._line: WebSocketConnection | None = None
+        self._line: WebSocketClientConnection | None = None
         self._thread: _ExchangeThread | None = None
         self._trouble = ""
         self._first: HaplyDeviceState | None = None
 
     @property
-    def exchange_error(self) -> str:
+    def exchange_error_message(self) -> str:
         """Message with the reason why poses are missing; empty while the exchange works, and before the start."""
-        return self._trouble if self._thread is None else self._thread.exchange_error
+        return self._trouble if self._thread is None else self._thread.exchange_error_message
 
     def start(self) -> None:
         """Connect to the service, set the origin of the motion and start the thread that exchanges messages."""
@@ -105,23 +105,23 @@ class HaplyDevice(HapticDevice):
             return
         line = self._open_connection()
         try:
-            first = self._register_program(line)
+            first = self._register_and_get_first_state(line)
         except BaseException:
             line.close()
             raise
         self._first, self._first_orientation = first, first.orientation
         if self._given_origin is None:
-            x, y, z = self._to_scene_axes(first.position)
-            self._origin = self._to_device_axes((x, y, z - self._above / self._scale))
+            x, y, z = self._permute_to_scene_axes(first.position)
+            self._origin = self._permute_to_device_axes((x, y, z - self._above / self._scale))
         else:
             self._origin = self._given_origin
         self._thread = _ExchangeThread(line, first, self.address)
         self._thread.start()
 
-    def _open_connection(self) -> WebSocketConnection:
+    def _open_connection(self) -> WebSocketClientConnection:
         """Open and return the connection to the service; raises a DeviceError with the remedy if this fails."""
         try:
-            return WebSocketConnection(self.address, TIMING.connect)
+            return WebSocketClientConnection(self.address, TIMING.connect)
         except ImportError:
             raise DeviceError("a Haply device requires the package websockets; run 'pip install websockets'") from None
         except WebSocketClosedError as error:
@@ -132,14 +132,14 @@ class HaplyDevice(HapticDevice):
                               "the service (Linux: systemctl start haply-inverse-service), or give its address as "
                               "haply:ws://HOST:PORT") from None
 
-    def _register_program(self, line: WebSocketConnection) -> HaplyDeviceState:
+    def _register_and_get_first_state(self, line: WebSocketClientConnection) -> HaplyDeviceState:
         """Receive the first state, register this program by a message with zero force, and return the first state."""
         service = f"the Haply Inverse service at {self.address}"
         try:
-            messages = line.receive(TIMING.connect)
+            messages = line.wait_and_receive_all_messages(TIMING.connect)
             if not messages:
                 raise DeviceError(f"{service} sent nothing within {TIMING.connect:g} s; restart it")
-            first = decode_device_state(messages[0])
+            first = find_device_state_in_message(messages[0])
             if first is None:
                 raise DeviceError(f"{service} has no Inverse3; connect the device, switch it on, and check in the "
                                   "Haply Hub that it is listed")
@@ -147,10 +147,10 @@ class HaplyDevice(HapticDevice):
                 raise DeviceError(f"the Inverse3 {first.device_id} has no power for its motors; plug its power supply "
                                   "in, then start again")
             line.send(encode_force_message(first.device_id, (0.0, 0.0, 0.0), PROFILE), TIMING.connect)
-            answers = line.receive(TIMING.connect)
+            answers = line.wait_and_receive_all_messages(TIMING.connect)
             if not answers:
                 raise DeviceError(f"{service} does not answer; restart it")
-            decode_device_state(answers[-1], first.device_id)
+            find_device_state_in_message(answers[-1], first.device_id)
         except ValueError as error:
             raise DeviceError(f"{service} sent an unknown message ({error}); install version 3.1 or later of the "
                               "service") from None
@@ -161,16 +161,16 @@ class HaplyDevice(HapticDevice):
     def pose(self, time: float) -> Pose | None:
         """Return the newest pose of the tool in the scene, from the scaled cursor position, m; None if too old."""
         thread = self._thread
-        state = None if thread is None else thread.get_newest_state()
+        state = None if thread is None else thread.get_newest_state_or_none()
         if state is None:
             return None
         x, y, z = state.position
         a, b, c = self._origin
-        u, v, w = self._to_scene_axes((x - a, y - b, z - c))
+        u, v, w = self._permute_to_scene_axes((x - a, y - b, z - c))
         position = (self._scale * u, self._scale * v, self._scale * w)
         if not self._uses_orientation or state.orientation is None or self._first_orientation is None:
             return Pose(position)
-        return Pose(position, self._rotation_since_start(state.orientation, self._first_orientation))
+        return Pose(position, self._compute_quaternion_since_start(state.orientation, self._first_orientation))
 
     def render(self, wrench: Screw) -> None:
         """Store the force, N, scaled and limited, for the thread to send; the torque is ignored. Does not wait."""
@@ -182,14 +182,14 @@ class HaplyDevice(HapticDevice):
             # A second limit behind the loop's own; a force that is not a number becomes zero.
             factor = self._largest_hand_force / size if math.isfinite(size) else 0.0
             x, y, z = (factor * x, factor * y, factor * z) if factor else (0.0, 0.0, 0.0)
-        self._thread.set_force(self._to_device_axes((x, y, z)))
+        self._thread.set_force(self._permute_to_device_axes((x, y, z)))
 
     def stop(self) -> None:
         """End the exchange of messages with the service."""
         thread, self._thread = self._thread, None
         if thread is not None:
             thread.stop_and_close()
-            self._trouble = thread.exchange_error
+            self._trouble = thread.exchange_error_message
 
     def describe(self) -> dict[str, Any]:
         """Return address, axes, scales, largest force and state of the device; keys carry units."""
@@ -199,27 +199,27 @@ class HaplyDevice(HapticDevice):
             "origin_mm": [1e3 * part for part in self._origin], "unverified": "messages were never tried on a device"}
         if self._first is not None:
             described |= {"device_id": self._first.device_id, "status": dict(self._first.status)}
-        if self.exchange_error:
-            described["trouble"] = self.exchange_error
+        if self.exchange_error_message:
+            described["trouble"] = self.exchange_error_message
         return described
 
-    def _to_scene_axes(self, vector: Vector) -> Vector:
+    def _permute_to_scene_axes(self, vector: Vector) -> Vector:
         """Permute a vector from the device's axes to the scene's, with signs; no scaling, no shift of the origin."""
         (i, a), (j, b), (k, c) = self._axis_order
         return a * vector[i], b * vector[j], c * vector[k]
 
-    def _to_device_axes(self, vector: Vector) -> Vector:
+    def _permute_to_device_axes(self, vector: Vector) -> Vector:
         """Permute a vector from the scene's axes to the device's, with signs; no scaling, no shift of the origin."""
         turned = [0.0, 0.0, 0.0]
         for (axis, sign), part in zip(self._axis_order, vector, strict=True):
             turned[axis] = sign * part
         return turned[0], turned[1], turned[2]
 
-    def _rotation_since_start(self, now: Quaternion, first: Quaternion) -> Quaternion:
+    def _compute_quaternion_since_start(self, now: Quaternion, first: Quaternion) -> Quaternion:
         """Return the grip's rotation from `first` to `now`, a unit quaternion (w, x, y, z) in the scene's axes."""
         (w, x, y, z), (s, a, b, c) = now, first
-        u, v, q = self._to_scene_axes((-w * a + x * s - y * c + z * b, -w * b + x * c + y * s - z * a,
-                                       -w * c - x * b + y * a + z * s))
+        u, v, q = self._permute_to_scene_axes((-w * a + x * s - y * c + z * b, -w * b + x * c + y * s - z * a,
+                                               -w * c - x * b + y * a + z * s))
         return w * s + x * a + y * b + z * c, u, v, q
 
 
@@ -232,10 +232,10 @@ class _ExchangeThread:
         address: Address of the service, for messages.
 
     Attributes:
-        exchange_error: Reason why the exchange ended; empty while it works.
+        exchange_error_message: Reason why the exchange ended; empty while it works.
     """
 
-    def __init__(self, line: WebSocketConnection, first: HaplyDeviceState, address: str):
+    def __init__(self, line: WebSocketClientConnection, first: HaplyDeviceState, address: str):
         self._line, self._device_id, self._address = line, first.device_id, address
         #: Time of receipt, s, and newest state.
         self._newest = (time.monotonic(), first)
@@ -245,16 +245,16 @@ class _ExchangeThread:
         self._unanswered, self._answered = 0, time.monotonic()
         self._has_force, self._ending = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run_exchange, name="Haply device", daemon=True)
-        self.exchange_error = ""
+        self.exchange_error_message = ""
 
     def start(self) -> None:
         """Start the thread."""
         self._thread.start()
 
-    def get_newest_state(self) -> HaplyDeviceState | None:
+    def get_newest_state_or_none(self) -> HaplyDeviceState | None:
         """Return the newest state, or None if it has expired or the exchange has ended."""
         received, state = self._newest
-        return None if self.exchange_error or time.monotonic() - received > TIMING.stale else state
+        return None if self.exchange_error_message or time.monotonic() - received > TIMING.stale else state
 
     def set_force(self, force: Vector) -> None:
         """Store the force to send from now on, N, in the frame of the device; returns without waiting."""
@@ -280,8 +280,8 @@ class _ExchangeThread:
             self._unanswered = 0
             self._exchange_messages((0.0, 0.0, 0.0), within=0.2)
         except OSError as error:
-            self.exchange_error = (f"the Haply Inverse service at {self._address} is gone ({error}); start it "
-                                   "again, then this program")
+            self.exchange_error_message = (f"the Haply Inverse service at {self._address} is gone ({error}); start it "
+                                           "again, then this program")
         finally:
             self._line.close()
 
@@ -290,7 +290,7 @@ class _ExchangeThread:
         if self._unanswered < TIMING.max_unanswered:
             self._line.send(encode_force_message(self._device_id, force), within + 1.0)
             self._unanswered += 1
-        messages = self._line.receive(within)
+        messages = self._line.wait_and_receive_all_messages(within)
         if messages:
             self._unanswered, self._answered = max(self._unanswered - len(messages), 0), time.monotonic()
         elif time.monotonic() - self._answered > TIMING.lost:
@@ -298,12 +298,12 @@ class _ExchangeThread:
         for message in messages:
             # An invalid message counts as not received.
             with contextlib.suppress(ValueError):
-                state = decode_device_state(message, self._device_id)
+                state = find_device_state_in_message(message, self._device_id)
                 if state is not None:
                     self._newest = (time.monotonic(), state)
 
 
-def _parse_axes(axes: str) -> tuple[tuple[int, float], ...]:
+def _parse_axis_indices_and_signs(axes: str) -> tuple[tuple[int, float], ...]:
     """Return three pairs, for x, y and z of the scene: index (0 to 2) and sign (1.0 or -1.0) of the device's axis.
 
     Raises:

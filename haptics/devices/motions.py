@@ -12,11 +12,11 @@ from haptics.devices.settings import read_settings
 from tissue_sim import Protocol
 from tissue_sim.errors import InputError, require_positive_length
 from tissue_sim.experiment.approach import Approach
-from tissue_sim.pose import Pose, rotate_pose
+from tissue_sim.pose import Pose, rotate_pose_about_its_position
 
 
 @dataclass(frozen=True)
-class MotionDefaults:
+class MotionDefaultsAndTolerances:
     """Defaults and limits of random, sine and protocol motions.
 
     Attributes:
@@ -33,7 +33,7 @@ class MotionDefaults:
     least_cosine: float = 0.1
 
 
-_DEFAULTS = MotionDefaults()
+_DEFAULTS = MotionDefaultsAndTolerances()
 
 
 class ProtocolMotion(AxialMotion):
@@ -130,7 +130,7 @@ class HandMotion(Motion):
         self.approach = approach
         # A position is x and y, where the tool's axis meets the height of first contact, and the depth along the axis.
         at_contact = Pose.at_depth(0.0) if approach is None else approach.pose(0.0)
-        self._set_orientation(at_contact)
+        self._set_orientation_and_axis_from_pose(at_contact)
         self._position: list[float] = [at_contact.position[0], at_contact.position[1], start]
         self._target = list(self._position)
         self.aim(target)
@@ -140,7 +140,7 @@ class HandMotion(Motion):
         if self.approach is None and approach is not None and not self._starts_at_tool:
             self._set_start_and_target(approach, self._position[2], self._target[2])
 
-    def _set_orientation(self, pose: Pose) -> None:
+    def _set_orientation_and_axis_from_pose(self, pose: Pose) -> None:
         """Store the orientation of a pose, and its tool axis as change of x, y and height per depth along the axis."""
         self._orientation = pose.orientation
         (_, _, a), (_, _, b), (_, _, c) = pose.rotation
@@ -150,7 +150,7 @@ class HandMotion(Motion):
         """Begin at the present pose of the tool if the motion was made without a start."""
         if not self._starts_at_tool:
             return
-        self._set_orientation(pose)
+        self._set_orientation_and_axis_from_pose(pose)
         (x, y, _), (u, v, cosine) = pose.position, self._axis
         distance = pose.depth / cosine
         self._position = [x - u * distance, y - v * distance, distance]
@@ -242,13 +242,13 @@ class RandomWalk(AxialMotion):
         first = int(knot)
         points = self._points
         while len(points) < first + 4:
-            points.append(self._draw_control_point())
+            points.append(self._compute_next_control_depth())
         u = knot - first
         v = 1.0 - u
         return (v * v * v * points[first] + (3 * u * u * u - 6 * u * u + 4) * points[first + 1]
                 + (3 * v * v * v - 6 * v * v + 4) * points[first + 2] + u * u * u * points[first + 3]) / 6
 
-    def _draw_control_point(self) -> float:
+    def _compute_next_control_depth(self) -> float:
         """Return the next random control point of the spline, a depth, m, without appending it to the spline."""
         gauss = self._random.gauss
         self._log_amplitude = (self._AMPLITUDE_CORRELATION * self._log_amplitude
@@ -315,7 +315,7 @@ class SpatialWalk(Motion):
         if not self._rotations:
             return moved
         about_x, about_y, about_z = (walk.depth(time) for walk in self._rotations)
-        return rotate_pose(moved, (about_x, about_y, about_z))
+        return rotate_pose_about_its_position(moved, (about_x, about_y, about_z))
 
 
 def _require_depth_range(highest: float, deepest: float) -> None:
@@ -347,18 +347,18 @@ def open_sine(text: str) -> SineMotion:
     return SineMotion(depth, -given["lift"] * depth, given["frequency_hz"])
 
 
-def open_protocol(text: str) -> ProtocolMotion:
+def open_motion_from_protocol_text(text: str) -> ProtocolMotion:
     """Make a motion from the text of a protocol, ``ramp 4mm @2mm/s; unload``; see `tissue_sim.Protocol.parse`."""
-    return make_protocol_motion(Protocol.parse(text))
+    return make_protocol_motion_repeated_if_closed(Protocol.parse(text))
 
 
-def make_protocol_motion(protocol: Protocol) -> ProtocolMotion:
+def make_protocol_motion_repeated_if_closed(protocol: Protocol) -> ProtocolMotion:
     """Return a motion along a protocol; it repeats without end if the last displacement equals the first."""
     closes = abs(protocol.displacement[-1] - protocol.displacement[0]) < 1e-9
     return ProtocolMotion(protocol, repeat=bool(closes))
 
 
-def open_hand(text: str) -> HandMotion:
+def open_target_following_motion(text: str) -> HandMotion:
     """Make a `HandMotion`, which is steered by `aim`, from ``depth_mm=0,speed_mm_s=100``; `depth_mm`: first target."""
     given = read_settings(text, depth_mm=0.0, speed_mm_s=100.0)
     hand = HandMotion(speed=given["speed_mm_s"] * 1e-3)

@@ -14,12 +14,12 @@ from enum import IntEnum
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
-from haptics.devices.settings import read_settings, split_address_and_settings
+from haptics.devices.settings import read_settings, split_address_and_settings_text
 from tissue_sim.errors import InputError
 
 
 @dataclass(frozen=True)
-class PhidgetTiming:
+class PhidgetTimesInMilliseconds:
     """Times that the controller is given, in the unit of its library.
 
     Attributes:
@@ -32,7 +32,7 @@ class PhidgetTiming:
     failsafe_ms: int = 500
 
 
-_TIMES = PhidgetTiming()
+_TIMES = PhidgetTimesInMilliseconds()
 #: A complete name, for messages.
 _EXAMPLE = "phidget:123456,steps_per_mm=25"
 
@@ -134,7 +134,7 @@ class PhidgetStage(Stage):
                 raise DeviceError(f"{which} answers within {_TIMES.attach_ms / 1000:g} s; check its power, the cable "
                                   "and the serial number, close the Phidget Control Panel, and on Linux let your user "
                                   "open it (udev rule 99-libphidget22.rules)") from None
-            raise self._convert_to_device_error(error) from None
+            raise self._make_device_error_from_library_error(error) from None
         return motor
 
     def _configure_motor(self, motor: Any) -> None:
@@ -143,17 +143,18 @@ class PhidgetStage(Stage):
             motor.setRescaleFactor(1.0)
             motor.setVelocityLimit(0.0)
             self._require_reachable_top_speed(motor)
-            motor.setAcceleration(min(max(self._convert_to_counts(self._acceleration), motor.getMinAcceleration()),
-                                      motor.getMaxAcceleration()))
+            motor.setAcceleration(
+                min(max(self._convert_to_unsigned_counts(self._acceleration), motor.getMinAcceleration()),
+                    motor.getMaxAcceleration()))
             if self._current is not None:
                 motor.setCurrentLimit(self._current)
-            self._enable_failsafe(motor)
+            self._enable_failsafe_and_set_runs_on(motor)
         except DeviceError:
             raise
         except Exception as error:
-            raise self._convert_to_device_error(error) from None
+            raise self._make_device_error_from_library_error(error) from None
 
-    def _enable_failsafe(self, motor: Any) -> None:
+    def _enable_failsafe_and_set_runs_on(self, motor: Any) -> None:
         """Enable the failsafe, and set `runs_on` to its time, s; infinite if the controller has no failsafe."""
         try:
             motor.enableFailsafe(_TIMES.failsafe_ms)
@@ -171,30 +172,30 @@ class PhidgetStage(Stage):
             raise DeviceError(f"the top speed of the Phidget stepper is {most * 1e3:g} mm/s at {self._steps_per_mm:g} "
                               f"steps per mm; give top_speed_mm_s={most * 1e3:.4g} or less")
 
-    def _convert_to_counts(self, length: float) -> float:
+    def _convert_to_unsigned_counts(self, length: float) -> float:
         """Convert a length, m, speed, m/s, or acceleration, m/s^2, to a number of counts, always positive or zero."""
         return abs(length / self._length_per_count)
 
     def home(self) -> None:
         """Set the present position as zero, without a motion, and switch the current of the motor on."""
-        motor = self._require_started()
+        motor = self._get_motor_or_raise()
         try:
             motor.setVelocityLimit(0.0)
             motor.addPositionOffset(-motor.getPosition())
             motor.setTargetPosition(0.0)
             motor.setEngaged(True)
         except Exception as error:
-            raise self._convert_to_device_error(error) from None
+            raise self._make_device_error_from_library_error(error) from None
         self._homed, self._goal = True, None
 
     def move(self, position: float, speed: float) -> None:
         """Begin a motion to a position, m, at a speed, m/s, and return at once."""
-        motor = self._require_started()
+        motor = self._get_motor_or_raise()
         self.limits.require_within_limits(position, speed)
         if not self._homed:
             raise DeviceError("the Phidget stepper does not know its zero; home it first")
         # The controller rounds down to whole counts per second, so a speed below 1 would become 0.
-        if self._convert_to_counts(speed) < 1.0:
+        if self._convert_to_unsigned_counts(speed) < 1.0:
             raise InputError(f"the speed must be at least {abs(self._length_per_count):.3g} m/s; got {speed:g} m/s",
                              field="speed")
         halts = self._halts
@@ -203,23 +204,23 @@ class PhidgetStage(Stage):
             motor.setVelocityLimit(0.0)
             motor.setTargetPosition(float(round(position / self._length_per_count)))
             if self._halts == halts:
-                motor.setVelocityLimit(float(round(self._convert_to_counts(speed))))
+                motor.setVelocityLimit(float(round(self._convert_to_unsigned_counts(speed))))
             if self._halts != halts:  # another thread halted in between
                 motor.setVelocityLimit(0.0)
                 return
         except Exception as error:
-            raise self._convert_to_device_error(error) from None
+            raise self._make_device_error_from_library_error(error) from None
         self._goal = position
 
     def position(self) -> StageSample:
         """Return a sample with the commanded position, m, and restart the failsafe timer of the controller."""
-        motor = self._require_started()
+        motor = self._get_motor_or_raise()
         try:
             if self.runs_on < math.inf:
                 motor.resetFailsafe()
             steps, turning = motor.getPosition(), bool(motor.getIsMoving())
         except Exception as error:
-            raise self._convert_to_device_error(error) from None
+            raise self._make_device_error_from_library_error(error) from None
         now, position = time.monotonic(), steps * self._length_per_count
         goal = self._goal
         # The controller reports a motion shortly after its beginning, hence the comparison with the target.
@@ -261,13 +262,13 @@ class PhidgetStage(Stage):
                 "zero": "where it stood when it was homed",
                 "verified": "against a stand-in for its library only"}
 
-    def _require_started(self) -> Any:
+    def _get_motor_or_raise(self) -> Any:
         """Return the `Stepper` object of the library; raises a DeviceError if the stage is not started."""
         if self._motor is None:
             raise DeviceError("the Phidget stepper is not started; start it first")
         return self._motor
 
-    def _convert_to_device_error(self, error: Exception) -> DeviceError:
+    def _make_device_error_from_library_error(self, error: Exception) -> DeviceError:
         """Return a DeviceError with the remedy for an error of the library; marks the zero as unknown if it is lost."""
         code = getattr(error, "code", None)
         if code == _PhidgetErrorCode.FAILSAFE:
@@ -287,7 +288,7 @@ def open_phidget(text: str) -> PhidgetStage:
     Defaults: ``phidget:SERIAL,steps_per_mm=...,lowest_mm=0,highest_mm=50,top_speed_mm_s=5,acceleration_mm_s2=50,
     microsteps=16,current_A=0``; ``current_A=0`` leaves the current limit unchanged.
     """
-    serial, rest = split_address_and_settings(text, "the serial number of the controller, or 'any',", _EXAMPLE)
+    serial, rest = split_address_and_settings_text(text, "the serial number of the controller, or 'any',", _EXAMPLE)
     if serial != "any" and not (serial.isascii() and serial.isdigit()):
         raise InputError(f"the name must begin with the serial number of the controller or 'any', as in {_EXAMPLE}; "
                          f"got {serial!r}",

@@ -20,7 +20,7 @@ from tissue_sim.errors import InputError
 
 
 @dataclass(frozen=True)
-class StreamSettings:
+class RdtReceptionSettings:
     """Buffer, waiting times and limits of the reception of RDT records."""
 
     #: Size of the system's receive buffer, bytes; with the usual default a loaded machine loses records at 7 kHz.
@@ -40,7 +40,7 @@ class StreamSettings:
 
 
 #: Settings of all sensors of this process.
-STREAM = StreamSettings()
+STREAM = RdtReceptionSettings()
 
 
 class RdtSensor(ForceSensor):
@@ -95,7 +95,7 @@ class RdtSensor(ForceSensor):
 
     def _download_settings(self) -> BoxSettings:
         """Download the settings page of the box by HTTP, and return its units, scale and rate."""
-        address = f"http://{self._url_host}:{self._http_port}{rdt.SETTINGS_PATH}"
+        address = f"http://{self._host_in_url}:{self._http_port}{rdt.SETTINGS_PATH}"
         # Proxies of the environment are bypassed, because the box is on a local network.
         fetch = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
         try:
@@ -105,7 +105,7 @@ class RdtSensor(ForceSensor):
             raise DeviceError(f"{address} answers with HTTP status {error.code}, so it is no ATI box; check the address"
                               ) from None
         except (OSError, ValueError) as error:
-            raise DeviceError(f"no ATI box answers at {address} ({_describe_connection_error(error)}); check its "
+            raise DeviceError(f"no ATI box answers at {address} ({_get_connection_error_cause(error)}); check its "
                               "power, the cable, and that this computer has an address in its network (a new box is at "
                               "192.168.1.1)") from None
         try:
@@ -114,13 +114,13 @@ class RdtSensor(ForceSensor):
             raise DeviceError(f"{address}: {error}") from None
 
     @property
-    def _url_host(self) -> str:
+    def _host_in_url(self) -> str:
         """Name or address of the box as in a URL; IPv6 addresses have brackets."""
         return f"[{self._host}]" if ":" in self._host else self._host
 
     def read(self) -> tuple[ForceSample, ...]:
         """Return the samples received since the last call, forces in N and torques in N m."""
-        stream = self._require_started()
+        stream = self._get_stream_or_raise()
         scales, zero = self._scales, self._zero
         return tuple(ForceSample(counts, tuple(scale * (count - offset) for scale, count, offset
                                                in zip(scales, counts, zero, strict=True)), number, status, received)
@@ -128,9 +128,9 @@ class RdtSensor(ForceSensor):
 
     def tare(self) -> None:
         """Wait for the records of the next 0.1 s, at most 100, and set the mean of their counts as zero."""
-        stream = self._require_started()
+        stream = self._get_stream_or_raise()
         count = max(1, min(STREAM.tare_records, math.ceil(0.1 * self.rate)))
-        latest = stream.wait_for_next_counts(count, timeout=STREAM.patience + 2 * count / self.rate)
+        latest = stream.wait_for_counts_of_next_records(count, timeout=STREAM.patience + 2 * count / self.rate)
         self._zero = tuple(sum(axis) / len(latest) for axis in zip(*latest, strict=True))
 
     def stop(self) -> None:
@@ -141,7 +141,7 @@ class RdtSensor(ForceSensor):
 
     def describe(self) -> dict[str, Any]:
         """Return address, rate, calibration, resolution and statistics of the stream; keys carry units."""
-        about: dict[str, Any] = {"sensor": "ATI RDT", "address": f"{self._url_host}:{self._port}",
+        about: dict[str, Any] = {"sensor": "ATI RDT", "address": f"{self._host_in_url}:{self._port}",
                                  "rate_Hz": self.rate, "channels": list(self.channels),
                                  "checked_with": "emulator, fake sensor of pynetft; unverified on hardware"}
         if (settings := self._settings) is not None:
@@ -152,7 +152,7 @@ class RdtSensor(ForceSensor):
             about |= self._stream.get_statistics()
         return about
 
-    def _require_started(self) -> _RecordStreamThread:
+    def _get_stream_or_raise(self) -> _RecordStreamThread:
         """Return the thread of the stream; raises a DeviceError if the sensor is not started."""
         if self._stream is None:
             raise DeviceError(f"the sensor at {self._host} is not started; start it first")
@@ -176,7 +176,7 @@ class _RecordStreamThread:
             family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, kind)
         except OSError as error:
-            raise DeviceError(f"{host} cannot be reached ({_describe_connection_error(error)}); check the "
+            raise DeviceError(f"{host} cannot be reached ({_get_connection_error_cause(error)}); check the "
                               "address") from None
         with contextlib.suppress(OSError):  # a smaller buffer works, too
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, STREAM.receive_buffer)
@@ -204,7 +204,7 @@ class _RecordStreamThread:
             self._socket.settimeout(0.1)
             self._socket.send(rdt.pack_request(RdtRequest(rdt.RdtCommand.REAL_TIME)))
         except OSError as error:
-            raise DeviceError(f"{self._host} cannot be reached ({_describe_connection_error(error)}); check the "
+            raise DeviceError(f"{self._host} cannot be reached ({_get_connection_error_cause(error)}); check the "
                               "network") from None
         self._thread.start()
         with self._arrived:
@@ -226,12 +226,13 @@ class _RecordStreamThread:
                 continue
             except OSError as error:
                 # The system reports each datagram sent to a closed port; the box may return later.
-                self._failure = _describe_connection_error(error)
+                self._failure = _get_connection_error_cause(error)
                 if self._ending.wait(0.05):
                     return
                 continue
             now = time.monotonic()
-            for record, number, status in counter.select_new_records(rdt.unpack_records(bytes(view[:size])), now):
+            for record, number, status in counter.select_new_records(rdt.unpack_records_or_none(bytes(view[:size])),
+                                                                     now):
                 if len(waiting) == STREAM.kept_samples:
                     self._overflowed += 1
                 waiting.append((record.counts, number, status, now))
@@ -249,7 +250,7 @@ class _RecordStreamThread:
             taken[0] = counts, number, status | SampleStatus.GAP, at
         return taken
 
-    def wait_for_next_counts(self, count: int, timeout: float) -> list[tuple[int, ...]]:
+    def wait_for_counts_of_next_records(self, count: int, timeout: float) -> list[tuple[int, ...]]:
         """Wait for the next `count` records and return the six counts of each, without removing the records.
 
         Raises:
@@ -322,7 +323,7 @@ class RecordCounter:
             return []
         new = []
         for record in records:
-            if (number := self._count_since_start(record, now)) is None:
+            if (number := self._count_record_and_get_number_or_none(record, now)) is None:
                 continue
             status = SampleStatus.GOOD
             if self._has_restarted or number > self._number + 1:
@@ -331,14 +332,14 @@ class RecordCounter:
                 self.status = record.status
                 if rdt.has_exceeded_range(record.status):
                     status |= SampleStatus.SATURATED
-                if rdt.has_fault(record.status):
+                if rdt.is_sample_unreliable(record.status):
                     status |= SampleStatus.FAULT
             self._number, self._last, self._received, self._has_restarted = number, record, now, False
             self.accepted += 1
             new.append((record, number, int(status)))
         return new
 
-    def _count_since_start(self, record: RdtRecord, now: float) -> int | None:
+    def _count_record_and_get_number_or_none(self, record: RdtRecord, now: float) -> int | None:
         """Return the number of a record, from 0; None: late or duplicate. Counts lost, late and duplicate records."""
         last = self._last
         if last is None:
@@ -366,7 +367,7 @@ class RecordCounter:
         return None
 
 
-def _describe_connection_error(error: BaseException) -> str:
+def _get_connection_error_cause(error: BaseException) -> str:
     """Return the cause of a connection error in a few words, as a part of a message."""
     inner = getattr(error, "reason", error)
     return getattr(inner, "strerror", None) or str(inner) or type(inner).__name__

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
-from haptics.devices.settings import read_settings, split_address_and_settings
+from haptics.devices.settings import read_settings, split_address_and_settings_text
 from haptics.protocols.ati_serial import CHANNELS
 from tissue_sim.errors import InputError
 from tissue_sim.recording.file import read_recording
@@ -71,7 +71,7 @@ class ReplaySensor(ForceSensor):
 
     def read(self) -> tuple[ForceSample, ...]:
         """Return the recorded samples whose time has come since the last call; DeviceError after the last sample."""
-        now, due = self._count_due_samples()
+        now, due = self._get_time_and_due_sample_count()
         first, self._returned = self._returned, due
         if first == len(self._times):
             raise DeviceError(f"the recording {self._name!r} is at its end, after {len(self._times)} samples in "
@@ -84,7 +84,7 @@ class ReplaySensor(ForceSensor):
 
     def tare(self) -> None:
         """Set the values of the newest sample that is due as zero, which is subtracted from later values."""
-        _, due = self._count_due_samples()
+        _, due = self._get_time_and_due_sample_count()
         self._zero = self._values[due - 1]
 
     def stop(self) -> None:
@@ -97,7 +97,7 @@ class ReplaySensor(ForceSensor):
                 "speed": self._speed, "resolution_N": self._resolution, "samples": len(self._times),
                 "duration_s": float(self._times[-1])}
 
-    def _count_due_samples(self) -> tuple[float, int]:
+    def _get_time_and_due_sample_count(self) -> tuple[float, int]:
         """Return the present time, s on the clock, and the number of samples due since the start, at least 1."""
         if self._began is None:
             raise DeviceError(f"the replay of {self._name!r} is not started; start it first")
@@ -107,6 +107,6 @@ class ReplaySensor(ForceSensor):
 
 def open_replay(text: str) -> ReplaySensor:
     """Make a sensor from ``replay:FILE.csv,speed=1,resolution_N=0.001``; the recording must have times."""
-    file, rest = split_address_and_settings(text, "the recording", "replay:needle_1.csv")
+    file, rest = split_address_and_settings_text(text, "the recording", "replay:needle_1.csv")
     given = read_settings(rest, speed=1.0, resolution_N=1e-3)
     return ReplaySensor(read_recording(file), given["speed"], given["resolution_N"])

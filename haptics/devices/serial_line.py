@@ -51,7 +51,7 @@ class SerialLine:
         Raises:
             DeviceError: The port has disappeared.
         """
-        self._fill_buffer(wait=False)
+        self._move_received_bytes_to_buffer(wait=False)
         data, self._kept = self._kept, b""
         return data
 
@@ -62,9 +62,9 @@ class SerialLine:
             DeviceError: The port has disappeared.
         """
         end = time.monotonic() + timeout
-        self._fill_buffer(wait=False)
+        self._move_received_bytes_to_buffer(wait=False)
         while not self._kept and time.monotonic() < end:
-            self._fill_buffer(wait=True)
+            self._move_received_bytes_to_buffer(wait=True)
         data, self._kept = self._kept, b""
         return data
 
@@ -83,11 +83,11 @@ class SerialLine:
             if time.monotonic() >= end:
                 raise DeviceError(f"{self._owner} at {self.port} answered {len(self._kept)} of {count} bytes within "
                                   f"{timeout:g} s; check that it has power, the cable and the baud rate")
-            self._fill_buffer(wait=True)
+            self._move_received_bytes_to_buffer(wait=True)
         data, self._kept = self._kept[:count], self._kept[count:]
         return data
 
-    def read_line(self, timeout: float, ending: bytes = b"\n") -> bytes:
+    def read_line_or_raise(self, timeout: float, ending: bytes = b"\n") -> bytes:
         """Wait for the next line, and return its bytes without the ending.
 
         Args:
@@ -102,11 +102,11 @@ class SerialLine:
             if time.monotonic() >= end:
                 raise DeviceError(f"{self._owner} at {self.port} answered no whole line within {timeout:g} s (so far "
                                   f"{self._kept[:40]!r}); check that it has power, the cable and the baud rate")
-            self._fill_buffer(wait=True)
+            self._move_received_bytes_to_buffer(wait=True)
         line, _, self._kept = self._kept.partition(ending)
         return line
 
-    def _fill_buffer(self, wait: bool) -> None:
+    def _move_received_bytes_to_buffer(self, wait: bool) -> None:
         """Move received bytes from the port to the buffer; with `wait`, wait up to `_WAIT` s for the first one."""
         try:
             waiting = self._serial.in_waiting
@@ -128,19 +128,19 @@ def _describe_open_failure(port: str, owner: str, error: Exception) -> str:
     """Return the message, cause and remedy, for a port that does not open."""
     number = getattr(error, "errno", None)
     if number in (errno.EACCES, errno.EPERM):
-        group = _find_port_group(port)
+        group = _find_port_group_or_dialout(port)
         return (f"no permission to open {port} for {owner}; add yourself to the group that owns it ({group}), "
                 f"as with 'sudo usermod -aG {group} $USER', and log in again")
     if number in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error).lower():
         return f"{port} is in use by another program; close that one, then start {owner} again"
     if number == errno.ENOENT or isinstance(error, FileNotFoundError):
-        ports = list_serial_ports()
+        ports = list_serial_port_names()
         return (f"there is no port {port} for {owner}; "
                 + (f"the ports are {', '.join(ports)}" if ports else "no serial port was found: plug the device in"))
     return f"{port} cannot be opened for {owner} ({error}); give the port of a serial device, such as /dev/ttyUSB0"
 
 
-def _find_port_group(port: str) -> str:
+def _find_port_group_or_dialout(port: str) -> str:
     """Return the name of the Unix group that owns the file of a port; ``dialout`` if it cannot be found."""
     try:
         return Path(port).group()
@@ -150,7 +150,7 @@ def _find_port_group(port: str) -> str:
         return "dialout"
 
 
-def list_serial_ports() -> list[str]:
+def list_serial_port_names() -> list[str]:
     """Return the names of this computer's serial ports, such as ``/dev/ttyUSB0``, sorted."""
     from serial.tools.list_ports import comports
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 
 
 def read_settings(text: str, **defaults: float) -> dict[str, float]:
@@ -24,7 +24,7 @@ def read_settings(text: str, **defaults: float) -> dict[str, float]:
             raise InputError(f"a setting must be NAME=NUMBER with NAME one of {', '.join(defaults)}; got {part!r}",
                              field="settings")
         if name not in defaults:
-            raise InputError(f"unknown setting{suggest_known_word(name, defaults)}", field=name)
+            raise InputError(f"unknown setting{make_hint_with_similar_or_known_words(name, defaults)}", field=name)
         whole = isinstance(defaults[name], int)
         try:
             settings[name] = int(value) if whole else float(value)
@@ -36,7 +36,7 @@ def read_settings(text: str, **defaults: float) -> dict[str, float]:
     return settings
 
 
-def split_address_and_settings(text: str, quantity: str, example: str) -> tuple[str, str]:
+def split_address_and_settings_text(text: str, quantity: str, example: str) -> tuple[str, str]:
     """Split text into the port, file or number at its beginning and the settings after the first comma.
 
     Args:
@@ -56,7 +56,7 @@ def split_address_and_settings(text: str, quantity: str, example: str) -> tuple[
     return target.strip(), rest
 
 
-def read_word_settings(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], str]:
+def read_word_settings_and_remaining_text(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], str]:
     """Return the settings whose values are words, by name with defaults, and the other settings as text.
 
     Args:
@@ -74,6 +74,6 @@ def read_word_settings(text: str, **choices: tuple[str, ...]) -> tuple[dict[str,
             continue
         if choices[name][0] and value not in choices[name]:
             raise InputError(f"the value must be one of {', '.join(choices[name])}; got {value!r}"
-                             f"{suggest_known_word(value, choices[name])}", field=name)
+                             f"{make_hint_with_similar_or_known_words(value, choices[name])}", field=name)
         words[name] = value
     return words, ",".join(rest)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
-from haptics.devices.controller_identification import identify_controller
+from haptics.devices.controller_identification import find_controller_hint_or_empty
 from haptics.devices.serial_line import SerialLine
 from haptics.devices.settings import read_settings
 from haptics.protocols import tic
@@ -136,26 +136,27 @@ class TicStage(Stage):
         self._writing, self._line, self._sequence = threading.Lock(), line, 0
         self._goal, self._is_homing, self._timed_out = None, False, False
         try:
-            self._check_settings(line)
+            self._check_settings_and_set_ramps(line)
         except BaseException:
             self._line = None
             line.close()
             raise
 
-    def _check_settings(self, line: SerialLine) -> None:
+    def _check_settings_and_set_ramps(self, line: SerialLine) -> None:
         """Check that a Tic answers and stops after a silence; stop its motion, set its ramps and `runs_on`."""
         try:
             self._read_status()
             answers = self._read_setting(SettingOffset.CRC, 1)
             self._read_status()
         except DeviceError as error:
-            other = identify_controller(line)
+            other = find_controller_hint_or_empty(line)
             raise DeviceError(f"{error}; baud, device, crc and response_crc must be as the Tic Control Center shows "
                               f"them{other}") from None
-        if answers & tic.AnswerFormat.SEVEN_BIT or bool(answers & tic.AnswerFormat.CHECKED) != self._response_crc:
+        if answers & tic.AnswerFormatFlags.SEVEN_BIT or bool(answers & tic.AnswerFormatFlags.CHECKED) \
+            != self._response_crc:
             raise DeviceError(f"the Tic at {self._port} is set to another form of answers; switch 7-bit responses off "
                               "in the Tic Control Center, and give response_crc="
-                              f"{bool(answers & tic.AnswerFormat.CHECKED):d}")
+                              f"{bool(answers & tic.AnswerFormatFlags.CHECKED):d}")
         # Ends a motion that another program has left.
         self._send_command(TicCommand.SET_TARGET_VELOCITY, 0)
         mode = self._read_setting(SettingOffset.CONTROL_MODE, 1)
@@ -176,7 +177,7 @@ class TicStage(Stage):
         acceleration = min(max(acceleration, tic.MOTION.least_acceleration), tic.MOTION.top_acceleration)
         for command, variable in ((TicCommand.SET_MAX_ACCELERATION, VariableOffset.MAX_ACCELERATION),
                                   (TicCommand.SET_MAX_DECELERATION, VariableOffset.MAX_DECELERATION)):
-            self._send_and_verify(command, acceleration, variable)
+            self._send_and_require_acceptance(command, acceleration, variable)
 
     def home(self) -> None:
         """Send the command to home, and return when homing has begun; `position` shows its end."""
@@ -190,7 +191,7 @@ class TicStage(Stage):
         end, status = time.monotonic() + TIMING.wake, self._read_status()
         while (status.flags & MiscFlags.POSITION_UNCERTAIN and not status.flags & MiscFlags.HOMING
                and halts == self._halts):
-            self._require_motion_allowed(status.errors)
+            self._require_no_blocking_motor_error(status.errors)
             if time.monotonic() > end:
                 raise DeviceError(f"the Tic at {self._port} does not begin to home; assign a reverse limit switch in "
                                   "the Tic Control Center")
@@ -199,16 +200,16 @@ class TicStage(Stage):
     def move(self, position: float, speed: float) -> None:
         """Set maximum speed, m/s, and target, m; return when the Tic has accepted both, before the motion ends."""
         halts = self._halts
-        self._require_started()
+        self._get_line_or_raise()
         self.limits.require_within_limits(position, speed)
         status = self._read_status()
-        self._require_motion_allowed(status.errors)
+        self._require_no_blocking_motor_error(status.errors)
         if status.flags & (MiscFlags.POSITION_UNCERTAIN | MiscFlags.HOMING):
             raise DeviceError(f"the Tic at {self._port} does not know its zero; home it first, and wait until it is "
                               "homed")
         self._enter_normal_operation()
         units = max(round(speed * self._steps / tic.MOTION.speed_unit), 1)
-        self._send_and_verify(TicCommand.SET_MAX_SPEED, units, VariableOffset.MAX_SPEED)
+        self._send_and_require_acceptance(TicCommand.SET_MAX_SPEED, units, VariableOffset.MAX_SPEED)
         target = round(position * self._steps)
         self._send_unless_halted(TicCommand.SET_TARGET_POSITION, target, halts)
         status = self._read_status()
@@ -217,11 +218,12 @@ class TicStage(Stage):
 
     def position(self) -> StageSample:
         """Return a sample with the commanded position, m, and restart the command timeout of the Tic."""
-        self._require_started()
+        self._get_line_or_raise()
         status = self._read_status()
         requested = time.monotonic()
-        motion = tic.parse_motion_state(self._read_block(TicCommand.GET_VARIABLE, VariableOffset.CURRENT_POSITION,
-                                                         tic.BlockLength.MOTION_STATE))
+        motion = tic.parse_position_and_velocity_or_none(self._read_block(TicCommand.GET_VARIABLE,
+                                                                          VariableOffset.CURRENT_POSITION,
+                                                                          tic.BlockLength.MOTION_STATE))
         now = time.monotonic()
         if motion is None:
             raise self._make_invalid_answer_error()
@@ -292,9 +294,9 @@ class TicStage(Stage):
 
     def _enter_normal_operation(self) -> None:
         """Bring the Tic to normal operation with the motor at rest; DeviceError if an error prevents this."""
-        self._require_started()
+        self._get_line_or_raise()
         status = self._read_status()
-        self._require_motion_allowed(status.errors)
+        self._require_no_blocking_motor_error(status.errors)
         self._timed_out = False
         if status.state == OperationState.NORMAL:
             self._send_command(TicCommand.RESET_COMMAND_TIMEOUT)
@@ -303,13 +305,13 @@ class TicStage(Stage):
         end = time.monotonic() + TIMING.wake
         while status.state != OperationState.NORMAL:
             if time.monotonic() > end:
-                self._require_motion_allowed(status.errors)
+                self._require_no_blocking_motor_error(status.errors)
                 raise DeviceError(f"the Tic at {self._port} stays in the state {status.state.name} (error status "
                                   f"{status.errors.value:#x}); check it in the Tic Control Center")
             self._send_command(TicCommand.EXIT_SAFE_START)
             status = self._read_status()
 
-    def _require_motion_allowed(self, errors: ErrorFlags) -> None:
+    def _require_no_blocking_motor_error(self, errors: ErrorFlags) -> None:
         """Raise a DeviceError with the remedy for the most serious of the `errors` that prevents motion, if any."""
         for error, remedy in _REMEDIES.items():
             if errors & error:
@@ -318,7 +320,7 @@ class TicStage(Stage):
     def _read_status(self) -> tic.TicStatus:
         """Read the status variables of the Tic and return them; raises a DeviceError for an invalid answer."""
         block = self._read_block(TicCommand.GET_VARIABLE, VariableOffset.STATUS, tic.BlockLength.STATUS)
-        status = tic.parse_status(block)
+        status = tic.parse_status_or_none(block)
         if status is None:
             raise self._make_invalid_answer_error()
         return status
@@ -332,7 +334,7 @@ class TicStage(Stage):
         """Read a setting of the Tic and return it, an unsigned number of `size` bytes."""
         return int.from_bytes(self._read_block(TicCommand.GET_SETTING, setting, size), "little")
 
-    def _send_and_verify(self, command: TicCommand, value: int, variable: VariableOffset) -> None:
+    def _send_and_require_acceptance(self, command: TicCommand, value: int, variable: VariableOffset) -> None:
         """Send a command with a number, read the variable that it sets, and raise a DeviceError if it differs."""
         self._send_command(command, value)
         if int.from_bytes(self._read_block(TicCommand.GET_VARIABLE, variable, 4), "little") != value:
@@ -340,7 +342,7 @@ class TicStage(Stage):
 
     def _read_block(self, command: TicCommand, offset: int, size: int) -> bytes:
         """Request and return `size` bytes of variables or settings; DeviceError for a wrong checksum or no answer."""
-        line = self._require_started()
+        line = self._get_line_or_raise()
         line.read()  # discards an answer that arrived after its timeout
         self._send_command(command, offset, size)
         message = line.read_exactly(size + self._response_crc, TIMING.answer)
@@ -355,21 +357,21 @@ class TicStage(Stage):
 
     def _send_command(self, command: TicCommand, value: int = 0, length: int = 0) -> None:
         """Send a command, under the lock for writing, without waiting for an answer."""
-        line, writing = self._require_started(), self._writing
+        line, writing = self._get_line_or_raise(), self._writing
         assert writing is not None
         with writing:
             line.write(self._encode_command(command, value, length))
 
     def _send_unless_halted(self, command: TicCommand, value: int, halts: int) -> None:
         """Send a motion command and store its target, unless `halt` was called since `_halts` was `halts`."""
-        line, writing = self._require_started(), self._writing
+        line, writing = self._get_line_or_raise(), self._writing
         assert writing is not None
         with writing:
             if halts == self._halts:
                 self._goal, self._is_homing = (None, True) if command == TicCommand.GO_HOME else (value, False)
                 line.write(self._encode_command(command, value))
 
-    def _require_started(self) -> SerialLine:
+    def _get_line_or_raise(self) -> SerialLine:
         """Return the serial line; raises a DeviceError if the stage is not started."""
         line = self._line
         if line is None:

@@ -14,7 +14,7 @@ class WebSocketClosedError(OSError):
     """The other end has closed the connection, or is not a WebSocket server."""
 
 
-class WebSocketConnection:
+class WebSocketClientConnection:
     """A connection to a WebSocket server, for one thread. The constructor opens the connection.
 
     Args:
@@ -31,7 +31,7 @@ class WebSocketConnection:
         from websockets.protocol import State
         from websockets.uri import parse_uri
 
-        host, port = parse_address(address)
+        host, port = parse_host_and_port(address)
         self._open = State.OPEN
         self._socket = socket.create_connection((host, port), timeout)
         try:
@@ -48,7 +48,7 @@ class WebSocketConnection:
                 remaining = end - time.monotonic()
                 if remaining <= 0:
                     raise TimeoutError(f"the server does not answer the WebSocket handshake within {timeout:g} s")
-                self._receive_once(remaining)
+                self._receive_data_and_send_replies(remaining)
         except BaseException:
             self._socket.close()
             raise
@@ -63,7 +63,7 @@ class WebSocketConnection:
         self._protocol.send_text(message.encode())
         self._send_queued_data(timeout)
 
-    def receive(self, timeout: float) -> list[bytes]:
+    def wait_and_receive_all_messages(self, timeout: float) -> list[bytes]:
         """Wait up to `timeout` seconds for a message and return all received messages.
 
         Returns:
@@ -73,13 +73,13 @@ class WebSocketConnection:
             OSError: The connection is closed.
         """
         end = time.monotonic() + timeout
-        while not (messages := self._extract_messages()):
+        while not (messages := self._take_complete_messages()):
             self._require_open()
             remaining = end - time.monotonic()
             if remaining <= 0:
                 return []
             with contextlib.suppress(TimeoutError):
-                self._receive_once(remaining)
+                self._receive_data_and_send_replies(remaining)
         return messages
 
     def close(self) -> None:
@@ -95,7 +95,7 @@ class WebSocketConnection:
         if self._protocol.state is not self._open:
             raise WebSocketClosedError("the server has closed the connection")
 
-    def _receive_once(self, timeout: float) -> None:
+    def _receive_data_and_send_replies(self, timeout: float) -> None:
         """Read the socket once, waiting up to `timeout` s (TimeoutError), and send the protocol's replies."""
         self._socket.settimeout(timeout)
         data = self._socket.recv(65536)
@@ -118,7 +118,7 @@ class WebSocketConnection:
                 self._socket.settimeout(timeout)
                 self._socket.sendall(data)
 
-    def _extract_messages(self) -> list[bytes]:
+    def _take_complete_messages(self) -> list[bytes]:
         """Remove and return the complete messages received so far; a fragment stays until its message is complete."""
         from websockets.frames import Frame, Opcode
 
@@ -132,7 +132,7 @@ class WebSocketConnection:
         return messages
 
 
-def parse_address(address: str) -> tuple[str, int]:
+def parse_host_and_port(address: str) -> tuple[str, int]:
     """Return host and port of an address.
 
     Raises:

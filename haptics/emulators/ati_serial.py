@@ -13,7 +13,7 @@ from typing import Any
 
 from haptics.devices.ati_serial import MODES
 from haptics.devices.contracts import Bench, DeviceError, ForceSensor, SampleStatus
-from haptics.devices.settings import read_settings, read_word_settings
+from haptics.devices.settings import read_settings, read_word_settings_and_remaining_text
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.terminal import TerminalEmulator
 from haptics.protocols.ati_serial import (
@@ -25,7 +25,7 @@ from haptics.protocols.ati_serial import (
     RESET,
     AtiSerialRecord,
     compute_transmission_time,
-    encode_ascii_record,
+    encode_ascii_record_without_ending,
     encode_binary_record,
 )
 from tissue_sim.errors import InputError
@@ -83,7 +83,7 @@ class AtiSerialEmulator(TerminalEmulator):
                 "padded_fields": self._padded, "counts_per_N": self._scale[0], "counts_per_Nm": self._scale[-1],
                 "records": self.records}
 
-    def start_backing_device(self) -> None:
+    def power_on_with_backing_device(self) -> None:
         """Start the sensor that supplies the samples, and set the state of the emulated controller after power-on."""
         self._sensor.start()
         self._set_power_on_state()
@@ -104,18 +104,21 @@ class AtiSerialEmulator(TerminalEmulator):
         #: Time until which the line is occupied, s.
         self._free_at = 0.0
 
-    def answer_bytes(self, data: bytes) -> list[bytes]:
-        """Execute the received commands and return no answers: `take_due_messages` returns them at the line's speed."""
+    def execute_bytes_and_get_answers(self, data: bytes) -> list[bytes]:
+        """Execute the received commands and return no answers.
+
+        `advance_and_get_messages_to_send` returns the answers at the speed of the line.
+        """
         if not self._has_matching_baud():
-            self._queue_message(PROMPT + _END)
+            self._schedule_transmission(PROMPT + _END)
             return []
         for value in data:
             byte = bytes([value])
             if byte == RESET:
                 self._set_power_on_state()
-                self._queue_message(b"ATI stand-alone controller (emulated)" + _END + PROMPT)
+                self._schedule_transmission(b"ATI stand-alone controller (emulated)" + _END + PROMPT)
             elif byte == ONE_RECORD:
-                self._queue_message(self._encode_next_record())
+                self._schedule_transmission(self._encode_next_record())
                 self.records += 1
             elif byte == CARRIAGE_RETURN:
                 self._execute_command(self._command)
@@ -124,12 +127,12 @@ class AtiSerialEmulator(TerminalEmulator):
                 self._command += byte
         return []
 
-    def take_due_messages(self) -> list[bytes]:
+    def advance_and_get_messages_to_send(self) -> list[bytes]:
         """Queue the streamed records that are due, and return the messages whose last byte has been transmitted."""
         now = time.monotonic()
         while self._streams and self._free_at <= now:
             # The next record follows the last one without a pause, unless the thread is 0.1 s behind.
-            self._queue_message(self._encode_next_record(), max(self._free_at, now - 0.1))
+            self._schedule_transmission(self._encode_next_record(), max(self._free_at, now - 0.1))
             self.records += 1
         ready = []
         while self._leaving and self._leaving[0][0] <= now:
@@ -145,7 +148,7 @@ class AtiSerialEmulator(TerminalEmulator):
         speed = getattr(termios, f"B{self._baud}", None)
         return speed is None or termios.tcgetattr(self._slave)[5] == speed
 
-    def _queue_message(self, message: bytes, begins: float | None = None) -> None:
+    def _schedule_transmission(self, message: bytes, begins: float | None = None) -> None:
         """Queue a message for the line, beginning at a time on the clock, s; None: as soon as the line is free."""
         begins = max(self._free_at, time.monotonic()) if begins is None else begins
         self._free_at = begins + compute_transmission_time(len(message), self._baud)
@@ -161,7 +164,7 @@ class AtiSerialEmulator(TerminalEmulator):
             case ["SA", number] if number.isascii() and number.isdigit():
                 self._loads = deque(self._loads, maxlen=max(int(number), 1))
             case ["SB"]:
-                self._biases.append(self._measure_counts())
+                self._biases.append(self._measure_mean_counts_before_bias())
             case ["SU"]:
                 if self._biases:
                     self._biases.pop()
@@ -169,32 +172,32 @@ class AtiSerialEmulator(TerminalEmulator):
                 self._biases.clear()
             case ["QR"]:
                 record = self._encode_next_record() + _END * (self._mode == "binary")
-                self._queue_message(command + _END + record + PROMPT)
+                self._schedule_transmission(command + _END + record + PROMPT)
                 self.records += 1
                 return
             case ["QS"]:
-                self._queue_message(command + _END)
+                self._schedule_transmission(command + _END)
                 self._streams = True
                 return
             case [] | ["CD", "R" | "E" | "U"]:
                 pass
             case _:
-                self._queue_message(command + _END + b"ERROR: no such command" + _END + PROMPT)
+                self._schedule_transmission(command + _END + b"ERROR: no such command" + _END + PROMPT)
                 return
-        self._queue_message(command + _END + _END + PROMPT)
+        self._schedule_transmission(command + _END + _END + PROMPT)
 
     def _encode_next_record(self) -> bytes:
         """Measure, subtract the bias, and return the bytes of the record in the selected mode, ASCII or binary."""
-        counts = self._measure_counts()
+        counts = self._measure_mean_counts_before_bias()
         bias = self._biases[-1] if self._biases else (0,) * 6
         biased = [count - zero for count, zero in zip(counts, bias, strict=True)]
         clipped = tuple(min(max(count, FORMAT.lowest_count), FORMAT.highest_count) for count in biased)
         record = AtiSerialRecord(int(self._faulty or list(clipped) != biased), clipped)
         if self._mode == "binary":
             return encode_binary_record(record)
-        return encode_ascii_record(record, self._padded) + _END
+        return encode_ascii_record_without_ending(record, self._padded) + _END
 
-    def _measure_counts(self) -> tuple[int, ...]:
+    def _measure_mean_counts_before_bias(self) -> tuple[int, ...]:
         """Read the sensor, update the error flag, and return six mean counts; the bias is not yet subtracted."""
         try:
             samples = self._sensor.read()
@@ -211,7 +214,7 @@ class AtiSerialEmulator(TerminalEmulator):
 
 def emulate_ati_serial(bench: Bench, text: str, faults: Faults) -> AtiSerialEmulator:
     """Make an emulator from settings ``counts_per_N=100,counts_per_Nm=4000,baud=9600,mode=ascii,padded=1``."""
-    words, rest = read_word_settings(text, mode=MODES)
+    words, rest = read_word_settings_and_remaining_text(text, mode=MODES)
     given = read_settings(rest, counts_per_N=100.0, counts_per_Nm=4000.0, baud=9600, padded=1)
     return AtiSerialEmulator(bench.sensor, given["counts_per_N"], given["counts_per_Nm"], int(given["baud"]),
                              words["mode"], bool(given["padded"]), faults)

@@ -58,7 +58,7 @@ class GrblEmulator(TerminalEmulator):
                                GrblSetting.ACCELERATION + number: 500.0,
                                GrblSetting.TRAVEL + number: limits.highest * 1e3 + 1.0}
         self._settings |= settings or {}
-        #: Alarm requested by `cause_alarm`; None: none.
+        #: Alarm requested by `request_alarm`; None: none.
         self._pending_alarm: int | None = None
         self.most_queued = 0.0
         self._set_power_on_state()
@@ -83,11 +83,11 @@ class GrblEmulator(TerminalEmulator):
         return (f"grbl:{self.path},axis={self._axis},highest_mm={limits.highest * 1e3:g},"
                 f"top_speed_mm_s={limits.speed * 1e3:g}")
 
-    def cause_alarm(self, number: int) -> None:
+    def request_alarm(self, number: int) -> None:
         """Request an alarm, such as 1 for a limit switch, which the thread then raises; callable from any thread."""
         self._pending_alarm = number
 
-    def start_backing_device(self) -> None:
+    def power_on_with_backing_device(self) -> None:
         """Set the state of the emulated controller after power-on, start the stage, and begin to home it."""
         self._set_power_on_state()
         self._stage.start()
@@ -111,22 +111,22 @@ class GrblEmulator(TerminalEmulator):
             position = target
         return seconds
 
-    def answer_bytes(self, data: bytes) -> list[bytes]:
+    def execute_bytes_and_get_answers(self, data: bytes) -> list[bytes]:
         """Execute received bytes, real-time characters at once and lines in order; return the lines to answer."""
         lines: list[str] = []
         for byte in data:
             character = bytes([byte])
             if character in (grbl.STATUS, grbl.HOLD, grbl.RESUME, grbl.RESET, grbl.JOG_CANCEL) or byte >= 0x80:
-                lines += self._execute_character(character)
+                lines += self._execute_real_time_character(character)
             elif character in b"\r\n":
                 line, self._text = self._text.decode("ascii", "replace"), bytearray()
                 self._waiting.append("".join(line.split()).upper())
-                lines += self._execute_waiting_lines()
+                lines += self._execute_deferred_lines_and_get_answers()
             else:
                 self._text += character
-        return self._encode_lines(lines)
+        return self._count_and_encode_lines(lines)
 
-    def take_due_messages(self) -> list[bytes]:
+    def advance_and_get_messages_to_send(self) -> list[bytes]:
         """Update the motion, and return the lines of a requested alarm and the answer to a homing that has ended."""
         lines: list[str] = []
         number, self._pending_alarm = self._pending_alarm, None
@@ -136,11 +136,11 @@ class GrblEmulator(TerminalEmulator):
             lines += [f"ALARM:{number}", *(["[MSG:Reset to continue]"] if self._critical else [])]
         if self._homing and not self._stage.position().moving:
             self._homing = self._alarm = False
-            lines += ["ok", *self._execute_waiting_lines()]
-        self._start_due_motion()
-        return self._encode_lines(lines)
+            lines += ["ok", *self._execute_deferred_lines_and_get_answers()]
+        self._start_next_queued_jog_if_due()
+        return self._count_and_encode_lines(lines)
 
-    def _encode_lines(self, lines: list[str]) -> list[bytes]:
+    def _count_and_encode_lines(self, lines: list[str]) -> list[bytes]:
         """Return the bytes of each line with its ending, and add their number to `answered`."""
         self.answered += len(lines)
         return [line.encode() + b"\r\n" for line in lines]
@@ -150,7 +150,7 @@ class GrblEmulator(TerminalEmulator):
         self._stage.halt()
         self._motions, self._begun, self._homing = [], False, False
 
-    def _start_due_motion(self) -> None:
+    def _start_next_queued_jog_if_due(self) -> None:
         """Start the first queued jog, or remove it and start the next one if it has ended."""
         sample = self._stage.position()
         if self._begun and self._motions and not sample.moving:
@@ -159,7 +159,7 @@ class GrblEmulator(TerminalEmulator):
             self._stage.move(*self._motions[0])
             self._begun = True
 
-    def _execute_character(self, character: bytes) -> list[str]:
+    def _execute_real_time_character(self, character: bytes) -> list[str]:
         """Execute a real-time character and return the answer."""
         """Real-time characters."""
         if character == grbl.STATUS:
@@ -179,7 +179,7 @@ class GrblEmulator(TerminalEmulator):
             return [*([f"ALARM:{alarm}"] if alarm else []), _BANNER, *([_LOCKED] if self._alarm else [])]
         return []
 
-    def _execute_waiting_lines(self) -> list[str]:
+    def _execute_deferred_lines_and_get_answers(self) -> list[str]:
         """Execute the waiting lines and return the answers; none during homing and after a critical alarm."""
         answers: list[str] = []
         while self._waiting and not self._homing and not self._critical:
@@ -225,7 +225,7 @@ class GrblEmulator(TerminalEmulator):
         """Queue the jog of a line, join it to the previous one if possible, and return ``ok`` or ``error:NUMBER``."""
         if self._alarm or self._held:
             return "error:8"
-        jog = grbl.parse_jog(line)
+        jog = grbl.parse_jog_or_none(line)
         if jog is None:
             return "error:16"
         position = self._stage.position().position
@@ -254,7 +254,7 @@ class GrblEmulator(TerminalEmulator):
             self._begun = self._begun and len(self._motions) > 1
         else:
             self._motions.append((goal, speed))
-        self._start_due_motion()
+        self._start_next_queued_jog_if_due()
         self.most_queued = max(self.most_queued, self.queued_duration)
         return "ok"
 
@@ -300,7 +300,7 @@ def emulate_grbl(bench: Bench, text: str, faults: Faults) -> GrblEmulator:
     own, numbers = [], {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, _, value = part.partition("=")
-        setting = grbl.parse_setting(f"${name.strip()}={value.strip()}")
+        setting = grbl.parse_setting_or_none(f"${name.strip()}={value.strip()}")
         if setting is None:
             own.append(part)
         elif setting[1] < 0:

@@ -14,7 +14,7 @@ from haptics.devices.settings import read_settings
 from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import Emulator
-from haptics.protocols.haply import HaplyDeviceState, decode_force_message, encode_state_message
+from haptics.protocols.haply import HaplyDeviceState, encode_state_message, find_force_in_client_message
 from tissue_sim.pose import Vector
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ START: Vector = (0.0, -0.15, 0.15)
 
 
 @dataclass(frozen=True)
-class HandSimulationSettings:
+class HandSimulationTimes:
     """Time step of the simulated hand, and times of its connection, s.
 
     Attributes:
@@ -42,7 +42,7 @@ class HandSimulationSettings:
 
 
 #: Times of every emulated hand.
-TIMES = HandSimulationSettings()
+TIMES = HandSimulationTimes()
 _CONFIG = {"type": "inverse3", "handedness": "right", "gravity_compensation": {"enabled": True, "scaling_factor": 1.0},
            "device_info": {"major_version": 7, "minor_version": 4, "id": "049D"}}
 _STATUS = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
@@ -52,7 +52,7 @@ class HaplyEmulator(Emulator):
     """Emulate the service: it sends the state at once to a new client, and then one state for each message.
 
     The hand restarts with each client. The force is zero without a client, and after a time
-    `HandSimulationSettings.release_time` without a message.
+    `HandSimulationTimes.release_time` without a message.
 
     Args:
         hand: Hand that moves the cursor; its position at time 0 corresponds to `START`.
@@ -125,9 +125,9 @@ class HaplyEmulator(Emulator):
                 "unverified": f"that the real service removes the force after {TIMES.release_time:g} s of silence",
                 **self._hand.describe()}
 
-    def cursor_position(self) -> Vector:
+    def simulate_and_get_cursor_position(self) -> Vector:
         """Simulate the hand until now, and return the position of the cursor in the frame of the device, m."""
-        return self._simulate_hand().position
+        return self._simulate_hand_and_get_state().position
 
     def _serve_client(self, connection: ServerConnection) -> None:
         """Restart the hand and serve one client until it disconnects or the emulator stops; then remove the force."""
@@ -143,29 +143,30 @@ class HaplyEmulator(Emulator):
             self._apply_force_to_hand((0.0, 0.0, 0.0))
         line = FaultyMessageQueue(self._faults, self._began)
         with contextlib.suppress(ConnectionClosed):
-            connection.send(encode_state_message(self._simulate_hand(config=_CONFIG), self.force, session=1))
+            connection.send(encode_state_message(self._simulate_hand_and_get_state(config=_CONFIG), self.force,
+                                                 session=1))
             while not self._ending.is_set():
                 message = None
                 with contextlib.suppress(TimeoutError):
                     message = connection.recv(timeout=0.1 * TIMES.wait if self._faults.delay else TIMES.wait)
                 now = time.monotonic()
                 if message is not None and not line.is_disconnected(now):
-                    line.put_message(self._answer_message(message).encode(), now)
+                    line.put_message(self._apply_message_and_get_answer(message).encode(), now)
                 else:
-                    self._simulate_hand()
+                    self._simulate_hand_and_get_state()
                 for each in line.take_due_messages(now):
                     connection.send(each.decode(errors="replace"))
         with self._lock:
             self._apply_force_to_hand((0.0, 0.0, 0.0))
 
-    def _answer_message(self, message: str | bytes) -> str:
+    def _apply_message_and_get_answer(self, message: str | bytes) -> str:
         """Simulate the hand until now, then apply the force of a message; return the text of the state message."""
         self.messages += 1
-        state = self._simulate_hand()
+        state = self._simulate_hand_and_get_state()
         with self._lock:
             self._last_message = time.monotonic()
             try:
-                force = decode_force_message(message, state.device_id)
+                force = find_force_in_client_message(message, state.device_id)
             except ValueError:
                 self.refused += 1
                 force = None
@@ -173,7 +174,7 @@ class HaplyEmulator(Emulator):
                 self._apply_force_to_hand(force)
         return encode_state_message(state, self.force)
 
-    def _simulate_hand(self, config: dict[str, Any] | None = None) -> HaplyDeviceState:
+    def _simulate_hand_and_get_state(self, config: dict[str, Any] | None = None) -> HaplyDeviceState:
         """Simulate the hand until now, remove an expired force, and return the state; `config` is included in it."""
         with self._lock:
             now = time.monotonic()

@@ -20,7 +20,7 @@ from haptics.protocols import rdt
 from haptics.protocols.rdt import BoxSettings, RdtRecord
 
 
-class AxiaStatusWord(IntEnum):
+class AxiaErrorStatusWord(IntEnum):
     """Complete status words of an Axia: bit 31 (error) with one further bit."""
 
     #: A gage is out of range.
@@ -91,12 +91,13 @@ class RdtEmulator(Emulator):
         self._ports = self._socket.getsockname()[1], self._pages.server_address[1]
         self._socket.settimeout(0.0)
         self._ending.clear()
-        self._threads = [threading.Thread(target=self._run_stream, name="RDT emulator", daemon=True),
+        self._threads = [threading.Thread(target=self._answer_requests_and_stream_records, name="RDT emulator",
+                                          daemon=True),
                          threading.Thread(target=self._pages.serve_forever, args=(0.05,), name="RDT page", daemon=True)]
         for thread in self._threads:
             thread.start()
 
-    def _run_stream(self) -> None:
+    def _answer_requests_and_stream_records(self) -> None:
         """Execute requests, and send records while a client requests them, until `stop`; the body of the thread."""
         began = time.monotonic()
         line = FaultyMessageQueue(self._faults, began)
@@ -106,7 +107,7 @@ class RdtEmulator(Emulator):
         while not self._ending.wait(0.5e-3):
             samples = self._sensor.read()
             counts = [self._convert_sample_to_counts(sample.values) for sample in samples]
-            for request, sender in self._receive_requests(line):
+            for request, sender in self._receive_waiting_requests_and_senders(line):
                 if request.command in (rdt.RdtCommand.REAL_TIME, rdt.RdtCommand.BUFFERED):
                     client, number, remaining = sender, 0, request.count or -1
                     size = rdt.DATAGRAM.max_records if request.command == rdt.RdtCommand.BUFFERED else 1
@@ -123,8 +124,9 @@ class RdtEmulator(Emulator):
                     break
                 number, remaining = number + 1, remaining - 1
                 pending.append(RdtRecord(number & 0xFFFFFFFF, sample.sequence & 0xFFFFFFFF,
-                                         _encode_status(sample.status),
-                                         _clip_counts(count - zero for count, zero in zip(each, bias, strict=True))))
+                                         _convert_to_axia_status_word(sample.status),
+                                         _clip_counts_to_32_bits(count - zero for count,
+                                                                 zero in zip(each, bias, strict=True))))
                 if len(pending) == size or remaining == 0:
                     line.put_message(rdt.pack_records(pending), now)
                     pending = []
@@ -134,7 +136,7 @@ class RdtEmulator(Emulator):
                     self._socket.sendto(datagram, client)
                     self.sent += 1
 
-    def _receive_requests(self, line: FaultyMessageQueue) -> list[tuple[rdt.RdtRequest, Any]]:
+    def _receive_waiting_requests_and_senders(self, line: FaultyMessageQueue) -> list[tuple[rdt.RdtRequest, Any]]:
         """Return the requests received so far without waiting, each with its sender's address; ignores other data."""
         requests: list[tuple[rdt.RdtRequest, Any]] = []
         while True:
@@ -142,7 +144,7 @@ class RdtEmulator(Emulator):
                 data, sender = self._socket.recvfrom(1024)
             except OSError:
                 return requests
-            request = rdt.unpack_request(data)
+            request = rdt.unpack_request_or_none(data)
             if request is not None and not line.is_disconnected(time.monotonic()):
                 self.requests += 1
                 requests.append((request, sender))
@@ -196,16 +198,16 @@ def _make_page_handler(page: bytes) -> type[BaseHTTPRequestHandler]:
     return SettingsPageHandler
 
 
-def _clip_counts(counts: Iterable[int]) -> rdt.Wrench:
+def _clip_counts_to_32_bits(counts: Iterable[int]) -> rdt.Wrench:
     """Return six counts, clipped to the range of signed 32-bit numbers."""
     x, y, z, u, v, w = (min(max(count, -_LARGEST_COUNT), _LARGEST_COUNT) for count in counts)
     return x, y, z, u, v, w
 
 
-def _encode_status(status: int) -> int:
+def _convert_to_axia_status_word(status: int) -> int:
     """Return the status word of an Axia for the bits of a `SampleStatus`; 0 without saturation and fault."""
-    return ((AxiaStatusWord.SATURATED if status & SampleStatus.SATURATED else 0)
-            | (AxiaStatusWord.FAULTY if status & SampleStatus.FAULT else 0))
+    return ((AxiaErrorStatusWord.SATURATED if status & SampleStatus.SATURATED else 0)
+            | (AxiaErrorStatusWord.FAULTY if status & SampleStatus.FAULT else 0))
 
 
 def _describe_listen_failure(host: str, ports: tuple[int, int], error: OSError) -> str:

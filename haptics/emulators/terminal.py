@@ -14,7 +14,7 @@ from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.emulators.emulator import Emulator
 
-#: Longest wait for received bytes before `TerminalEmulator.take_due_messages` is called again, s.
+#: Longest wait for received bytes before `TerminalEmulator.advance_and_get_messages_to_send` is called again, s.
 _POLL = 0.5e-3
 
 
@@ -36,7 +36,7 @@ class TerminalEmulator(Emulator):
         self.path = ""
 
     @abstractmethod
-    def start_backing_device(self) -> None:
+    def power_on_with_backing_device(self) -> None:
         """Set the state after power-on and start the device behind the emulator; called before the terminal opens."""
 
     @abstractmethod
@@ -44,10 +44,10 @@ class TerminalEmulator(Emulator):
         """Stop the device behind the emulator; called after the terminal has closed."""
 
     @abstractmethod
-    def answer_bytes(self, data: bytes) -> list[bytes]:
+    def execute_bytes_and_get_answers(self, data: bytes) -> list[bytes]:
         """Execute received bytes, which may hold part of a command or several commands; return the answers."""
 
-    def take_due_messages(self) -> list[bytes]:
+    def advance_and_get_messages_to_send(self) -> list[bytes]:
         """Advance the state to now, and return the messages to send now; called about every 0.5 ms. Here none."""
         return []
 
@@ -63,7 +63,7 @@ class TerminalEmulator(Emulator):
             raise DeviceError("Windows has no pseudo-terminals; start the emulator on Linux or macOS")
         import tty
 
-        self.start_backing_device()
+        self.power_on_with_backing_device()
         self._master, self._slave = os.openpty()
         # The open slave keeps the terminal alive while no client is connected.
         tty.setraw(self._slave)
@@ -84,8 +84,8 @@ class TerminalEmulator(Emulator):
                 with contextlib.suppress(BlockingIOError, OSError):
                     data = os.read(self._master, 65536)
                     if not line.is_disconnected(now):
-                        messages = self.answer_bytes(data)
-            for message in (*messages, *self.take_due_messages()):
+                        messages = self.execute_bytes_and_get_answers(data)
+            for message in (*messages, *self.advance_and_get_messages_to_send()):
                 line.put_message(message, now)
             for message in line.take_due_messages(now):
                 # If the client does not read, excess bytes are lost, as on a wire without flow control.

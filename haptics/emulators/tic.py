@@ -110,7 +110,7 @@ class TicEmulator(TerminalEmulator):
         return (f"tic:{self.path},steps_per_mm={self._steps * 1e-3:g},lowest_mm={limits.lowest * 1e3:g},"
                 f"highest_mm={limits.highest * 1e3:g},top_speed_mm_s={limits.speed * 1e3:g}{extra}")
 
-    def start_backing_device(self) -> None:
+    def power_on_with_backing_device(self) -> None:
         """Set the state of the emulated controller after power-on, start the stage, and begin to home it."""
         self._set_power_on_state()
         self._stage.start()
@@ -125,24 +125,24 @@ class TicEmulator(TerminalEmulator):
         return {"emulator": "tic", "port": self.path, "steps_per_mm": self._steps * 1e-3,
                 "command_timeout_s": self._timeout, "answered": self.answered, "bad_bytes": self._commands.bad_bytes}
 
-    def answer_bytes(self, data: bytes) -> list[bytes]:
+    def execute_bytes_and_get_answers(self, data: bytes) -> list[bytes]:
         """Execute the received commands, and return the answers of those that read variables or settings."""
         answers = []
-        self._update_state()
+        self._update_state_and_start_motion()
         for received in self._commands.extract_commands(data):
-            answer = self._execute_command(received)
-            self._update_state()
+            answer = self._execute_and_get_answer_or_none(received)
+            self._update_state_and_start_motion()
             if answer is not None:
                 self.answered += 1
                 answers.append(answer + bytes([tic.compute_crc7(answer)]) if self._response_crc else answer)
         return answers
 
-    def take_due_messages(self) -> list[bytes]:
+    def advance_and_get_messages_to_send(self) -> list[bytes]:
         """Update the state to now, such as the command timeout; return no messages: a Tic only answers."""
-        self._update_state()
+        self._update_state_and_start_motion()
         return []
 
-    def _execute_command(self, received: ReceivedCommand) -> bytes | None:
+    def _execute_and_get_answer_or_none(self, received: ReceivedCommand) -> bytes | None:
         """Execute a command; return the bytes of a command that reads variables or settings, otherwise None."""
         command, now = received.command, time.monotonic()
         if command in _KEEP_ALIVE:
@@ -177,25 +177,25 @@ class TicEmulator(TerminalEmulator):
         """Execute a command that sets the target, halts, resets or homes; ignores other commands."""
         command = received.command
         if self._homing and command in _KEEP_ALIVE and command != TicCommand.RESET_COMMAND_TIMEOUT:
-            self._halt_stage()
+            self._halt_stage_and_end_homing()
         if command == TicCommand.SET_TARGET_POSITION:
             self._input, self._target = PlanningMode.POSITION, tic.to_signed_32_bit(received.value)
         elif command == TicCommand.SET_TARGET_VELOCITY:
             self._input, self._target = PlanningMode.VELOCITY, tic.to_signed_32_bit(received.value)
         elif command in (TicCommand.HALT_AND_HOLD, TicCommand.HALT_AND_SET_POSITION, TicCommand.RESET):
-            self._halt_stage()
+            self._halt_stage_and_end_homing()
             self._input, self._target, self._uncertain = PlanningMode.OFF, 0, True
             if command == TicCommand.HALT_AND_SET_POSITION:
-                self._offset += tic.to_signed_32_bit(received.value) - self._get_motor_steps_and_motion()[0]
+                self._offset += tic.to_signed_32_bit(received.value) - self._get_motor_steps_and_is_moving()[0]
                 self._uncertain = False
             elif command == TicCommand.RESET:
                 self._errors, self._occurred, self._state = ErrorFlags(0), 0, OperationState.RESET
         elif command == TicCommand.GO_HOME and self._state == OperationState.NORMAL and self.has_limit_switch:
-            self._halt_stage()
+            self._halt_stage_and_end_homing()
             self._input, self._homing, self._uncertain, self._offset = PlanningMode.OFF, True, True, 0
             self._stage.home()
 
-    def _halt_stage(self) -> None:
+    def _halt_stage_and_end_homing(self) -> None:
         """Halt the stage, and end homing and the motion in progress; the requested target stays."""
         self._stage.halt()
         self._homing, self._motion = False, None
@@ -203,12 +203,12 @@ class TicEmulator(TerminalEmulator):
     def _leave_normal_operation(self, state: OperationState) -> None:
         """Halt if in normal operation, and enter an error state; `RESET` and `DEENERGIZED` lose the position."""
         if self._state == OperationState.NORMAL:
-            self._halt_stage()
+            self._halt_stage_and_end_homing()
         if state in (OperationState.RESET, OperationState.DEENERGIZED):
             self._uncertain = True
         self._state = state
 
-    def _update_state(self) -> None:
+    def _update_state_and_start_motion(self) -> None:
         """Update errors, operation state and homing to now, and start the requested motion if it has changed."""
         now = time.monotonic()
         errors = self.imposed | (ErrorFlags.DEENERGIZED if self._deenergized else ErrorFlags(0))
@@ -230,9 +230,9 @@ class TicEmulator(TerminalEmulator):
         if self._homing and not self._stage.position().moving:
             # After homing the input is "halt" (section 5.6).
             self._homing, self._uncertain, self._motion = False, False, None
-        self._start_motion()
+        self._start_requested_motion_if_changed()
 
-    def _start_motion(self) -> None:
+    def _start_requested_motion_if_changed(self) -> None:
         """Start the requested motion if it differs from the present one and the state permits a motion."""
         request = self._input, self._target, self._max_speed
         if (self._state != OperationState.NORMAL or self._homing or request == self._motion
@@ -253,14 +253,14 @@ class TicEmulator(TerminalEmulator):
             stage.move(min(max(goal, limits.lowest), limits.highest), speed)
         self._motion = request
 
-    def _get_motor_steps_and_motion(self) -> tuple[int, bool]:
+    def _get_motor_steps_and_is_moving(self) -> tuple[int, bool]:
         """Return the position of the motor, microsteps, and whether the motor moves."""
         sample = self._stage.position()
         return round(sample.position * self._steps) + self._offset, sample.moving
 
     def _pack_variables(self) -> bytes:
         """Return the memory of all variables, 256 bytes at their offsets, for the present time (section 7)."""
-        count, moving = self._get_motor_steps_and_motion()
+        count, moving = self._get_motor_steps_and_is_moving()
         position = (count - self._offset) / self._steps
         limits, velocity = self._stage.limits, 0
         if moving and self._motion is not None:

@@ -77,6 +77,6 @@ class BroydenCorrection:
         """
         return cast("Screw", tuple((self.rates @ np.array(motion(model, pose))).tolist()))
 
-    def corrected_stiffness(self, of_model: Matrix) -> Matrix:
+    def subtract_correction_from_stiffness(self, of_model: Matrix) -> Matrix:
         """Return the stiffness `of_model` of a model minus the learned rates: N/m, N, N m, shape (6, 6)."""
         return cast("Matrix", tuple(map(tuple, (np.array(of_model) - self.rates).tolist())))

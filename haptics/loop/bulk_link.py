@@ -23,7 +23,7 @@ from haptics.loop.slow_bulk import (
     KIND_MODEL,
     KIND_STATE,
     BulkReadyMessage,
-    make_linearisation,
+    create_bulk_lineariser,
     make_untouched_state,
 )
 from haptics.loop.snapshot_board import SnapshotReader
@@ -33,7 +33,7 @@ from tissue_sim.fem.condensed.model import (
     CondensedBulk,
     ContactState,
     ContactSurface,
-    packed_state_size,
+    compute_packed_state_size,
 )
 from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLinearisation
 from tissue_sim.material.material import Material
@@ -67,11 +67,11 @@ class BulkLink(Protocol):
     def receive_model(self, now: float) -> CondensedBulk | None:
         """Return a model that has arrived since the last call, or None; does not wait. `now` is the loop's time, s."""
 
-    def exchange_state_for_model(self, state: ContactState) -> CondensedBulk | None:
+    def send_state_and_wait_for_model(self, state: ContactState) -> CondensedBulk | None:
         """Send a state and block until the next model arrives, which may belong to an earlier state.
 
         Returns:
-            The model; None if none arrives within `BulkProcessSettings.longest_exchange` or the bulk has ended.
+            The model; None if none arrives within `BulkCommunicationSettings.longest_exchange` or the bulk has ended.
         """
 
     def set_material(self, material: Material, number: int) -> None:
@@ -104,11 +104,11 @@ class DelayedBulk:
         self._predictive, self._now = PredictiveLinearisation(linearisation), 0.0
         self._tangent = tangent
         if tangent is not None:
-            linearisation.executor = self._compute_and_delay_finish
+            linearisation.executor = self._compute_tangent_and_get_finish_check
         self.linearising = 0.0
         self._coming: tuple[float, CondensedBulk | None] | None = None
 
-    def _compute_and_delay_finish(self, compute: Callable[[], None]) -> Callable[[], bool]:
+    def _compute_tangent_and_get_finish_check(self, compute: Callable[[], None]) -> Callable[[], bool]:
         """Compute a tangent now, and return a function that returns True once the tangent's delay is over.
 
         After a reset the tangent belongs to a discarded specimen and is reported as finished at once.
@@ -124,7 +124,8 @@ class DelayedBulk:
         Raises:
             RuntimeError: the undeformed tissue has no linearisation.
         """
-        model = self._predictive.linearise(make_untouched_state(self.contact_surface), 0.0, 0.0)
+        model = self._predictive.linearise_at_predicted_pose_or_none(make_untouched_state(self.contact_surface), 0.0,
+                                                                     0.0)
         if model is None:
             raise RuntimeError("the bulk must have a linearisation of the undeformed tissue; the solver returned none")
         return model
@@ -137,7 +138,8 @@ class DelayedBulk:
         if self._coming is None:
             began, self._now = time.process_time(), state.time
             serves = 2.0 * (self._delay if self._tangent is None else self._tangent)
-            model = self._predictive.linearise(state, PREDICTION.lead_factor * self._delay, serves)
+            model = self._predictive.linearise_at_predicted_pose_or_none(state, PREDICTION.lead_factor * self._delay,
+                                                                         serves)
             self._coming = state.time + self._delay, model
             self.linearising += time.process_time() - began
 
@@ -148,7 +150,7 @@ class DelayedBulk:
         model, self._coming = self._coming[1], None
         return model
 
-    def exchange_state_for_model(self, state: ContactState) -> CondensedBulk | None:
+    def send_state_and_wait_for_model(self, state: ContactState) -> CondensedBulk | None:
         """Return a model at once: of an earlier state whose model was not yet received, otherwise of this state."""
         self.send_state(state)
         return self.receive_model(math.inf)
@@ -177,7 +179,7 @@ class BulkProcess:
     """
 
     def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None):
-        self._task = pack_task(make_linearisation, (model, solver, resolution, mesh))
+        self._task = pack_task(create_bulk_lineariser, (model, solver, resolution, mesh))
         self._paths = tuple(find_unused_path(ending) for ending in ("states", "models", "corrections", "surface"))
         self._process: subprocess.Popen[bytes] | None = None
         self._surface: ContactSurface | None = None
@@ -189,8 +191,8 @@ class BulkProcess:
             [sys.executable, "-c", "from haptics.loop.slow_bulk import main; main()"], stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, env={**one, **os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))})
         assert process.stdin is not None and process.stdout is not None
-        self._write_to_process(struct.pack("<Q", len(self._task)) + self._task)
-        self._write_to_process(pickle.dumps(self._paths))
+        self._write_to_process_stdin(struct.pack("<Q", len(self._task)) + self._task)
+        self._write_to_process_stdin(pickle.dumps(self._paths))
         try:
             started: BulkReadyMessage | InputError = pickle.load(process.stdout)
         except EOFError:
@@ -198,7 +200,7 @@ class BulkProcess:
         if isinstance(started, Exception):
             raise started
         self._surface = started.surface
-        size = 8 * packed_state_size(self.contact_surface)
+        size = 8 * compute_packed_state_size(self.contact_surface)
         self._states = SlotWriter(self._paths[0], KIND_STATE, SLOTS.count, size)
         self._models = SlotReader(self._paths[1], KIND_MODEL)
         self._corrections, self._corrected = SlotReader(self._paths[2], KIND_CORRECTION), 0
@@ -209,7 +211,7 @@ class BulkProcess:
         self._model = started.model
         #: Buffer into which the next model is read, and buffer of the last model.
         self._buffers = bytearray(self._models.max_content_size), bytearray(self._models.max_content_size)
-        self._write_to_process(b"go\n")
+        self._write_to_process_stdin(b"go\n")
         return started.model
 
     @property
@@ -229,13 +231,16 @@ class BulkProcess:
 
     def receive_model(self, now: float) -> CondensedBulk | None:
         """Read one piece of a model; return the model if it is complete, otherwise a new correction or None."""
-        found = self._receive_model_piece() or self._receive_correction()
+        found = self._receive_model_piece() or self._receive_model_with_last_tangent()
         if found is not None:
             self._model = found
         return found
 
-    def exchange_state_for_model(self, state: ContactState) -> CondensedBulk | None:
-        """Send a state and wait for the next model, at most `BulkProcessSettings.longest_exchange`; None if none."""
+    def send_state_and_wait_for_model(self, state: ContactState) -> CondensedBulk | None:
+        """Send a state and wait for the next model; None if none arrives.
+
+        The longest waiting time is `BulkCommunicationSettings.longest_exchange`.
+        """
         now = time.monotonic()
         deadline, sends = now + BULK_PROCESS.longest_exchange, now
         while now < deadline and self.is_alive:
@@ -259,25 +264,25 @@ class BulkProcess:
                 return None
             self._reading, self._piece = models.written, 0
             self._check = self._reading & 0xFFFFFFFF
-        length, checksum = models.read_slot_header(self._reading)
+        length, checksum = models.read_content_length_and_checksum(self._reading)
         end = min(self._piece + BULK_PROCESS.piece, length)
-        piece = models.read_content_range(self._reading, self._piece, end)
+        piece = models.read_unchecked_content_bytes(self._reading, self._piece, end)
         self._buffers[0][self._piece:end] = piece
         self._check, self._piece = zlib.crc32(piece, self._check), end
         if end < length:
             return None
         number, self._reading = self._reading, 0
-        if self._check != checksum or models.read_slot_header(number) != (length, checksum):
+        if self._check != checksum or models.read_content_length_and_checksum(number) != (length, checksum):
             return None  # the slot was overwritten during reading: start again
         self._received, self._buffers = number, self._buffers[::-1]
         return CondensedBulk.unpack_from_array(np.frombuffer(self._buffers[1], count=length // 8))
 
-    def _receive_correction(self) -> CondensedBulk | None:
+    def _receive_model_with_last_tangent(self) -> CondensedBulk | None:
         """Return a new model without own tangent (a correction), which reuses the last complete tangent, or None."""
         corrections = self._corrections
         if corrections.written == self._corrected:
             return None
-        newest = corrections.read_newest_content()
+        newest = corrections.read_newest_number_and_content()
         if newest is None:
             return None
         self._corrected, content = newest
@@ -285,7 +290,7 @@ class BulkProcess:
 
     def set_material(self, material: Material, number: int) -> None:
         """Send a material and its number to the process."""
-        self._write_to_process(pickle.dumps((number, material)))
+        self._write_to_process_stdin(pickle.dumps((number, material)))
 
     def snapshot(self) -> Snapshot | None:
         """Return the newest published snapshot, at first of the undeformed tissue; None if the bulk publishes none."""
@@ -319,7 +324,7 @@ class BulkProcess:
             remove_file(path)
         self._process = None
 
-    def _write_to_process(self, content: bytes) -> None:
+    def _write_to_process_stdin(self, content: bytes) -> None:
         """Write bytes to the standard input of the process at once; raises an OSError if the process has ended."""
         assert self._process is not None and self._process.stdin is not None
         self._process.stdin.write(content)

@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 
 from haptics.devices.contracts import DeviceError, HapticDevice
 from haptics.loop.commands import COMMANDS
-from haptics.loop.loop import Loop, LoopReport, LoopSettings, get_resolution_and_force_error
+from haptics.loop.loop import Loop, LoopReport, LoopSettings, get_mesh_resolution_and_relative_error
 from haptics.loop.ring import RingWriter
 from haptics.loop.shared_slots import remove_file
 from haptics.loop.snapshot_board import SnapshotBoard
 from haptics.safety.rendering import ForceRendering
-from tissue_sim.child_process import exit_when_parent_ends
+from tissue_sim.child_process import ignore_ctrl_c_and_exit_with_parent
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 from tissue_sim.registry import register_objects_of_other_process
 from tissue_sim.snapshot import DisplayableTissue
@@ -95,10 +95,10 @@ def run_loop_child_process(connection: Connection, parts: LoopComponents, files:
             remove_file(path)
 
     # The creation of the tissue does not read the connection, so it cannot notice the end of the parent.
-    exit_when_parent_ends(PROCESS_TIMES.grace, remove_shared_files)
+    ignore_ctrl_c_and_exit_with_parent(PROCESS_TIMES.grace, remove_shared_files)
     try:
         register_objects_of_other_process(things)
-        report = _create_and_run_loop(connection, parts, files)
+        report = _run_new_loop_and_get_report(connection, parts, files)
     except Exception as error:
         expected = isinstance(error, _EXPECTED)
         sentence = " ".join(str(error).split())
@@ -110,7 +110,7 @@ def run_loop_child_process(connection: Connection, parts: LoopComponents, files:
     _send_message(connection, "report", report)
 
 
-def _create_and_run_loop(connection: Connection, parts: LoopComponents, files: SharedLoopFiles) -> LoopReport:
+def _run_new_loop_and_get_report(connection: Connection, parts: LoopComponents, files: SharedLoopFiles) -> LoopReport:
     """Create the tissue, start the device, and run the loop; notify the parent, and return the report."""
     settings = parts.settings
     with ExitStack() as stack:
@@ -131,7 +131,7 @@ def _create_and_run_loop(connection: Connection, parts: LoopComponents, files: S
                     listen=lambda loop: _execute_received_commands(loop, connection, shown))
         # Started last: a user must not hold a device during compilation.
         parts.device.start()
-        _send_message(connection, "ready", get_resolution_and_force_error(tissue))
+        _send_message(connection, "ready", get_mesh_resolution_and_relative_error(tissue))
         return loop.run()
 
 

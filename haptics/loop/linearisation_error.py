@@ -83,7 +83,7 @@ class LinearisationError:
         self.growth, self.reach, self.time = 0.0, 0.0, -math.inf
         self.base, self.interval = 0.0, 0.0
 
-    def rescale_for_shear_modulus(self, shear_modulus: float) -> None:
+    def scale_up_for_stiffer_material(self, shear_modulus: float) -> None:
         """Set the shear modulus, Pa; multiply the estimate by new / old modulus if the tissue becomes stiffer."""
         factor = max(1.0, shear_modulus / self.shear_modulus) if self.shear_modulus > 0.0 else 1.0
         self.base, self.growth, self.shear_modulus = factor * self.base, factor * self.growth, shear_modulus
@@ -116,7 +116,7 @@ class LinearisationError:
             return self.growth
         return max(self.growth, 2.0 * self.shear_modulus * math.sqrt(self.tip_radius / reached))
 
-    def is_error_known(self, distance: float) -> bool:
+    def is_error_known_at_distance(self, distance: float) -> bool:
         """Return whether an estimate exists and is valid at this distance, m, from the pose of a model."""
         return math.isfinite(self.time) and distance <= max(self.short, ERROR_ESTIMATE.validity * self.reach)
 
@@ -130,13 +130,13 @@ class LinearisationError:
             depth: depth of the tool below the undeformed surface, m; None: unknown.
             tangent: distance of the pose of the model from the pose at which its tangent was assembled, m.
         """
-        if not self.is_error_known(distance):
+        if not self.is_error_known_at_distance(distance):
             return math.inf
         age_factor = max(1.0, age / (2.0 * self.interval)) if self.interval > 0.0 else 1.0
         growth = self._compute_growth_coefficient(distance, depth)
         return self.base * age_factor + growth * distance * (distance + 2.0 * tangent)
 
-    def estimate_error_without_contact(self, distance: float, age: float, depth: float, tangent: float) -> float:
+    def estimate_error_of_zero_force(self, distance: float, age: float, depth: float, tangent: float) -> float:
         """Return the estimated force error, N, where the model gives zero force; infinite if it is unknown.
 
         The error by linearisation is at most the force of a flat punch on undeformed tissue, and zero above the

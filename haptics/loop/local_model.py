@@ -9,7 +9,14 @@ from haptics.loop.linearisation_error import ERROR_ESTIMATE
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Screw, Vector, add_screws, motion, scale_screw
 from tissue_sim.public_names import OldName
-from tissue_sim.tool_force import ForceStatus, Matrix, Tissue, ToolForce, convert_depth_to_pose, extrapolate_wrench
+from tissue_sim.tool_force import (
+    ForceStatus,
+    Matrix,
+    Tissue,
+    ToolForce,
+    convert_depth_or_pose_to_pose,
+    extrapolate_wrench,
+)
 
 _NO_WRENCH: Screw = (0.0,) * 6
 _NO_STIFFNESS: Matrix = (_NO_WRENCH,) * 6
@@ -94,7 +101,7 @@ class SlowSolver:
             The model to publish; None if the tissue refused the pose or returned a force that is not finite. A force
             without equilibrium keeps the time of the last equilibrium, and at least its error.
         """
-        tool_pose = convert_depth_to_pose(pose)
+        tool_pose = convert_depth_or_pose_to_pose(pose)
         answer = self._tissue.step(tool_pose, dt)
         if answer.status is ForceStatus.REFUSED or not answer.is_finite:
             return None
@@ -103,13 +110,15 @@ class SlowSolver:
         converged = answer.status is ForceStatus.CONVERGED
         if self._last is not None and not converged:
             made = max(time - answer.age, last.time)
-        error = self._estimate_force_error(tool_pose, answer, last, ERROR_ESTIMATE.memory if converged else 1.0)
+        error = self._estimate_error_from_last_models(tool_pose, answer, last,
+                                                      ERROR_ESTIMATE.memory if converged else 1.0)
         evaluated = max(made - max(0.0, answer.stiffness_age - (time - made)), last.stiffness_time or -math.inf)
         self._before = self._last
         self._last = LocalModel(answer.wrench, answer.stiffness_matrix, tool_pose, made, error, min(made, evaluated))
         return self._last
 
-    def _estimate_force_error(self, pose: Pose, answer: ToolForce, last: LocalModel, memory: float) -> float | None:
+    def _estimate_error_from_last_models(self, pose: Pose, answer: ToolForce, last: LocalModel,
+                                         memory: float) -> float | None:
         """Return the error of a new model's force, N, from the last two models; None while it is unknown."""
         known = last.error
         if any(answer.wrench) or any(last.wrench):
@@ -199,7 +208,7 @@ class LocalModelBlend:
             The wrench with the status LATE for a local model, STOPPED before the first model and after one that is too
             old, or REFUSED with the last wrench if pose or dt is not finite or dt is not positive.
         """
-        pose = convert_depth_to_pose(pose)
+        pose = convert_depth_or_pose_to_pose(pose)
         if not (pose.is_finite and 0 < dt < math.inf):
             return self._make_tool_force(ForceStatus.REFUSED)
         self.time += dt
@@ -210,8 +219,8 @@ class LocalModelBlend:
         if self.age > self.oldest:
             self._switch_to_model(_NONE)
         if any(self.offset):
-            self.offset = (_shorten_vector(self.offset[:3], self.jump)
-                           + _shorten_vector(self.offset[3:], self.torque_jump))
+            self.offset = (_subtract_from_vector_length(self.offset[:3], self.jump)
+                           + _subtract_from_vector_length(self.offset[3:], self.torque_jump))
         self._pose = pose
         self._wrench = add_screws(self._model.evaluate_wrench(pose), self.offset)
         return self._make_tool_force(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
@@ -237,7 +246,7 @@ def _compute_norm(vector: Vector) -> float:
     return math.hypot(*vector)
 
 
-def _shorten_vector(vector: Vector, step: float) -> Vector:
+def _subtract_from_vector_length(vector: Vector, step: float) -> Vector:
     """Return a vector of the same direction whose length is smaller by `step`; zero if it is not longer."""
     size = _compute_norm(vector)
     if size <= step:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from haptics.devices.contracts import HapticDevice
-from haptics.loop.real_time import RealTimeFeature, request_real_time_features
+from haptics.loop.real_time import RealTimeFeature, requested_real_time_features
 from haptics.loop.ring import CAPACITY, PAUSED, RingWriter
 from haptics.loop.snapshot_board import SnapshotBoard
 from haptics.loop.ticker import Ticker, TimeHistogram, TimeQuantiles
@@ -117,7 +117,8 @@ class LoopReport:
             "ended_by": self.ended_by, "seconds": self.seconds, "period_us": self.period * 1e6, "ticks": self.ticks,
             "late": self.late, "missed": self.missed,
             "missed_percent": 100 * self.missed / max(self.ticks + self.missed, 1),
-            "lateness_us": _to_microseconds(self.lateness), "compute_us": _to_microseconds(self.compute_time),
+            "lateness_us": _convert_quantiles_to_microseconds(self.lateness),
+            "compute_us": _convert_quantiles_to_microseconds(self.compute_time),
             "statuses": self.statuses, "flagged": self.flagged, "largest_force_N": self.largest_force,
             "real_time": [asdict(feature) for feature in self.real_time],
             "peak_memory_MB": None if self.peak_memory is None else self.peak_memory / 1e6,
@@ -126,12 +127,12 @@ class LoopReport:
         }
 
 
-def get_resolution_and_force_error(tissue: Tissue) -> tuple[str, float | None]:
+def get_mesh_resolution_and_relative_error(tissue: Tissue) -> tuple[str, float | None]:
     """Return a tissue's mesh resolution, by name, and relative force error; ``""`` and None if it has none."""
     return getattr(tissue, "resolution", ""), getattr(tissue, "force_error", None)
 
 
-def _to_microseconds(times: TimeQuantiles) -> dict[str, float]:
+def _convert_quantiles_to_microseconds(times: TimeQuantiles) -> dict[str, float]:
     """Return quantiles as an object with the keys p50, p99, p99.9 and max, in microseconds."""
     return {"p50": times.p50 * 1e6, "p99": times.p99 * 1e6, "p99.9": times.p999 * 1e6, "max": times.maximum * 1e6}
 
@@ -165,7 +166,7 @@ class Loop:
         self._tissue, self._device, self._rendering = tissue, device, rendering
         #: Requested force limit, N; the limit of the device may be lower.
         self._force_limit = rendering.limits.force
-        self._apply_device_force_limit(device)
+        self._set_force_limit_for_device(device)
         self._settings, self._ring, self._listen = settings, ring, listen
         #: Work of the tissue between two ticks, if it has any.
         self._prepare: Callable[[], None] | None = getattr(tissue, "prepare", None)
@@ -195,7 +196,7 @@ class Loop:
             Exception: an exception of the tissue, the device or the listener.
         """
         try:
-            features = self._run_ticks()
+            features = self._run_ticks_with_real_time_features()
         finally:
             self._device.stop()
         ticker = self._ticker
@@ -205,20 +206,20 @@ class Loop:
             ticker.missed, ticker.lateness.quantiles, self._compute_time.quantiles,
             {status.name.lower(): self._statuses[status] for status in ForceStatus},
             {_FLAGS[flag]: count for flag, count in self._flagged.items()},
-            self._largest_force, features, read_peak_memory(), self._device.describe(),
-            *get_resolution_and_force_error(self._tissue))
+            self._largest_force, features, read_peak_memory_bytes_or_none(), self._device.describe(),
+            *get_mesh_resolution_and_relative_error(self._tissue))
 
-    def _run_ticks(self) -> tuple[RealTimeFeature, ...]:
+    def _run_ticks_with_real_time_features(self) -> tuple[RealTimeFeature, ...]:
         """Run all ticks until the end; return the real-time features that were requested for this time."""
         settings, ticker, ring = self._settings, self._ticker, self._ring
         last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
         listen_every = max(round(LISTEN_EVERY / settings.period), 1)
         shown, every, next_snapshot, next_listen = self._shown, settings.ticks_between_snapshots, 0, listen_every
-        with request_real_time_features(settings.real_time) as features:
-            ticker.start()
+        with requested_real_time_features(settings.real_time) as features:
+            ticker.start_first_period()
             while ticker.number < last and not self._ended_by:
-                lateness = ticker.wait_for_deadline()
-                self._execute_tick(lateness * 1e-9, ring)
+                lateness = ticker.wait_and_get_lateness_nanoseconds()
+                self._compute_and_record_tick(lateness * 1e-9, ring)
                 if self._prepare is not None:
                     self._prepare()
                 if shown and every and ticker.number >= next_snapshot:
@@ -231,10 +232,10 @@ class Loop:
                     self._listen(self)
         return features
 
-    def _execute_tick(self, lateness: float, ring: RingWriter) -> None:
+    def _compute_and_record_tick(self, lateness: float, ring: RingWriter) -> None:
         """Execute one tick: read the pose, step the tissue, render the force, and append the tick to the ring."""
         ticker = self._ticker
-        now = ticker.elapsed_time
+        now = ticker.elapsed_nanoseconds
         passed, self._now = now - self._now, now
         dt = passed * 1e-9
         pose = None
@@ -249,8 +250,8 @@ class Loop:
         rendered = self._rendering.render(answer, dt)
         wrench = rendered.wrench
         self._device.render(wrench)
-        spent = ticker.elapsed_time - now
-        self._compute_time.add_time(spent)
+        spent = ticker.elapsed_nanoseconds - now
+        self._compute_time.add_nanoseconds(spent)
         self._statuses[answer.status] += 1
         flags = rendered.flags | PAUSED * (not moves)
         if flags:
@@ -303,13 +304,13 @@ class Loop:
         if self._tool is not None and not restart:
             device.continue_from_pose(self._tool)
         self._device, self._motion = device, 0
-        self._apply_device_force_limit(device)
+        self._set_force_limit_for_device(device)
         if reset is not None:
             reset()
             self._rendering.reset()
             self._release.reset()
 
-    def _apply_device_force_limit(self, device: HapticDevice) -> None:
+    def _set_force_limit_for_device(self, device: HapticDevice) -> None:
         """Set the force limit of the rendering to the smaller of the requested limit and this device's limit."""
         self._rendering.limits.force = min(self._force_limit, device.largest_force)
 
@@ -347,7 +348,7 @@ class Loop:
         return method
 
 
-def read_peak_memory() -> int | None:
+def read_peak_memory_bytes_or_none() -> int | None:
     """Return the largest resident memory of this process so far, bytes; None if it is not reported."""
     # On Linux `resource` also counts the memory of the parent process at the start.
     with suppress(OSError):

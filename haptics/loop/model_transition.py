@@ -17,7 +17,7 @@ from tissue_sim.tool_force import Matrix
 
 
 @dataclass(frozen=True)
-class TransitionSettings:
+class OffsetStepLimits:
     """Largest reduction of the offset per tick after a change of the model; smaller values take more ticks.
 
     Attributes:
@@ -30,7 +30,7 @@ class TransitionSettings:
 
 
 #: Settings of every transition.
-TRANSITION = TransitionSettings()
+TRANSITION = OffsetStepLimits()
 _NO_WRENCH: Screw = (0.0,) * 6
 
 
@@ -69,21 +69,21 @@ class ModelTransition:
         A model without contact describes the undeformed tissue and is valid at each pose in the air. Its distance is
         measured from the last pose in the air, or from its own pose if this is in the air and nearer.
         """
-        distance = self._stepper.max_travel(motion(model.pose, pose))
+        distance = self._stepper.compute_max_contact_point_travel(motion(model.pose, pose))
         if model.has_contact:
             return distance
-        from_air = self._stepper.max_travel(motion(self.free, pose))
-        return min(distance, from_air) if self.is_near_surface(model.pose) else from_air
+        from_air = self._stepper.compute_max_contact_point_travel(motion(self.free, pose))
+        return min(distance, from_air) if self.is_above_or_just_below_surface(model.pose) else from_air
 
-    def is_near_surface(self, pose: Pose) -> bool:
+    def is_above_or_just_below_surface(self, pose: Pose) -> bool:
         """Return whether a pose is at any height above the undeformed surface, or at most `short` below.
 
         The tolerance is necessary because a round tool between surface nodes touches them slightly below the surface.
         """
         return pose.position[2] >= self._stepper.surface.start.position[2] - self.estimate.short
 
-    def switch_to_new_model(self, before: ContactStepResult, old: CondensedBulk, last: Pose, pose: Pose,
-                            after: ContactStepResult) -> None:
+    def update_offset_for_new_model(self, before: ContactStepResult, old: CondensedBulk, last: Pose, pose: Pose,
+                                    after: ContactStepResult) -> None:
         """Add the jump of the wrench at the change of the model to the offset; update correction and error estimate.
 
         Args:
@@ -123,11 +123,11 @@ class ModelTransition:
         new = self._newest_model
         if new.has_contact and new.material == old.material:
             self.estimate.update_estimate(
-                self._convert_to_equivalent_force(missed), self.compute_distance_from_model(old, pose),
+                self._compute_max_equivalent_force(missed), self.compute_distance_from_model(old, pose),
                 self.compute_distance_from_model(old, new.pose), new.time, new.time - old.time,
                 self.compute_distance_from_model(new, pose))
 
-    def _convert_to_equivalent_force(self, wrench: Screw) -> float:
+    def _compute_max_equivalent_force(self, wrench: Screw) -> float:
         """Return the larger of two magnitudes of a wrench, N: its force, and its torque / contact radius."""
         return max(math.hypot(*wrench[:3]), math.hypot(*wrench[3:]) / self._stepper.surface.radius)
 
@@ -137,21 +137,21 @@ class ModelTransition:
         self._correction.reset()
 
     def reduce_offset(self) -> None:
-        """Reduce the offset by one tick: its force and its torque by at most the steps of `TransitionSettings`."""
+        """Reduce the offset by one tick: its force and its torque by at most the steps of `OffsetStepLimits`."""
         if any(self.offset):
             force, torque = self.offset[:3], self.offset[3:]
-            self.offset = (_shorten_vector(force, TRANSITION.force_step)
-                           + _shorten_vector(torque, TRANSITION.torque_step))
+            self.offset = (_subtract_from_vector_length(force, TRANSITION.force_step)
+                           + _subtract_from_vector_length(torque, TRANSITION.torque_step))
 
     def compute_wrench_and_stiffness(self, step: ContactStepResult, pose: Pose) -> tuple[Screw, Matrix]:
         """Return wrench, N and N m, plus correction and offset, and corrected stiffness, shape (6, 6), of a step."""
         wrench, stiffness = step.wrench, step.stiffness_matrix
         if any(wrench):
             wrench = add_screws(wrench, self._correction.compute_omitted_wrench(self._newest_model.pose, pose))
-            stiffness = self._correction.corrected_stiffness(stiffness)
+            stiffness = self._correction.subtract_correction_from_stiffness(stiffness)
         return add_screws(wrench, self.offset), stiffness
 
-    def estimate_wrench_error(self, step: ContactStepResult, pose: Pose, age: float) -> tuple[float, float]:
+    def estimate_error_and_status_error(self, step: ContactStepResult, pose: Pose, age: float) -> tuple[float, float]:
         """Return two errors, N: the estimated error of a step's wrench, and the error that decides its status.
 
         Both are errors of the force, or of the torque divided by the contact radius if larger. The first is infinite
@@ -165,19 +165,19 @@ class ModelTransition:
             age: age of the model, s.
         """
         is_loaded = any(step.wrench)
-        if not (is_loaded or self.is_near_surface(pose)):
+        if not (is_loaded or self.is_above_or_just_below_surface(pose)):
             return math.inf, math.inf
         newest, estimate = self._newest_model, self.estimate
         distance = self.compute_distance_from_model(newest, pose) if is_loaded or newest.has_contact else 0.0
-        offset = self._convert_to_equivalent_force(self.offset)
+        offset = self._compute_max_equivalent_force(self.offset)
         depth = self._stepper.surface.start.position[2] - pose.position[2]
-        evaluate = estimate.estimate_force_error if is_loaded else estimate.estimate_error_without_contact
-        error = evaluate(distance, age, depth, self._tangent_distance) + offset
+        evaluate = estimate.estimate_force_error if is_loaded else estimate.estimate_error_of_zero_force
+        error = evaluate(distance, age, depth, self._distance_from_tangent_pose) + offset
         is_trusted = not is_loaded or distance <= estimate.short
         return error, offset if math.isinf(error) and is_trusted else error
 
     @property
-    def _tangent_distance(self) -> float:
+    def _distance_from_tangent_pose(self) -> float:
         """Distance, m, of the newest model's pose from the pose at which its tangent was assembled; 0 without contact.
 
         A tangent that was assembled in the air is that of the pose of the touch.
@@ -185,9 +185,9 @@ class ModelTransition:
         model = self._newest_model
         if not model.has_contact:
             return 0.0
-        distance = self._stepper.max_travel(motion(model.tangent_pose, model.pose))
-        if self.is_near_surface(model.tangent_pose):
-            distance = min(distance, self._stepper.max_travel(motion(self.free, model.pose)))
+        distance = self._stepper.compute_max_contact_point_travel(motion(model.tangent_pose, model.pose))
+        if self.is_above_or_just_below_surface(model.tangent_pose):
+            distance = min(distance, self._stepper.compute_max_contact_point_travel(motion(self.free, model.pose)))
         return distance
 
     @property
@@ -197,7 +197,7 @@ class ModelTransition:
         return self._stepper.model
 
 
-def _shorten_vector(vector: tuple[float, float, float], step: float) -> tuple[float, float, float]:
+def _subtract_from_vector_length(vector: tuple[float, float, float], step: float) -> tuple[float, float, float]:
     """Return a vector of the same direction whose length is smaller by `step`; zero if it is not longer."""
     size = math.hypot(*vector)
     factor = max(0.0, 1.0 - step / size) if size else 0.0

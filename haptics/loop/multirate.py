@@ -12,11 +12,11 @@ from typing import Any, NoReturn
 from haptics.loop.bulk_link import BulkLink, BulkProcess
 from haptics.loop.model_transition import ModelTransition
 from haptics.loop.multirate_settings import MULTIRATE
-from haptics.loop.touch_frame import TouchFrame, interpolate_touch_pose
+from haptics.loop.touch_frame import TouchFrame, interpolate_pose_at_surface
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedBulk
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
-from tissue_sim.kernel_owner import CopyError, KernelOwner, allow_one_thread
+from tissue_sim.kernel_owner import CopyError, KernelOwner, make_single_thread_method
 from tissue_sim.live_material import require_equal_layer_thicknesses, require_tissue_moduli
 from tissue_sim.material.effect import ReducedForceFactor
 from tissue_sim.material.material import BULK_RATIOS
@@ -104,7 +104,8 @@ class MultiRateTissue(KernelOwner):
         self._stepper: CondensedStepper | None = None
         self._epoch, self._material, self.models = 0, 0, 0
         self._holds = model.experiment.friction == "bonded"
-        self._reduced = ReducedForceFactor(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
+        self._reduced = ReducedForceFactor(
+            model.material.list_acting_reduced_effects(plate=model.experiment.tool.is_plate))
         self._untouched = self._reduced.history
         self._reset_state()
 
@@ -124,7 +125,7 @@ class MultiRateTissue(KernelOwner):
         #: Whether the force converged in the last exchange of a step that waits.
         self._settled = True
 
-    @allow_one_thread
+    @make_single_thread_method
     def warm_up(self) -> None:
         """Start the process of the bulk and compile all functions of a tick.
 
@@ -144,12 +145,12 @@ class MultiRateTissue(KernelOwner):
         # Touch the tissue once so that all functions of a tick are compiled, then return to the start.
         for depth in MULTIRATE.touch_depths:
             self._stepper.step(replace(surface.start, position=(x, y, z - depth * surface.radius)))
-        self._place_tool_above_tissue()
+        self._reset_tool_to_start_in_air()
 
-    def _place_tool_above_tissue(self) -> None:
+    def _reset_tool_to_start_in_air(self) -> None:
         """Place the tool at its start pose without contact; reset the touch frame and the transition."""
         assert self._stepper is not None
-        self._stepper.place_in_air()
+        self._stepper.reset_contact_in_air()
         start = self._link.contact_surface.start
         self._frame = TouchFrame(start, start)
         self._transition.reset(start)
@@ -172,7 +173,7 @@ class MultiRateTissue(KernelOwner):
         """Whether the tool has touched the tissue since the last reset."""
         return self._touch.has_touched
 
-    @allow_one_thread
+    @make_single_thread_method
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
         """Return the force at the present pose of the tool; see `Simulator.step`."""
         began = clock.perf_counter()
@@ -187,22 +188,22 @@ class MultiRateTissue(KernelOwner):
         self._ticks += 1
         if not self._prepared:
             self.prepare()
-        inside = self._register_pose(pose, dt)
+        inside = self._register_pose_and_get_time_in_contact(pose, dt)
         if inside is None and self._holds:
-            self._answer = self._step_in_air(pose, began)
+            self._answer = self._step_before_bonded_touch(pose, began)
         else:
-            self._answer = self._step_in_contact(pose, dt if inside is None else inside, began)
+            self._answer = self._solve_contact_step(pose, dt if inside is None else inside, began)
         self._prepared = False
         return self._answer
 
-    def _register_pose(self, pose: Pose, dt: float) -> float | None:
+    def _register_pose_and_get_time_in_contact(self, pose: Pose, dt: float) -> float | None:
         """Store the pose, begin contact at the first touch, and return the step's time in contact, s; None before."""
         assert self._stepper is not None
         start, touched = self._link.contact_surface.start, self._touch.has_touched
         height = start.position[2]
-        inside = self._touch.register_height(pose.position[2] - height, dt)
+        inside = self._touch.register_height_and_get_contact_time(pose.position[2] - height, dt)
         if inside is not None and not touched:
-            touch = interpolate_touch_pose(self._last_pose, pose, height)
+            touch = interpolate_pose_at_surface(self._last_pose, pose, height)
             if self._holds:
                 self._frame = TouchFrame(start, touch)
                 touch = start
@@ -212,42 +213,44 @@ class MultiRateTissue(KernelOwner):
         self._last_pose = pose
         return inside
 
-    def _step_in_air(self, pose: Pose, began: float) -> ToolForce:
+    def _step_before_bonded_touch(self, pose: Pose, began: float) -> ToolForce:
         """Send the undeformed state regularly; return the zero force of a bonded tool before its first touch."""
         assert self._stepper is not None
         self._known, start = None, self._link.contact_surface.start
         if self._ticks % MULTIRATE.ticks_between_states == 0:
             self._link.send_state(self._stepper.export_state(self._time, start, self._time, start, self._epoch,
-                                                       touched=False))
+                                                             touched=False))
         status = ForceStatus.CONVERGED if self._link.is_alive else ForceStatus.LATE
         return ToolForce(make_axial_wrench(0.0), make_axial_stiffness_matrix(0.0), status, pose=pose,
                          compute_time=clock.perf_counter() - began)
 
-    def _step_in_contact(self, pose: Pose, dt: float, began: float) -> ToolForce:
+    def _solve_contact_step(self, pose: Pose, dt: float, began: float) -> ToolForce:
         """Solve the contact at a pose, in contact or not, on the newest model; send the state, and return the force."""
         stepper, here = self._stepper, self._frame.pose_in_bulk(pose)
         assert stepper is not None
         before, step = self._step, stepper.step(here)
         known, self._known, self._step, transition = self._known, None, step, self._transition
         if known is not None and before is not None:
-            transition.switch_to_new_model(before, known, self._poses[-1][1] if self._poses else here, here, step)
-        if self._poses and stepper.max_travel(motion(self._poses[-1][1], here)) > transition.estimate.short:
+            transition.update_offset_for_new_model(before, known, self._poses[-1][1] if self._poses else here, here,
+                                                   step)
+        if self._poses and stepper.compute_max_contact_point_travel(motion(self._poses[-1][1], here)) \
+            > transition.estimate.short:
             self._poses.clear()  # the tool jumped: its speed is unknown
         self._poses.append((self._time, here))
         if any(step.wrench):
             self._touch.has_touched = True
-        elif transition.is_near_surface(here):
+        elif transition.is_above_or_just_below_surface(here):
             transition.free = here
         if self.waits:
-            if transition.free is not here and self._needs_exchange(step, here):
-                self._step = step = self._exchange_models(step, here)
+            if transition.free is not here and self._is_model_too_old_or_too_far(step, here):
+                self._step = step = self._exchange_until_force_converges(step, here)
         elif known is not None or self._ticks % MULTIRATE.ticks_between_states == 0:
             earlier, there = self._poses[0]
             self._link.send_state(stepper.export_state(self._time, here, earlier, there, self._epoch, self.has_touched))
         transition.reduce_offset()
         return self._make_tool_force(step, here, pose, dt, began)
 
-    @allow_one_thread
+    @make_single_thread_method
     def prepare(self) -> None:
         """Use the newest model from the bulk if one has arrived; called between two ticks, otherwise by `step`."""
         self._prepared, stepper = True, self._stepper
@@ -256,16 +259,16 @@ class MultiRateTissue(KernelOwner):
         model = self._link.receive_model(self._time)
         if model is not None and model.epoch == self._epoch:
             self._known = stepper.model
-            self._set_model_and_times(model)
+            self._use_model_and_store_its_times(model)
 
-    def _set_model_and_times(self, model: CondensedBulk) -> None:
+    def _use_model_and_store_its_times(self, model: CondensedBulk) -> None:
         """Use this model for the contact; store the times of its state and tangent, and count it."""
         assert self._stepper is not None
         self.models, self._made = self.models + 1, model.time
         self._tangent_made = model.tangent_time
         self._stepper.set_linearisation(model)
 
-    def _needs_exchange(self, step: ContactStepResult, pose: Pose) -> bool:
+    def _is_model_too_old_or_too_far(self, step: ContactStepResult, pose: Pose) -> bool:
         """Return whether a step that waits needs another model: too old, too far from a pose, or not converged."""
         assert self._stepper is not None and self._stepper.model is not None
         model, transition = self._stepper.model, self._transition
@@ -273,7 +276,7 @@ class MultiRateTissue(KernelOwner):
                 or self._time - self._made > MULTIRATE.recent
                 or transition.compute_distance_from_model(model, pose) > MULTIRATE.near * transition.estimate.short)
 
-    def _exchange_models(self, step: ContactStepResult, pose: Pose) -> ContactStepResult:
+    def _exchange_until_force_converges(self, step: ContactStepResult, pose: Pose) -> ContactStepResult:
         """Wait for new models until the force at a pose converges, and return the step on the last model."""
         stepper = self._stepper
         assert stepper is not None and stepper.model is not None
@@ -281,13 +284,13 @@ class MultiRateTissue(KernelOwner):
         for _ in range(MULTIRATE.max_exchanges):
             old = stepper.model
             # The clock is simulated: the pose must not be extrapolated by the wall time of a model.
-            model = self._link.exchange_state_for_model(
+            model = self._link.send_state_and_wait_for_model(
                 stepper.export_state(self._time, pose, self._time, pose, self._epoch, self.has_touched))
             if model is None:
                 break
             if model.epoch != self._epoch:
                 continue
-            self._set_model_and_times(model)
+            self._use_model_and_store_its_times(model)
             before, step = step, stepper.step(pose)
             missed = math.dist(before.wrench[:3], step.wrench[:3])
             self._transition.update_error_estimate(add_screws(step.wrench, scale_screw(-1.0, before.wrench)), old, pose)
@@ -313,12 +316,12 @@ class MultiRateTissue(KernelOwner):
         model = stepper.model
         wrench, stiffness = transition.compute_wrench_and_stiffness(step, here)
         age = self._time - self._made
-        self.error, judged = transition.estimate_wrench_error(step, here, age)
+        self.error, judged = transition.estimate_error_and_status_error(step, here, age)
         if model.material != self._material and self.has_touched:
             self.error = judged = math.inf
         good = (step.converged and self._settled and self._link.is_alive and age <= self.oldest
                 and not stepper.may_touch_missing_nodes(here) and is_force_accurate_enough(wrench, judged))
-        self._left = self._reduced.accept_depth(pose.depth, dt)
+        self._left = self._reduced.record_depth_and_get_force_factor(pose.depth, dt)
         if self._left != 1.0:
             wrench, stiffness = scale_screw(self._left, wrench), scale_matrix(self._left, stiffness)
         is_known = math.isfinite(self.error)
@@ -329,19 +332,19 @@ class MultiRateTissue(KernelOwner):
             force_error=self._left * self.error if is_known else None,
             error_age=max(0.0, self._time - transition.estimate.time) if is_known else 0.0)
 
-    @allow_one_thread
+    @make_single_thread_method
     def reset(self) -> None:
         """Restore the undeformed tissue, in the state before the first touch of the tool."""
         self._epoch += 1
         self._reset_state()
         self._reduced.history = self._untouched
         if self._stepper is not None:
-            self._place_tool_above_tissue()
+            self._reset_tool_to_start_in_air()
             self._stepper.set_linearisation(self._first)
             start = self._link.contact_surface.start
             self._link.send_state(self._stepper.export_state(0.0, start, 0.0, start, self._epoch, touched=False))
 
-    @allow_one_thread
+    @make_single_thread_method
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the material. See `Simulator.set_parameters`.
 
@@ -366,10 +369,11 @@ class MultiRateTissue(KernelOwner):
             raise InputError(f"the process of the bulk has ended ({error}). Create another MultiRateTissue",
                              field="material") from None
         self._material += 1
-        self._transition.estimate.rescale_for_shear_modulus(material.mu0)
+        self._transition.estimate.scale_up_for_stiffer_material(material.mu0)
         self.model = replace(self.model, material=material)
         history = self._reduced.history
-        self._reduced = ReducedForceFactor(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
+        self._reduced = ReducedForceFactor(
+            material.list_acting_reduced_effects(plate=self.model.experiment.tool.is_plate))
         self._reduced.history = history
 
     def snapshot(self) -> Snapshot:

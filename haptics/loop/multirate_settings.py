@@ -40,18 +40,18 @@ class MultirateSettings:
 
 
 @dataclass(frozen=True)
-class BulkProcessSettings:
+class BulkCommunicationSettings:
     """Communication with the process of a bulk.
 
     Attributes:
         piece: bytes of a model that are read in one tick. A larger piece delivers the model earlier and takes more of
             the tick.
         end_timeout: time that the process has to end before it is killed, s.
-        longest_exchange: longest wall time that `BulkLink.exchange_state_for_model` blocks, s.
-        polling_interval: polling interval of `BulkLink.exchange_state_for_model`, s. A longer interval uses less CPU
-            time and delays the model.
-        resend_interval: time after which `BulkLink.exchange_state_for_model` sends the state again, s, so that a bulk
-            without a linearisation tries again.
+        longest_exchange: longest wall time that `BulkLink.send_state_and_wait_for_model` blocks, s.
+        polling_interval: polling interval of `BulkLink.send_state_and_wait_for_model`, s. A longer interval uses less
+            CPU time and delays the model.
+        resend_interval: time after which `BulkLink.send_state_and_wait_for_model` sends the state again, s, so that a
+            bulk without a linearisation tries again.
         idle_sleep: sleep of the process when no new state is available, s. A longer sleep uses less CPU time and
             delays the model.
         surface_interval: time between two publications of the surface, s. A longer interval uses less CPU time.
@@ -71,4 +71,4 @@ class BulkProcessSettings:
 #: Defaults of every multirate tissue.
 MULTIRATE = MultirateSettings()
 #: Settings of every process of a bulk.
-BULK_PROCESS = BulkProcessSettings()
+BULK_PROCESS = BulkCommunicationSettings()

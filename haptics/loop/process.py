@@ -22,9 +22,9 @@ from haptics.loop.shared_slots import find_unused_path, remove_file
 from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import child_processes_ignore_ctrl_c, limit_threads_of_child_processes
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.public_names import OldName
-from tissue_sim.registry import list_registered_objects
+from tissue_sim.registry import list_registered_groups_names_objects
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import Tissue
 
@@ -93,7 +93,7 @@ class LoopProcess:
         context = multiprocessing.get_context("spawn")  # Taichi and threads do not work after a fork
         self._connection, far_end = context.Pipe()
         process = context.Process(target=run_loop_child_process,
-                                  args=(far_end, self._parts, self._files, list_registered_objects()),
+                                  args=(far_end, self._parts, self._files, list_registered_groups_names_objects()),
                                   name="tissue-sim loop", daemon=True)
         try:
             with child_processes_ignore_ctrl_c(), limit_threads_of_child_processes():
@@ -134,7 +134,7 @@ class LoopProcess:
             InputError: the process ended because of invalid input.
             LoopError: the process ended without a report for another reason.
         """
-        self._read_messages(timeout)
+        self._read_one_message(timeout)
         return self._ready
 
     @property
@@ -227,7 +227,8 @@ class LoopProcess:
             LoopError: the process has ended or does not answer.
         """
         if command not in COMMANDS:
-            raise InputError(f"a loop has no command {command!r}{suggest_known_word(command, COMMANDS)}")
+            raise InputError(
+                f"a loop has no command {command!r}{make_hint_with_similar_or_known_words(command, COMMANDS)}")
         with self._lock:
             if self._connection is None or not self._ready:
                 raise LoopError(f"the loop is not ready: {self.message}")
@@ -236,7 +237,7 @@ class LoopProcess:
                 self._connection.send((command, values))
             until = time.monotonic() + self.patience
             while not self._answers and self.report is None:
-                self._read_messages(0.1)
+                self._read_one_message(0.1)
                 if time.monotonic() > until:
                     raise LoopError(f"the loop must answer within {self.patience:g} s; got no answer. Send the "
                                     "command again, or stop the loop and start it again")
@@ -263,8 +264,8 @@ class LoopProcess:
             remaining = 0.5 if until is None else until - time.monotonic()
             if remaining <= 0 and until is not None:
                 return None
-            self._read_messages(min(remaining, 0.5))
-        self._join_or_kill_process(PATIENCE)
+            self._read_one_message(min(remaining, 0.5))
+        self._join_or_kill_and_clean_up(PATIENCE)
         return self.report
 
     def stop(self) -> LoopReport | None:
@@ -272,11 +273,11 @@ class LoopProcess:
         connection, self.patience = self._connection, PATIENCE
         with suppress(LoopError, InputError, OSError):  # the process has already ended
             while connection is not None and not self._ready and connection.poll():
-                self._read_messages(0.0)
+                self._read_one_message(0.0)
             if self._ready and self.report is None:
                 self.execute_command("stop")
                 self.wait(PATIENCE)
-        self._join_or_kill_process(0.0 if self.report is None and self._failure is None else PATIENCE)
+        self._join_or_kill_and_clean_up(0.0 if self.report is None and self._failure is None else PATIENCE)
         return self.report
 
     def __enter__(self) -> LoopProcess:
@@ -286,7 +287,7 @@ class LoopProcess:
     def __exit__(self, *failure) -> None:
         self.stop()
 
-    def _read_messages(self, timeout: float) -> None:
+    def _read_one_message(self, timeout: float) -> None:
         """Wait up to `timeout`, s, for one message of the process, and handle it; none after the report.
 
         Raises:
@@ -305,7 +306,7 @@ class LoopProcess:
                         self._handle_message(*connection.recv())
                 except (EOFError, OSError):
                     process.join(PATIENCE)
-                    self._failure = LoopError(self._describe_unexpected_end())
+                    self._failure = LoopError(self._describe_and_store_unexpected_end())
             if self._failure is not None:
                 self._remove_shared_files()
                 raise self._failure
@@ -329,7 +330,7 @@ class LoopProcess:
             problem, of_input = content
             self.message, self._failure = problem, InputError(problem) if of_input else LoopError(problem)
 
-    def _describe_unexpected_end(self) -> str:
+    def _describe_and_store_unexpected_end(self) -> str:
         """Return a sentence about the unexpected end of the process; store it as `message` unless at the start."""
         code = self.exit_code
         how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
@@ -339,7 +340,7 @@ class LoopProcess:
         self.message = f"the process of the loop {how}; before that: {self.message}"
         return self.message
 
-    def _join_or_kill_process(self, patience: float) -> None:
+    def _join_or_kill_and_clean_up(self, patience: float) -> None:
         """Wait `patience` s for the process, then terminate or kill it; close the connection, remove its files."""
         process, connection = self._process, self._connection
         if process is None or connection is None:

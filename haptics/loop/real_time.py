@@ -44,7 +44,8 @@ class RealTimeFeature:
 
 
 @contextmanager
-def request_real_time_features(wanted: bool = True, priority: int = PRIORITY) -> Iterator[tuple[RealTimeFeature, ...]]:
+def requested_real_time_features(wanted: bool = True,
+                                 priority: int = PRIORITY) -> Iterator[tuple[RealTimeFeature, ...]]:
     """Request real-time features for this thread and process inside a ``with`` block; release them at its end.
 
     Call it after memory is allocated and kernels are compiled. A refused feature raises no exception; the yielded
@@ -68,7 +69,7 @@ def request_real_time_features(wanted: bool = True, priority: int = PRIORITY) ->
         yield tuple(features)
 
 
-def request_fifo_scheduling(undo: ExitStack, priority: int) -> str:
+def request_fifo_and_get_refusal(undo: ExitStack, priority: int) -> str:
     """Request SCHED_FIFO scheduling until `undo` is closed; return the reason of a refusal, or an empty string."""
     if not hasattr(os, "sched_setscheduler"):
         return f"not available on {sys.platform}; other processes may delay ticks"
@@ -82,7 +83,7 @@ def request_fifo_scheduling(undo: ExitStack, priority: int) -> str:
     return ""
 
 
-def _lock_memory(undo: ExitStack, _: int) -> str:
+def _lock_memory_and_get_refusal(undo: ExitStack, _: int) -> str:
     """Lock used pages in memory until `undo` is closed; return the reason of a refusal, or an empty string."""
     if not sys.platform.startswith("linux"):
         return f"not available on {sys.platform}; swapping of memory may delay the loop"
@@ -95,7 +96,7 @@ def _lock_memory(undo: ExitStack, _: int) -> str:
     return ""
 
 
-def _reduce_timer_slack(undo: ExitStack, _: int) -> str:
+def _reduce_timer_slack_and_get_refusal(undo: ExitStack, _: int) -> str:
     """Reduce this thread's timer slack to 1 ns until `undo` is closed; return the reason of a refusal, or ``""``."""
     if not sys.platform.startswith("linux"):
         return f"not available on {sys.platform}; sleeps may end late"
@@ -106,7 +107,7 @@ def _reduce_timer_slack(undo: ExitStack, _: int) -> str:
     return ""
 
 
-def _disable_garbage_collection(undo: ExitStack, _: int) -> str:
+def _disable_gc_and_get_empty_refusal(undo: ExitStack, _: int) -> str:
     """Collect garbage, then disable the collector until `undo` is closed; return ``""``: never refused."""
     gc.collect()
     gc.freeze()
@@ -119,8 +120,8 @@ def _disable_garbage_collection(undo: ExitStack, _: int) -> str:
 
 #: Features in the order of their requests; memory is locked after the garbage collection has freed it.
 _FEATURES: dict[str, Callable[[ExitStack, int], str]] = {
-    "no garbage collection": _disable_garbage_collection,
-    "locked memory": _lock_memory,
-    "timer slack": _reduce_timer_slack,
-    "SCHED_FIFO": request_fifo_scheduling,
+    "no garbage collection": _disable_gc_and_get_empty_refusal,
+    "locked memory": _lock_memory_and_get_refusal,
+    "timer slack": _reduce_timer_slack_and_get_refusal,
+    "SCHED_FIFO": request_fifo_and_get_refusal,
 }

@@ -146,16 +146,16 @@ class RingReader(SlotReader):
 
     def latest(self) -> np.void | None:
         """Return the newest tick, a record of dtype `TICK`; None before the first tick."""
-        newest = self.read_newest_content()
-        return None if newest is None else _read_tick_records(newest[1])[0]
+        newest = self.read_newest_number_and_content()
+        return None if newest is None else _convert_slot_contents_to_ticks(newest[1])[0]
 
     def since(self, number: int = 0) -> TickBatch:
         """Return the ticks after the first `number` ticks of the loop; 0: all ticks that the ring still holds."""
-        contents, newest, lost = self.read_contents_after(number)
-        return TickBatch(_read_tick_records(*contents), newest, lost)
+        contents, newest, lost = self.read_contents_and_lost_count_after(number)
+        return TickBatch(_convert_slot_contents_to_ticks(*contents), newest, lost)
 
 
-def _read_tick_records(*contents: bytes) -> np.ndarray:
+def _convert_slot_contents_to_ticks(*contents: bytes) -> np.ndarray:
     """Convert contents of slots, one tick each, to an array of dtype `TICK`, also from versions with fewer fields.
 
     Raises:

@@ -197,21 +197,22 @@ class SlotReader:
         """Maximum size of the content of a slot, bytes."""
         return self._stride - _SLOT.size
 
-    def read_slot_header(self, number: int) -> tuple[int, int]:
+    def read_content_length_and_checksum(self, number: int) -> tuple[int, int]:
         """Return (length in bytes, CRC-32) of the content with this number; (0, -1) if it is overwritten."""
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride
         found, length, checksum = _SLOT.unpack_from(self._map, offset)
         return (length, checksum) if found == number and length <= self.max_content_size else (0, -1)
 
-    def read_content_range(self, number: int, start: int, end: int) -> bytes:
+    def read_unchecked_content_bytes(self, number: int, start: int, end: int) -> bytes:
         """Return the bytes from `start` to `end` (exclusive) of the content with a number, without a check.
 
-        The caller checks all parts together with the CRC-32 from `read_slot_header`, whose start value is the number.
+        The caller checks all parts together with the CRC-32 from `read_content_length_and_checksum`, whose start value
+        is the number.
         """
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride + _SLOT.size
         return self._map[offset + start:offset + end]
 
-    def read_newest_content(self) -> tuple[int, bytes] | None:
+    def read_newest_number_and_content(self) -> tuple[int, bytes] | None:
         """Return (number, content) of the newest complete slot; None before the first.
 
         Raises:
@@ -227,7 +228,7 @@ class SlotReader:
         raise InputError("must hold a complete record; found none in repeated reads. Start the loop that writes the "
                          "file again", file=self.path)
 
-    def read_contents_after(self, number: int) -> tuple[list[bytes], int, int]:
+    def read_contents_and_lost_count_after(self, number: int) -> tuple[list[bytes], int, int]:
         """Read the contents with a larger number than this one, oldest first.
 
         Args:
@@ -287,7 +288,7 @@ def _create_file_atomically(path: Path, content: bytes) -> None:
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
-        with open(temporary, "xb", opener=_open_private_file) as stream:
+        with open(temporary, "xb", opener=_open_with_owner_only_mode) as stream:
             stream.write(content)
         # Neither call replaces an existing file.
         if os.name == "nt":
@@ -298,6 +299,6 @@ def _create_file_atomically(path: Path, content: bytes) -> None:
         remove_file(temporary)
 
 
-def _open_private_file(path: str, flags: int) -> int:
+def _open_with_owner_only_mode(path: str, flags: int) -> int:
     """Open a file, for `open(opener=...)`; a file that is created is accessible by its owner only."""
     return os.open(path, flags, 0o600)

@@ -59,7 +59,7 @@ class BulkReadyMessage(NamedTuple):
     pattern: Snapshot | None
 
 
-def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) -> BulkLinearisation:
+def create_bulk_lineariser(model: Model, solver: str, resolution: str, mesh: Any) -> BulkLinearisation:
     """Create the object that linearises the bulk of a model with a solver; does not linearise yet.
 
     Raises:
@@ -71,7 +71,7 @@ def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) ->
     return LINEARISATIONS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
 
 
-def start_computation_in_thread(compute: Callable[[], None]) -> Callable[[], bool]:
+def start_in_thread_and_get_finish_check(compute: Callable[[], None]) -> Callable[[], bool]:
     """Run `compute` in a new thread; return a function that returns True once the computation has finished."""
     thread = threading.Thread(target=compute, daemon=True)
     thread.start()
@@ -97,8 +97,8 @@ def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
     try:
         bulk = run_packed_task(task)
         predictive = PredictiveLinearisation(bulk)
-        first = predictive.linearise(make_untouched_state(bulk.surface), 0.0, 0.0)
-        bulk.executor = start_computation_in_thread
+        first = predictive.linearise_at_predicted_pose_or_none(make_untouched_state(bulk.surface), 0.0, 0.0)
+        bulk.executor = start_in_thread_and_get_finish_check
         if first is None:
             raise InputError("the bulk must have a linearisation of the undeformed tissue; the solver returned none",
                              field="specimen")
@@ -106,7 +106,7 @@ def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         pickle.dump(error, answers)
         answers.flush()
         return
-    pattern = _take_snapshot(bulk, first)
+    pattern = _make_bulk_snapshot(bulk, first)
     whole, part = (8 * max_packed_linearisation_size(bulk.surface, is_whole) for is_whole in (True, False))
     with (SlotWriter(models_path, KIND_MODEL, SLOTS.count, whole) as models,
           SlotWriter(corrections_path, KIND_CORRECTION, SLOTS.count, part) as corrections,
@@ -115,7 +115,8 @@ def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         answers.flush()
         orders.readline()  # wait until the parent has opened the files
         materials: deque[tuple[int, Material]] = deque()
-        threading.Thread(target=_receive_materials, args=(orders, materials, paths), daemon=True).start()
+        threading.Thread(target=_receive_materials_then_exit_process, args=(orders, materials, paths),
+                         daemon=True).start()
         with SlotReader(states_path, KIND_STATE) as states:
             _run_linearisation_loop(bulk, predictive, states, (models, corrections), board, materials)
 
@@ -134,13 +135,14 @@ def _run_linearisation_loop(bulk: BulkLinearisation, predictive: PredictiveLinea
             except InputError as refused:
                 # No model will have this number, so the status in the parent is LATE until the next change.
                 print(f"the bulk keeps its material: {refused}", file=sys.stderr, flush=True)
-        newest = states.read_newest_content() if states.written != seen else None
+        newest = states.read_newest_number_and_content() if states.written != seen else None
         if newest is None:
             time.sleep(BULK_PROCESS.idle_sleep)
             continue
         began = time.monotonic()
         seen, content = newest
-        model = predictive.linearise(ContactState.unpack_from_array(np.frombuffer(content)), lead, serves)
+        model = predictive.linearise_at_predicted_pose_or_none(ContactState.unpack_from_array(np.frombuffer(content)),
+                                                               lead, serves)
         if model is None:
             time.sleep(BULK_PROCESS.idle_sleep)  # no linearisation at this state: wait for the next state
             continue
@@ -151,16 +153,17 @@ def _run_linearisation_loop(bulk: BulkLinearisation, predictive: PredictiveLinea
             # A tangent is used until the next one is finished, whose computation begins when this one is published.
             changed, serves = now, 2.0 * (now - changed)
         if now - shown > BULK_PROCESS.surface_interval:
-            board.publish(model.time, _take_snapshot(bulk, model))
+            board.publish(model.time, _make_bulk_snapshot(bulk, model))
             shown = now
 
 
-def _take_snapshot(bulk: BulkLinearisation, model: CondensedBulk) -> Snapshot:
+def _make_bulk_snapshot(bulk: BulkLinearisation, model: CondensedBulk) -> Snapshot:
     """Return a snapshot of the solver's deformed tissue with the pose of the model; does not publish it."""
     return replace(snapshot(bulk.solver), pose=model.pose, datum=bulk.surface.datum)
 
 
-def _receive_materials(orders: BinaryIO, materials: deque[tuple[int, Material]], files: tuple[Path, ...]) -> None:
+def _receive_materials_then_exit_process(orders: BinaryIO, materials: deque[tuple[int, Material]],
+                                         files: tuple[Path, ...]) -> None:
     """Queue received materials until the input ends, then remove `files` and end this process; a thread's body."""
     try:
         while True:

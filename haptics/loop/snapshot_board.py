@@ -88,7 +88,7 @@ class SnapshotReader(SlotReader):
         Raises:
             InputError: the pattern belongs to another tissue.
         """
-        newest = self.read_newest_content() if self.written > after else None
+        newest = self.read_newest_number_and_content() if self.written > after else None
         if newest is None:
             return None
         number, content = newest

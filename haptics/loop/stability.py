@@ -29,7 +29,7 @@ class OscillationCriteria:
     largest: float = 0.05
 
 
-#: Criteria of `simulate_device_depths` and `measure_oscillation_amplitude`.
+#: Criteria of `simulate_device_depths` and `measure_sustained_peak_to_peak`.
 OSCILLATION = OscillationCriteria()
 
 
@@ -65,7 +65,7 @@ def simulate_device_depths(tissue: Tissue, device: HapticDevice, rendering: Forc
     return np.array(depths)
 
 
-def measure_oscillation_amplitude(depths: np.ndarray, tick: float = 1e-3) -> float:
+def measure_sustained_peak_to_peak(depths: np.ndarray, tick: float = 1e-3) -> float:
     """Return the peak-to-peak amplitude, m, of the last half second if it is a sustained oscillation, otherwise 0.
 
     An oscillation is sustained (growing, or a limit cycle) if its amplitude exceeds 0.05 mm and has not decreased by a

@@ -74,15 +74,15 @@ class TimeHistogram:
 
     def __init__(self):
         self.count, self._maximum = 0, 0
-        self._bins = array("Q", bytes(8 * (_find_bin_index(1 << BINS.largest) + 1)))
+        self._bins = array("Q", bytes(8 * (_compute_bin_index_of_nanoseconds(1 << BINS.largest) + 1)))
 
-    def add_time(self, nanoseconds: int) -> None:
+    def add_nanoseconds(self, nanoseconds: int) -> None:
         """Add one time, ns, to its bin; a negative time counts as zero."""
         nanoseconds = max(nanoseconds, 0)
         self.count += 1
         if nanoseconds > self._maximum:
             self._maximum = nanoseconds
-        self._bins[_find_bin_index(min(nanoseconds, 1 << BINS.largest))] += 1
+        self._bins[_compute_bin_index_of_nanoseconds(min(nanoseconds, 1 << BINS.largest))] += 1
 
     def quantile(self, share: float) -> float:
         """Return the time, s, that a fraction `share` (0 to 1) of all times does not exceed; 0 without times."""
@@ -90,7 +90,7 @@ class TimeHistogram:
             return 0.0
         rank = max(math.ceil(share * self.count), 1)
         index = next(index for index, below in enumerate(accumulate(self._bins)) if below >= rank)
-        return min(_compute_bin_midpoint(index), self._maximum) / 1e9
+        return min(_compute_bin_midpoint_nanoseconds(index), self._maximum) / 1e9
 
     @property
     def maximum(self) -> float:
@@ -103,13 +103,13 @@ class TimeHistogram:
         return TimeQuantiles(self.quantile(0.5), self.quantile(0.99), self.quantile(0.999), self.maximum)
 
 
-def _find_bin_index(nanoseconds: int) -> int:
+def _compute_bin_index_of_nanoseconds(nanoseconds: int) -> int:
     """Return the index of the bin of a time, ns: bins of 1 ns up to `_LINEAR` ns, then `_LINEAR` per doubling."""
     doublings = max(nanoseconds.bit_length() - BINS.fineness - 1, 0)
     return doublings * _LINEAR + (nanoseconds >> doublings)
 
 
-def _compute_bin_midpoint(index: int) -> float:
+def _compute_bin_midpoint_nanoseconds(index: int) -> float:
     """Return the time, ns, in the middle of the bin with this index."""
     doublings = max(index // _LINEAR - 1, 0)
     return (index - doublings * _LINEAR + 0.5 * (doublings > 0)) * (1 << doublings)
@@ -159,12 +159,12 @@ class Ticker:
         self.number = self.ticks = self.late = self.missed = 0
         self.lateness = TimeHistogram()
 
-    def start(self) -> None:
+    def start_first_period(self) -> None:
         """Start the periods now: the first deadline is one period later. Does not reset the statistics."""
         self._start = self._counted = self._clock()
         self._owed = 0
 
-    def wait_for_deadline(self) -> int:
+    def wait_and_get_lateness_nanoseconds(self) -> int:
         """Wait for the next deadline, count missed ones, and return the lateness of this tick, ns, 0 or more."""
         clock = self._clock
         deadline = self._start + (self.number + 1) * self._period
@@ -185,10 +185,10 @@ class Ticker:
         self.number += 1 + passed
         self.ticks += 1
         self.late += lateness > self._late
-        self.lateness.add_time(lateness)
+        self.lateness.add_nanoseconds(lateness)
         return lateness
 
     @property
-    def elapsed_time(self) -> int:
+    def elapsed_nanoseconds(self) -> int:
         """Time from `start` to now, ns."""
         return self._clock() - self._start

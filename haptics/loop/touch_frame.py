@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from tissue_sim.pose import Pose, between, motion, rotate_pose
+from tissue_sim.pose import Pose, between, motion, rotate_pose_about_its_position
 
 
 class TouchFrame:
@@ -25,14 +25,14 @@ class TouchFrame:
 
     def pose_in_bulk(self, pose: Pose) -> Pose:
         """Convert a pose in the scene to the frame of the bulk."""
-        return pose if self._is_identity else _apply_motion(self._touch, pose, self._start)
+        return pose if self._is_identity else _apply_motion_between_poses(self._touch, pose, self._start)
 
     def pose_in_scene(self, pose: Pose) -> Pose:
         """Convert a pose in the frame of the bulk to the scene."""
-        return pose if self._is_identity else _apply_motion(self._start, pose, self._touch)
+        return pose if self._is_identity else _apply_motion_between_poses(self._start, pose, self._touch)
 
 
-def interpolate_touch_pose(before: Pose | None, pose: Pose, height: float) -> Pose:
+def interpolate_pose_at_surface(before: Pose | None, pose: Pose, height: float) -> Pose:
     """Interpolate the pose, between two steps, at which a tool reaches the height of a tissue's surface.
 
     Args:
@@ -47,10 +47,10 @@ def interpolate_touch_pose(before: Pose | None, pose: Pose, height: float) -> Po
     return replace(touch, position=(*touch.position[:2], height))
 
 
-def _apply_motion(start: Pose, end: Pose, other: Pose) -> Pose:
+def _apply_motion_between_poses(start: Pose, end: Pose, other: Pose) -> Pose:
     """Return the pose `other`, moved by the translation and rotated by the rotation from `start` to `end`."""
     x, y, z, *rotation = motion(start, end)
     a, b, c = other.position
     moved = Pose((a + x, b + y, c + z), other.orientation)
     u, v, w = rotation
-    return rotate_pose(moved, (u, v, w))
+    return rotate_pose_about_its_position(moved, (u, v, w))

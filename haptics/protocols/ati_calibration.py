@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from haptics.protocols.ati_serial import CHANNELS
 from haptics.protocols.ati_units import FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 
 #: Largest size of a calibration file, bytes.
 MAX_SIZE = 1_000_000
@@ -25,7 +25,7 @@ Row = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class AtiCalibration:
+class AtiVoltageCalibration:
     """Calibration of a sensor with voltage outputs: wrench = matrix (volts - volts without load).
 
     Attributes:
@@ -46,12 +46,12 @@ class AtiCalibration:
     volts: tuple[float, float]
     rows: str
 
-    def compute_wrench(self, volts: Row) -> Row:
+    def compute_wrench_from_voltages(self, volts: Row) -> Row:
         """Return Fx Fy Fz, N, and Tx Ty Tz, N m, for six voltages minus those without load, V."""
         return tuple(sum(factor * volt for factor, volt in zip(row, volts, strict=True)) for row in self.matrix)
 
 
-def read_calibration(text: str | bytes, name: str = "the calibration file") -> AtiCalibration:
+def parse_ati_calibration(text: str | bytes, name: str = "the calibration file") -> AtiVoltageCalibration:
     """Parse the text of a ``.cal`` file, and return its calibration in SI units.
 
     Args:
@@ -85,15 +85,16 @@ def read_calibration(text: str | bytes, name: str = "the calibration file") -> A
     force = _read_unit(calibration, "ForceUnits", FORCE_UNITS, name)
     torque = _read_unit(calibration, "TorqueUnits", TORQUE_UNITS, name)
     rows = "UserAxis" if calibration.find("UserAxis") is not None else "Axis"
-    matrix, reach = _read_matrix_rows(calibration, rows, name)
+    matrix, reach = _read_matrix_rows_and_ranges(calibration, rows, name)
     if rows == "Axis":
-        matrix = _move_torques(calibration, matrix, name)
+        matrix = _move_torque_rows_to_origin(calibration, matrix, name)
     units = (force,) * 3 + (torque,) * 3
-    return AtiCalibration(sensor.get("Serial", "unknown"), calibration.get("PartNumber", "unknown"),
-                          calibration.get("CalDate", "unknown"),
-                          tuple(tuple(unit * value for value in row) for unit, row in zip(units, matrix, strict=True)),
-                          tuple(unit * value for unit, value in zip(units, reach, strict=True)),
-                          _read_output_span(calibration, name), rows)
+    return AtiVoltageCalibration(sensor.get("Serial", "unknown"), calibration.get("PartNumber", "unknown"),
+                                 calibration.get("CalDate", "unknown"),
+                                 tuple(tuple(unit * value for value in row) for unit,
+                                       row in zip(units, matrix, strict=True)),
+                                 tuple(unit * value for unit, value in zip(units, reach, strict=True)),
+                                 _read_lowest_and_highest_volts(calibration, name), rows)
 
 
 def _read_unit(calibration: ElementTree.Element, field: str, units: dict[str, float], name: str) -> float:
@@ -103,7 +104,8 @@ def _read_unit(calibration: ElementTree.Element, field: str, units: dict[str, fl
         raise InputError(f"Calibration has no {field}; copy the .cal file from the sensor's disc again", file=name)
     unit = text.strip().replace("N m", "N-m")
     if unit not in units:
-        raise InputError(f"unknown unit {text!r}{suggest_known_word(unit, units)}", file=name, field=field)
+        raise InputError(f"unknown unit {text!r}{make_hint_with_similar_or_known_words(unit, units)}", file=name,
+                         field=field)
     return units[unit]
 
 
@@ -121,7 +123,7 @@ def _parse_numbers(text: str | None, count: int, quantity: str, name: str) -> Ro
     return numbers
 
 
-def _read_matrix_rows(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[Row, ...], Row]:
+def _read_matrix_rows_and_ranges(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[Row, ...], Row]:
     """Return the matrix, six rows Fx to Tz, and the largest value of each component, in the file's units."""
     elements: dict[str, ElementTree.Element] = {}
     for element in calibration.findall(tag):
@@ -153,7 +155,8 @@ def _read_matrix_rows(calibration: ElementTree.Element, tag: str, name: str) -> 
     return tuple(matrix), tuple(reach)
 
 
-def _move_torques(calibration: ElementTree.Element, matrix: tuple[Row, ...], name: str) -> tuple[Row, ...]:
+def _move_torque_rows_to_origin(calibration: ElementTree.Element,
+                                matrix: tuple[Row, ...], name: str) -> tuple[Row, ...]:
     """Return the matrix with its torque rows moved to the origin of the BasicTransform: torque - offset x force."""
     transform = calibration.find("BasicTransform")
     if transform is None:
@@ -167,8 +170,8 @@ def _move_torques(calibration: ElementTree.Element, matrix: tuple[Row, ...], nam
     lengths, torque = calibration.get("DistUnits", ""), calibration.get("TorqueUnits", "").strip()
     force = calibration.get("ForceUnits", "").strip()
     if lengths.strip() not in LENGTH_UNITS:
-        raise InputError(f"unknown unit {lengths!r}{suggest_known_word(lengths, LENGTH_UNITS)}", file=name,
-                         field="DistUnits")
+        raise InputError(f"unknown unit {lengths!r}{make_hint_with_similar_or_known_words(lengths, LENGTH_UNITS)}",
+                         file=name, field="DistUnits")
     # Unit of offset times force, in units of torque.
     lever = FORCE_UNITS[force] * LENGTH_UNITS[lengths.strip()] / TORQUE_UNITS[torque.replace("N m", "N-m")]
     fx, fy, fz, tx, ty, tz = matrix
@@ -182,7 +185,7 @@ def _move_torques(calibration: ElementTree.Element, matrix: tuple[Row, ...], nam
             subtract_lever_torque(tz, x, fy, y, fx))
 
 
-def _read_output_span(calibration: ElementTree.Element, name: str) -> tuple[float, float]:
+def _read_lowest_and_highest_volts(calibration: ElementTree.Element, name: str) -> tuple[float, float]:
     """Return the lowest and the highest output voltage of the sensor, V, from the span and the polarity."""
     text = calibration.get("OutputRange")
     span = _DEFAULT_SPAN if text is None else _parse_numbers(text, 1, "OutputRange of the Calibration", name)[0]

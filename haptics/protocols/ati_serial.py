@@ -71,16 +71,17 @@ class AtiSerialRecord:
     counts: tuple[int, ...]
 
 
-def encode_ascii_record(record: AtiSerialRecord, padded: bool = True) -> bytes:
+def encode_ascii_record_without_ending(record: AtiSerialRecord, padded: bool = True) -> bytes:
     """Return the ASCII line of a record, flag and six counts separated by commas, without the line ending."""
     width = FORMAT.padded_width if padded else 0
     return ",".join([str(record.flag), *(f"{count:{width}d}" for count in record.counts)]).encode("ascii")
 
 
-def decode_ascii_record(line: bytes, padded: bool | None = None) -> AtiSerialRecord | None:
+def decode_ascii_record_or_none(line: bytes, padded: bool | None = None) -> AtiSerialRecord | None:
     """Return the record in an ASCII line without its ending; None: the line is no record.
 
-    Accepts exactly the lines that `encode_ascii_record` writes, so most transmission errors are detected. Without a
+    Accepts exactly the lines that `encode_ascii_record_without_ending` writes, so most transmission errors are
+    detected. Without a
     checksum these errors are undetectable: a digit, sign or blank replaced by another one that leaves a valid number;
     the beginning of one record joined to the end of another where the fields fit; without padding, a missing or
     additional digit.
@@ -103,7 +104,7 @@ def decode_ascii_record(line: bytes, padded: bool | None = None) -> AtiSerialRec
 
 def has_padded_fields(line: bytes) -> bool:
     """Return True if a line without its ending is a record with padded fields."""
-    return decode_ascii_record(line, padded=True) is not None
+    return decode_ascii_record_or_none(line, padded=True) is not None
 
 
 def encode_binary_record(record: AtiSerialRecord) -> bytes:
@@ -111,7 +112,7 @@ def encode_binary_record(record: AtiSerialRecord) -> bytes:
     return _BINARY.pack(record.flag, *record.counts)
 
 
-def decode_binary_record(data: bytes) -> AtiSerialRecord | None:
+def decode_binary_record_or_none(data: bytes) -> AtiSerialRecord | None:
     """Return the record in 13 bytes; None: the length is wrong. Transmission errors are undetectable."""
     if len(data) != FORMAT.binary_length:
         return None

@@ -139,12 +139,12 @@ class JogCommand:
     machine: bool = False
 
 
-def encode_jog(axis: str, target: float, feed: float) -> bytes:
+def encode_machine_jog_line(axis: str, target: float, feed: float) -> bytes:
     """Return the bytes of a jog line with its ending: one axis, target in machine coordinates, mm, feed in mm/min."""
     return f"$J=G53G21G90{axis}{target:.4f}F{feed:.3f}\n".encode()
 
 
-def parse_jog(line: str) -> JogCommand | None:
+def parse_jog_or_none(line: str) -> JogCommand | None:
     """Return the jog command in a line ``$J=...`` without its ending; None: Grbl would refuse the line."""
     found = _JOG.fullmatch(line.replace(" ", "").upper())
     if not found:
@@ -175,7 +175,7 @@ def _parse_numbers(text: str) -> tuple[float, ...]:
     return tuple(float(number) for number in text.split(","))
 
 
-def parse_report(line: str) -> StatusReport | None:
+def parse_report_or_none(line: str) -> StatusReport | None:
     """Return the status report in a line ``<...>``; None: the line is no complete and valid report."""
     found = _REPORT.fullmatch(line)
     if not found:
@@ -223,13 +223,13 @@ def format_report(report: StatusReport) -> str:
     return f"<{'|'.join(parts)}>"
 
 
-def parse_setting(line: str) -> tuple[int, float] | None:
+def parse_setting_or_none(line: str) -> tuple[int, float] | None:
     """Return (number, value) of a line ``$NUMBER=VALUE``; None: the line is no setting."""
     found = _SETTING.fullmatch(line)
     return (int(found[1]), float(found[2])) if found else None
 
 
-def parse_answer(line: str) -> tuple[str, int] | None:
+def parse_answer_kind_and_number(line: str) -> tuple[str, int] | None:
     """Return ``("ok", 0)``, ``("error", number)`` or ``("ALARM", number)``; None: the line is no answer."""
     if line == "ok":
         return "ok", 0
@@ -237,13 +237,13 @@ def parse_answer(line: str) -> tuple[str, int] | None:
     return (found[1], int(found[2])) if found else None
 
 
-def parse_version(line: str) -> tuple[str, str] | None:
+def parse_version_and_date(line: str) -> tuple[str, str] | None:
     """Return (version, date), such as ``("1.1", "20190825")``, of a line ``[VER:...]``; None: no such line."""
     found = _VERSION.fullmatch(line)
     return (found[1], found[2]) if found else None
 
 
-def parse_banner(line: str) -> str | None:
+def parse_banner_version_or_none(line: str) -> str | None:
     """Return the version in the banner that Grbl sends after a reset; None: the line is no banner."""
     found = _BANNER.fullmatch(line)
     return found[1] if found else None

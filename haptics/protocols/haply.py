@@ -69,7 +69,7 @@ class HaplyDeviceState:
     status: Mapping[str, Any] = field(default_factory=dict)
 
 
-def decode_device_state(message: str | bytes, device_id: str | None = None) -> HaplyDeviceState | None:
+def find_device_state_in_message(message: str | bytes, device_id: str | None = None) -> HaplyDeviceState | None:
     """Find a device in a message of the service, and return its state.
 
     Args:
@@ -83,7 +83,7 @@ def decode_device_state(message: str | bytes, device_id: str | None = None) -> H
         ValueError: The message is not a message of the service.
     """
     content = _parse_json_object(message)
-    devices = _get_object_list(content, DEVICES)
+    devices = _get_object_list_or_empty(content, DEVICES)
     for device in devices:
         name = device.get("device_id")
         if not isinstance(name, str) or not name:
@@ -92,13 +92,13 @@ def decode_device_state(message: str | bytes, device_id: str | None = None) -> H
             break
     else:
         return None
-    state = _get_nested_object(device, "state")
+    state = _get_object_or_default(device, "state")
     velocity = None
     if "cursor_velocity" in state:
         velocity = _read_vector(state["cursor_velocity"], "cursor_velocity", _LIMITS.speed)
     return HaplyDeviceState(name, _read_vector(state.get("cursor_position"), "cursor_position", _LIMITS.distance),
-                            velocity, _read_orientation(content), _get_nested_object(device, "config", {}),
-                            _get_nested_object(device, "status", {}))
+                            velocity, _find_active_grip_orientation(content),
+                            _get_object_or_default(device, "config", {}), _get_object_or_default(device, "status", {}))
 
 
 def _parse_json_object(message: str | bytes) -> dict[str, Any]:
@@ -112,7 +112,7 @@ def _parse_json_object(message: str | bytes) -> dict[str, Any]:
     return content
 
 
-def _get_object_list(content: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
+def _get_object_list_or_empty(content: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
     """Return the list of JSON objects at a key; empty if the key is missing; ValueError for another value."""
     listed = content.get(key)
     if listed is None:
@@ -122,7 +122,8 @@ def _get_object_list(content: Mapping[str, Any], key: str) -> list[dict[str, Any
     return listed
 
 
-def _get_nested_object(content: Mapping[str, Any], key: str, default: dict[str, Any] | None = None) -> dict[str, Any]:
+def _get_object_or_default(content: Mapping[str, Any], key: str,
+                           default: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the JSON object at a key, or the default if the key is missing; ValueError if it is no object."""
     part = content.get(key, default)
     if not isinstance(part, dict):
@@ -153,11 +154,11 @@ def _read_vector(value: Any, name: str, largest: float) -> Vector:
     return x, y, z
 
 
-def _read_orientation(content: Mapping[str, Any]) -> Quaternion | None:
+def _find_active_grip_orientation(content: Mapping[str, Any]) -> Quaternion | None:
     """Return the first active grip's orientation, a unit quaternion (w, x, y, z); None: no grip is active."""
     for kind in GRIPS:
-        for grip in _get_object_list(content, kind):
-            quaternion = _get_nested_object(grip, "state", {}).get("orientation")
+        for grip in _get_object_list_or_empty(content, kind):
+            quaternion = _get_object_or_default(grip, "state", {}).get("orientation")
             if not isinstance(quaternion, dict):
                 continue
             w, x, y, z = (_require_finite(quaternion.get(axis), f"orientation.{axis}") for axis in ("w", *_AXES))
@@ -181,16 +182,16 @@ def encode_force_message(device_id: str, force: Vector, profile: str | None = No
     return json.dumps(message)
 
 
-def decode_force_message(message: str | bytes, device_id: str) -> Vector | None:
+def find_force_in_client_message(message: str | bytes, device_id: str) -> Vector | None:
     """Return the force, N, that a client's message sets for a device; None: the message sets no force for it.
 
     Raises:
         ValueError: The message is not a message of a client.
     """
-    for device in _get_object_list(_parse_json_object(message), DEVICES):
+    for device in _get_object_list_or_empty(_parse_json_object(message), DEVICES):
         if device.get("device_id") != device_id:
             continue
-        command = _get_nested_object(device, "commands", {}).get("set_cursor_force")
+        command = _get_object_or_default(device, "commands", {}).get("set_cursor_force")
         if command is not None:
             if not isinstance(command, dict):
                 raise ValueError("set_cursor_force must be an object")

@@ -138,7 +138,7 @@ def pack_request(request: RdtRequest) -> bytes:
     return _REQUEST.pack(DATAGRAM.magic, request.command, request.count)
 
 
-def unpack_request(data: bytes) -> RdtRequest | None:
+def unpack_request_or_none(data: bytes) -> RdtRequest | None:
     """Return the request in a datagram; None: the bytes are no request."""
     if len(data) != _REQUEST.size:
         return None
@@ -151,7 +151,7 @@ def pack_records(records: Iterable[RdtRecord]) -> bytes:
     return b"".join(_RECORD.pack(record.sequence, record.sample, record.status, *record.counts) for record in records)
 
 
-def unpack_records(data: bytes) -> list[RdtRecord] | None:
+def unpack_records_or_none(data: bytes) -> list[RdtRecord] | None:
     """Return the records in a datagram; None: the bytes are no whole number of records, or too many."""
     count, rest = divmod(len(data), RECORD_SIZE)
     if rest or not 0 < count <= DATAGRAM.max_records:
@@ -165,7 +165,7 @@ def has_exceeded_range(status: int) -> bool:
     return bool(status & _OUT_OF_RANGE)
 
 
-def has_fault(status: int) -> bool:
+def is_sample_unreliable(status: int) -> bool:
     """Return True if the status word reports a saturation or any other error: the sample is unreliable."""
     return bool(status & _FAULTS)
 

@@ -16,8 +16,8 @@ POLOLU_PREFIX = 0xAA
 class BlockLength(IntEnum):
     """Lengths, bytes, of the blocks of variables that this program reads, and the largest length of a block."""
 
-    STATUS = 14        #: read by `parse_status`
-    MOTION_STATE = 8   #: read by `parse_motion_state`
+    STATUS = 14        #: read by `parse_status_or_none`
+    MOTION_STATE = 8   #: read by `parse_position_and_velocity_or_none`
     LONGEST = 15       #: largest block that one command can read
 
 
@@ -180,7 +180,7 @@ class SoftErrorResponse(IntEnum):
     GO_TO_POSITION = 3  #: "Go to position": the motor moves after an error
 
 
-class AnswerFormat(IntFlag):
+class AnswerFormatFlags(IntFlag):
     """Bits of the setting at `SettingOffset.CRC` that determine the format of the answers."""
 
     CHECKED = 2    #: answers carry a checksum
@@ -209,7 +209,7 @@ class TicStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class MotionState:
+class TicPositionAndVelocity:
     """The variables of a Tic from `VariableOffset.CURRENT_POSITION` on: position and velocity.
 
     Attributes:
@@ -369,7 +369,7 @@ def to_signed_32_bit(value: int) -> int:
     return value - (1 << 32) if value & 0x80000000 else value
 
 
-def parse_status(block: bytes) -> TicStatus | None:
+def parse_status_or_none(block: bytes) -> TicStatus | None:
     """Return the status in a block of `BlockLength.STATUS` bytes; None: no Tic can have sent the block.
 
     Impossible blocks have another length, an unknown state or planning mode, or reserved bits set.
@@ -387,7 +387,7 @@ def parse_status(block: bytes) -> TicStatus | None:
                      to_signed_32_bit(int.from_bytes(block[10:14], "little")))
 
 
-def parse_motion_state(block: bytes) -> MotionState | None:
+def parse_position_and_velocity_or_none(block: bytes) -> TicPositionAndVelocity | None:
     """Return position and velocity in a block of `BlockLength.MOTION_STATE` bytes.
 
     None: the block has another length, or its speed is impossible.
@@ -397,4 +397,4 @@ def parse_motion_state(block: bytes) -> MotionState | None:
     velocity = to_signed_32_bit(int.from_bytes(block[4:8], "little"))
     if abs(velocity) > MOTION.top_speed:
         return None
-    return MotionState(to_signed_32_bit(int.from_bytes(block[:4], "little")), velocity)
+    return TicPositionAndVelocity(to_signed_32_bit(int.from_bytes(block[:4], "little")), velocity)

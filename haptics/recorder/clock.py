@@ -71,7 +71,7 @@ class SampleClock:
         if number.size == 0:
             return cls(0.0, period, 0.0, True)
         hull: list[int] = []
-        for index in _find_hull_candidates(arrival - period * number):
+        for index in _preselect_hull_candidates(arrival - period * number):
             while len(hull) > 1 and _is_above_chord(number, arrival, hull[-2], hull[-1], index):
                 hull.pop()
             hull.append(index)
@@ -97,7 +97,7 @@ class SampleClock:
         return self.first + self.period * np.asarray(numbers, dtype=float)
 
 
-def _find_hull_candidates(delay: np.ndarray) -> list[int]:
+def _preselect_hull_candidates(delay: np.ndarray) -> list[int]:
     """Return increasing indices of the samples from which the lower convex hull is made; thins out a long run.
 
     Args:

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
-from haptics.recorder.motion_settings import GuardedMotionSettings
+from haptics.recorder.motion_settings import GuardedMotionTolerancesAndTimes
 from haptics.recorder.plan import POLLING
 from haptics.recorder.stopped import StoppedError, get_stop_reason
 from haptics.safety.motion_guard import CommandedMotion, MotionGuard, MotionLimits, StopReason
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 #: Settings of every run.
-_SETTINGS = GuardedMotionSettings()
+_SETTINGS = GuardedMotionTolerancesAndTimes()
 
 
 class GuardedMotion:
@@ -93,11 +93,11 @@ class GuardedMotion:
             self.started = self._polled = self.now()
             self._guard = MotionGuard(self.limits, self.sensor.rate, self.sensor.channels,
                                       self.stage.measures_position, self.started)
-            with self._watch_polls():
+            with self._watched_polls():
                 try:
                     yield
                 except BaseException as error:
-                    reason = self._handle_stop(get_stop_reason(error), retraction)
+                    reason = self._halt_retract_and_get_reason(get_stop_reason(error), retraction)
                     raise StoppedError(reason) from error
         finally:
             try:
@@ -108,7 +108,7 @@ class GuardedMotion:
                     self.sensor.stop()
 
     @contextmanager
-    def _watch_polls(self) -> Iterator[None]:
+    def _watched_polls(self) -> Iterator[None]:
         """Run a thread inside a ``with`` block that halts a moving stage if the polls are late (dead-man's switch)."""
         ending = threading.Event()
 
@@ -129,7 +129,8 @@ class GuardedMotion:
             ending.set()
             thread.join()
 
-    def _handle_stop(self, reason: StopReason, retraction: Callable[[], tuple[float, float]]) -> StopReason:
+    def _halt_retract_and_get_reason(self, reason: StopReason,
+                                     retraction: Callable[[], tuple[float, float]]) -> StopReason:
         """After a stop, halt the stage; retract the tool if the limits ask for it and the stage still works.
 
         Args:
@@ -140,20 +141,20 @@ class GuardedMotion:
             The reason; its message also states a failed halt or retraction.
         """
         self._is_moving, self._command = False, None
-        if (trouble := self._halt_and_wait()) is not None:
+        if (trouble := self._halt_and_get_trouble_or_none()) is not None:
             return StopReason(reason.cause, f"{reason.message}; and the stage does not stop ({trouble}): switch it off")
         if (self.limits.retracts and reason.allows_retraction and self.stage_sample is not None
                 and self.stage_sample.homed):
             try:
-                trouble = self._retract_tool(*retraction())
+                trouble = self._retract_and_get_trouble_or_none(*retraction())
             except BaseException as error:
                 trouble = str(error) or type(error).__name__
             if trouble is not None:
-                self._halt_and_wait()
+                self._halt_and_get_trouble_or_none()
                 return StopReason(reason.cause, f"{reason.message}; and the tool was not retracted ({trouble})")
         return reason
 
-    def _halt_and_wait(self) -> str | None:
+    def _halt_and_get_trouble_or_none(self) -> str | None:
         """Halt the stage and wait until it reports that it is at rest; raises no error.
 
         Returns:
@@ -172,7 +173,7 @@ class GuardedMotion:
         except BaseException as error:
             return str(error) or type(error).__name__
 
-    def _retract_tool(self, goal: float, speed: float) -> str | None:
+    def _retract_and_get_trouble_or_none(self, goal: float, speed: float) -> str | None:
         """Move the tool out after a stop, as long as the force does not grow.
 
         A silent or saturated sensor does not prevent the retraction.
@@ -237,11 +238,11 @@ class GuardedMotion:
                 "program late", f"the program did not poll its devices for {self._late_by:.2g} s while the stage could "
                                 "move, and the stage was halted; close other programs on this computer"))
 
-    def compute_mean_force(self, seconds: float = _SETTINGS.force_window) -> float:
+    def compute_mean_of_recent_forces(self, seconds: float = _SETTINGS.force_window) -> float:
         """Return the mean of the forces stored by past polls in the last time window, N; NaN without a sample.
 
         Args:
-            seconds: length of the window, s, at most `GuardedMotionSettings.force_window`.
+            seconds: length of the window, s, at most `GuardedMotionTolerancesAndTimes.force_window`.
         """
         if not self._recent:
             return np.nan
@@ -253,7 +254,8 @@ class GuardedMotion:
         """Last measured force along the tool minus `zero`, N, with the sign of the plan; NaN without a sample."""
         return self._recent[-1][1] if self._recent else np.nan
 
-    def move_to(self, position: float, speed: float, until: Callable[[], bool] = lambda: False) -> bool:
+    def move_until_arrival_or_condition(self, position: float, speed: float,
+                                        until: Callable[[], bool] = lambda: False) -> bool:
         """Move to a position, and poll until the stage arrives or a condition is met, which halts the stage.
 
         Args:
@@ -284,7 +286,7 @@ class GuardedMotion:
         while not ended:
             self.poll()
             if ended := until():
-                if (trouble := self._halt_and_wait()) is not None:
+                if (trouble := self._halt_and_get_trouble_or_none()) is not None:
                     raise StoppedError(StopReason("stage fault",
                                                   f"the stage does not stop ({trouble}): switch it off"))
                 break
@@ -352,7 +354,7 @@ class GuardedMotion:
         self.zero = 0.0
         self.clear_forces()
         self.poll_for_duration(_SETTINGS.force_window)
-        before, allowed = self.compute_mean_force(), change if self.tares else first
+        before, allowed = self.compute_mean_of_recent_forces(), change if self.tares else first
         if not abs(before) <= allowed:
             raise StoppedError(StopReason(
                 "zero", f"the sensor reads {before:.3g} N before it is zeroed, more than the allowed {allowed:.3g} N; "
@@ -364,12 +366,12 @@ class GuardedMotion:
         self._guard.is_sensor_zeroed = True
         self.clear_forces()
         self.poll_for_duration(_SETTINGS.force_window)
-        self.zero = self.compute_mean_force()
+        self.zero = self.compute_mean_of_recent_forces()
         if not abs(self.zero) <= change:
             raise StoppedError(StopReason(
                 "zero", f"the sensor reads {self.zero:.3g} N after its tare; let the sensor warm up"))
 
-    def check_zero(self, allowed: float) -> None:
+    def require_zero_force(self, allowed: float) -> None:
         """Poll for a window, and raise an error if the mean force differs from zero where the sensor was zeroed.
 
         The check detects a drift of the sensor, lost steps of the motor, and material that sticks to the tool.
@@ -382,7 +384,7 @@ class GuardedMotion:
         """
         self.clear_forces()
         self.poll_for_duration(_SETTINGS.force_window)
-        offset = self.compute_mean_force()
+        offset = self.compute_mean_of_recent_forces()
         if not abs(offset) <= allowed:
             raise StoppedError(StopReason(
                 "zero", f"the sensor reads {offset:.3g} N above the specimen, where it was zeroed; its zero has moved, "

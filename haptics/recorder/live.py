@@ -41,9 +41,9 @@ class LiveProgressFile:
         self._progress = progress
 
     @contextmanager
-    def run_writing_thread(self) -> Iterator[None]:
+    def running_writing_thread(self) -> Iterator[None]:
         """Run the writing thread inside a ``with`` block; delete the file at the end of the block."""
-        thread = threading.Thread(target=self._write_newest_progress, name="live file", daemon=True)
+        thread = threading.Thread(target=self._write_progress_until_end, name="live file", daemon=True)
         thread.start()
         try:
             yield
@@ -52,7 +52,7 @@ class LiveProgressFile:
             thread.join()
             self._path.unlink(missing_ok=True)
 
-    def _write_newest_progress(self) -> None:
+    def _write_progress_until_end(self) -> None:
         """Write changed progress every `UPDATE_INTERVAL` s until the end of the block; the body of the thread."""
         written = None
         while not self._ending.wait(UPDATE_INTERVAL):
@@ -60,11 +60,11 @@ class LiveProgressFile:
             if progress is not None and progress is not written:
                 # A failed display must not end a recording.
                 with contextlib.suppress(InputError):
-                    write_text(self._path, json.dumps(convert_progress_to_json(progress)))
+                    write_text(self._path, json.dumps(convert_progress_to_dict(progress)))
                 written = progress
 
 
-def convert_progress_to_json(progress: RunProgress) -> dict[str, Any]:
+def convert_progress_to_dict(progress: RunProgress) -> dict[str, Any]:
     """Return a progress as a JSON object (dict): keys carry units, and unknown (NaN) numbers are omitted."""
     numbers = {"position_mm": 1e3 * progress.position, "depth_mm": 1e3 * progress.depth, "force_N": progress.force,
                "share": progress.fraction}

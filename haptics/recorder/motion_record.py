@@ -11,7 +11,7 @@ import numpy as np
 from haptics.devices.contracts import ForceSample, SampleStatus, StageSample
 from haptics.recorder.clock import SampleClock
 from haptics.recorder.plan import IndentationPlan
-from haptics.recorder.stage_path import StagePath, StagePoll, compute_position_tolerance
+from haptics.recorder.stage_path import StagePath, StagePoll, compute_position_tolerance_for_depth
 from haptics.recorder.stopped import StoppedError
 from haptics.safety.motion_guard import StopReason
 from tissue_sim import Recording
@@ -20,7 +20,7 @@ from tissue_sim.recording.contact import find_contact
 
 @dataclass(frozen=True)
 class ContactPointSettings:
-    """Settings of the contact point estimate `estimate_contact_point`.
+    """Settings of the contact point estimate `estimate_contact_point_and_metadata`.
 
     Attributes:
         loaded: fraction of the contact force above which a sample belongs to the straight line, 1.
@@ -60,7 +60,7 @@ class MotionRecord:
     polls: list[StagePoll] = field(default_factory=list)
     legs: list[tuple[float, str, int]] = field(default_factory=list)
 
-    def append_poll(self, samples: Sequence[ForceSample], stage: StageSample) -> list[float]:
+    def append_poll_and_interpolate_positions(self, samples: Sequence[ForceSample], stage: StageSample) -> list[float]:
         """Append the force samples and the stage sample of one poll; interpolate the stage position.
 
         Args:
@@ -121,8 +121,8 @@ def build_recording(record: MotionRecord, plan: IndentationPlan, contact_point: 
                      [plan.approach_speed, *(leg.speed for leg in plan.legs[:len(record.legs)])])
     recorded = ((sampled_at >= max(record.legs[0][0], record.polls[0].middle_time))
                 & (sampled_at <= record.polls[-1].middle_time))
-    inside = recorded & path.is_position_known(sampled_at, plan.largest_depth)
-    left_out = _describe_left_out(int(recorded.sum()), int(inside.sum()), plan.largest_depth)
+    inside = recorded & path.find_known_position_mask(sampled_at, plan.largest_depth)
+    left_out = _make_left_out_metadata(int(recorded.sum()), int(inside.sum()), plan.largest_depth)
     time, wrench = sampled_at[inside], np.array(record.wrenches)[inside]
     leg = np.clip(np.searchsorted([leg[0] for leg in record.legs], time, side="right") - 1, 0, None)
     values = {"time": time - time[0], "displacement": path.interpolate_position(time) - contact_point,
@@ -138,7 +138,7 @@ def build_recording(record: MotionRecord, plan: IndentationPlan, contact_point: 
         "stage": "interpolated", "lag": plan.lag or "unknown"}})
 
 
-def _describe_left_out(recorded: int, kept: int, depth: float) -> dict[str, Any]:
+def _make_left_out_metadata(recorded: int, kept: int, depth: float) -> dict[str, Any]:
     """Return metadata with number and reason of samples left out for an uncertain stage position; empty if none.
 
     Args:
@@ -152,15 +152,16 @@ def _describe_left_out(recorded: int, kept: int, depth: float) -> dict[str, Any]
     if kept == recorded:
         return {}
     reason = ("answers of the stage were late, and its position was not known to within "
-              f"{compute_position_tolerance(depth) * 1e3:.3g} mm")
+              f"{compute_position_tolerance_for_depth(depth) * 1e3:.3g} mm")
     if 2 * kept < recorded:
         raise StoppedError(StopReason("program late", f"in {recorded - kept} of {recorded} samples {reason}; close "
                                       "other programs on this computer, or move more slowly"))
     return {"left_out": {"samples": recorded - kept, "reason": reason}}
 
 
-def estimate_contact_point(record: MotionRecord, plan: IndentationPlan, halted: float, channels: Sequence[str],
-                           speed: float, period: float) -> tuple[float, dict[str, Any]]:
+def estimate_contact_point_and_metadata(record: MotionRecord, plan: IndentationPlan, halted: float,
+                                        channels: Sequence[str],
+                                        speed: float, period: float) -> tuple[float, dict[str, Any]]:
     """Estimate the contact point from the slow approach, which passes the contact point before the contact force.
 
     Three methods are tried in this order: the change point of `tissue_sim.recording.contact.find_contact`, also if its
@@ -180,7 +181,7 @@ def estimate_contact_point(record: MotionRecord, plan: IndentationPlan, halted: 
     metadata: dict[str, Any] = {"contact_force_N": plan.contact_force, "touch_by": "force"}
     sampled_at = record.fit_sample_clock(period).compute_times(record.numbers)
     path = StagePath(record.polls, [], [speed])
-    inside = np.flatnonzero(path.is_position_known(sampled_at, plan.largest_depth))
+    inside = np.flatnonzero(path.find_known_position_mask(sampled_at, plan.largest_depth))
     thinned = inside[:: max(1, inside.size // _SETTINGS.most_samples)]
     if thinned.size < _SETTINGS.fewest_samples:
         return halted, metadata

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class GuardedMotionSettings:
+class GuardedMotionTolerancesAndTimes:
     """Settings of `GuardedMotion`.
 
     Attributes:

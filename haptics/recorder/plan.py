@@ -119,8 +119,8 @@ class IndentationPlan:
                          f"{leg.segment.kind} to {leg.end * 1e3:g} mm at {leg.speed * 1e3:g} mm/s" for leg in self.legs)
 
 
-def check_plans_against_limits(plans: Sequence[IndentationPlan], limits: MotionLimits, stage: Stage,
-                               period: float) -> float:
+def check_plans_and_compute_duration(plans: Sequence[IndentationPlan], limits: MotionLimits, stage: Stage,
+                                     period: float) -> float:
     """Check the plans of a run against limits and stage before anything moves, and return their duration.
 
     Args:

@@ -12,8 +12,8 @@ import numpy as np
 
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
 from haptics.recorder.guarded_motion import GuardedMotion
-from haptics.recorder.motion_record import MotionRecord, build_recording, estimate_contact_point
-from haptics.recorder.plan import POLLING, IndentationPlan, check_plans_against_limits
+from haptics.recorder.motion_record import MotionRecord, build_recording, estimate_contact_point_and_metadata
+from haptics.recorder.plan import POLLING, IndentationPlan, check_plans_and_compute_duration
 from haptics.recorder.run_folder import PartialRecording, RunFolder
 from haptics.recorder.stopped import StoppedError
 from haptics.safety.motion_guard import MotionLimits, StopReason
@@ -21,7 +21,7 @@ from tissue_sim.errors import InputError
 
 
 @dataclass(frozen=True)
-class ContactSearchSettings:
+class ContactSearchAveragingAndSpeed:
     """Averaging time of the force, and relative speed of the second approach, in the search for contact.
 
     Attributes:
@@ -34,7 +34,7 @@ class ContactSearchSettings:
     slow_fraction: float = 0.2
 
 
-_CONTACT_SEARCH = ContactSearchSettings()
+_CONTACT_SEARCH = ContactSearchAveragingAndSpeed()
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,9 @@ class Recorder:
                  about: dict[str, Any] | None = None, stop_request: Callable[[], str | None] = lambda: None,
                  on_progress: Callable[[RunProgress], None] = lambda progress: None,
                  clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep):
-        self.seconds = check_plans_against_limits([plan], limits, bench.stage, 1.0 / bench.sensor.rate)
-        self._motion = GuardedMotion(bench, limits, plan.axis, plan.sign, on_poll=self._store_samples,
+        self.seconds = check_plans_and_compute_duration([plan], limits, bench.stage, 1.0 / bench.sensor.rate)
+        self._motion = GuardedMotion(bench, limits, plan.axis, plan.sign,
+                                     on_poll=self._store_samples_and_report_progress,
                                      stop_request=stop_request, clock=clock, sleep=sleep)
         self._plan, self._limits, self._folder, self._about = plan, limits, folder, about or {}
         self._on_progress = on_progress
@@ -110,17 +111,17 @@ class Recorder:
         folder, plan, motion = self._folder, self._plan, self._motion
         folder.update_state(state="running", limits=_convert_limits_to_json(self._limits), about=self._about)
         try:
-            with motion.run_devices(self._plan_retraction):
+            with motion.run_devices(self._get_retraction_position_and_speed):
                 stage = motion.stage
                 # Some devices state their rate and their run-on time only after the start.
-                check_plans_against_limits([plan], self._limits, stage, 1.0 / motion.sensor.rate)
+                check_plans_and_compute_duration([plan], self._limits, stage, 1.0 / motion.sensor.rate)
                 folder.update_state(sensor=motion.sensor.describe(), stage=stage.describe(),
                                     stall="detected by the encoder" if stage.measures_position else
                                     "not detectable: the stage reports only the commanded position")
-                self._tare_sensor()
+                self._tare_sensor_in_place()
                 self._phase = "home"
                 motion.home()
-                self._execute_plan(folder.list_missing_replicates(plan.name, plan.replicates))
+                self._execute_plan(folder.list_missing_replicate_numbers(plan.name, plan.replicates))
         except (StoppedError, DeviceError) as error:
             reason = error.reason if isinstance(error, StoppedError) else StopReason("device", str(error))
             # A full disk must not replace the error that stopped the tool.
@@ -133,13 +134,14 @@ class Recorder:
                 self._partial = None
         folder.update_state(state="waiting")
 
-    def _plan_retraction(self) -> tuple[float, float]:
+    def _get_retraction_position_and_speed(self) -> tuple[float, float]:
         """Return the position, m, and the speed, m/s, of a retraction after a stop."""
         plan, contact_point = self._plan, self._contact_point
         position = 0.0 if contact_point is None else contact_point - (plan.retract if plan.contact == "force" else 0.0)
         return position, plan.approach_speed
 
-    def _store_samples(self, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample) -> None:
+    def _store_samples_and_report_progress(self, samples: Sequence[ForceSample], forces: Sequence[float],
+                                           stage: StageSample) -> None:
         """Store the samples of a poll in memory and in the partial file, and call `on_progress`.
 
         Args:
@@ -152,7 +154,7 @@ class Recorder:
         """
         motion = self._motion
         if self._record is not None:
-            positions = self._record.append_poll(samples, stage)
+            positions = self._record.append_poll_and_interpolate_positions(samples, stage)
             if self._partial is not None:
                 started, contact_point = self._record.polls[0].middle_time, self._contact_point or 0.0
                 self._partial.queue_rows([(sample.received - started, 1e3 * (position - contact_point), force,
@@ -173,21 +175,21 @@ class Recorder:
         if not missing:
             return
         if plan.contact == "force":
-            motion.move_to(min(0.0, self._limits.highest), plan.approach_speed)
-        self._tare_sensor()
+            motion.move_until_arrival_or_condition(min(0.0, self._limits.highest), plan.approach_speed)
+        self._tare_sensor_in_place()
         if plan.contact == "force":
-            self._find_contact()
+            self._approach_withdraw_and_tare()
             if plan.preconditioning or plan.touch == "once":
-                self._refine_contact_point()
+                self._refine_and_store_contact_point()
         else:
             self._contact_point = self._last_position
         for cycle in range(plan.preconditioning):
-            self._execute_recorded_motion(f"preconditioning {cycle + 1} of {plan.preconditioning}")
+            self._execute_motion_and_log_loading(f"preconditioning {cycle + 1} of {plan.preconditioning}")
         for number in missing:
             self._replicate = number
             self._record_replicate(number)
         self._replicate = 0
-        self._move_above_contact()
+        self._move_to_waiting_position()
 
     @property
     def _last_position(self) -> float:
@@ -195,25 +197,25 @@ class Recorder:
         assert self._motion.stage_sample is not None
         return self._motion.stage_sample.position
 
-    def _tare_sensor(self) -> None:
+    def _tare_sensor_in_place(self) -> None:
         """Check that the sensor is unloaded at the present position, and tare it."""
         self._phase = "tare"
         self._motion.tare(self._limits.tare, self._plan.contact_force)
 
-    def _find_contact(self) -> None:
+    def _approach_withdraw_and_tare(self) -> None:
         """Approach until contact and store the contact point; withdraw, and tare the sensor in this position."""
         self._contact_point = self._lower_until_contact(self._plan.approach_speed)
-        self._move_above_contact(2.0)
-        self._tare_sensor()
+        self._move_to_waiting_position(2.0)
+        self._tare_sensor_in_place()
 
-    def _refine_contact_point(self) -> None:
+    def _refine_and_store_contact_point(self) -> None:
         """Approach slowly, estimate the contact point from the samples, store it, and withdraw.
 
         Raises:
             StoppedError: the contact point moved by more than half of the retraction height.
         """
         plan, motion = self._plan, self._motion
-        self._move_above_contact(2.0)
+        self._move_to_waiting_position(2.0)
         record = self._record = MotionRecord()
         speed = _CONTACT_SEARCH.slow_fraction * plan.approach_speed
         try:
@@ -221,8 +223,8 @@ class Recorder:
         finally:
             self._record = None
         self._contact_point, self._contact_metadata = motion.run_while_polling(
-            lambda: estimate_contact_point(record, plan, halted, motion.sensor.channels, speed,
-                                           1.0 / motion.sensor.rate))
+            lambda: estimate_contact_point_and_metadata(record, plan, halted, motion.sensor.channels, speed,
+                                                        1.0 / motion.sensor.rate))
         if self._first_contact_point is None:
             self._first_contact_point = self._contact_point
         if abs(self._contact_point - self._first_contact_point) > 0.5 * plan.retract:
@@ -230,21 +232,22 @@ class Recorder:
                 "zero", f"the tool touches the specimen at {self._contact_point * 1e3:.4g} mm; the first contact was "
                         f"at {self._first_contact_point * 1e3:.4g} mm: the stage has lost steps, or the specimen has "
                         "moved"))
-        self._move_above_contact()
+        self._move_to_waiting_position()
 
     def _lower_until_contact(self, speed: float) -> float:
         """Move down at a speed, m/s, until the contact force is reached; return the position, m, after the halt."""
         plan, motion = self._plan, self._motion
         self._phase = "approach"
-        if not motion.move_to(self._limits.highest, speed,
-                              lambda: motion.compute_mean_force(_CONTACT_SEARCH.window) >= plan.contact_force):
+        if not motion.move_until_arrival_or_condition(self._limits.highest, speed,
+                                                      lambda: motion.compute_mean_of_recent_forces(
+                                                          _CONTACT_SEARCH.window) >= plan.contact_force):
             raise StoppedError(StopReason(
                 "no contact", f"the force did not reach {plan.contact_force:g} N within the limits of the motion; put "
                               "the specimen nearer, or check the sign and the axis of the sensor"))
         motion.clear_forces()
         return self._last_position
 
-    def _move_above_contact(self, factor: float = 1.0) -> None:
+    def _move_to_waiting_position(self, factor: float = 1.0) -> None:
         """Move the tool to its waiting position above the contact point; at it for contact ``"here"``.
 
         Args:
@@ -253,9 +256,9 @@ class Recorder:
         assert self._contact_point is not None
         # The tool must be free of the specimen here, because the sensor is zeroed in this position.
         above = factor * self._plan.retract if self._plan.contact == "force" else 0.0
-        self._motion.move_to(self._contact_point - above, self._plan.approach_speed)
+        self._motion.move_until_arrival_or_condition(self._contact_point - above, self._plan.approach_speed)
 
-    def _execute_recorded_motion(self, description: str) -> None:
+    def _execute_motion_and_log_loading(self, description: str) -> None:
         """Execute the motion of the plan once, recorded or not, and write loading and largest depth into the run file.
 
         Args:
@@ -265,20 +268,20 @@ class Recorder:
         plan, motion, contact_point = self._plan, self._motion, self._contact_point
         self._deepest = 0.0
         # Written before the motion: a program that dies during the motion has loaded the specimen.
-        entry = self._folder.record_loading(plan.name, description, plan.largest_depth)
+        entry = self._folder.add_or_update_loading_entry(plan.name, description, plan.largest_depth)
         try:
-            motion.move_to(contact_point + plan.legs[0].start, plan.approach_speed)
+            motion.move_until_arrival_or_condition(contact_point + plan.legs[0].start, plan.approach_speed)
             for leg in plan.legs:
                 self._phase = leg.segment.kind
                 if self._record is not None:
                     self._record.legs.append((motion.now(), leg.segment.kind, leg.cycle))
                 if leg.speed:
-                    motion.move_to(contact_point + leg.end, leg.speed)
+                    motion.move_until_arrival_or_condition(contact_point + leg.end, leg.speed)
                 else:
                     motion.poll_for_duration(leg.duration)
         finally:
             with contextlib.suppress(OSError, InputError):
-                self._folder.record_loading(plan.name, description, self._deepest, entry)
+                self._folder.add_or_update_loading_entry(plan.name, description, self._deepest, entry)
 
     def _record_replicate(self, number: int) -> None:
         """Record one replicate with the rest before it, check the zero of the sensor, and save the recording.
@@ -288,28 +291,28 @@ class Recorder:
         """
         plan, motion, folder = self._plan, self._motion, self._folder
         self._phase = "rest"
-        self._move_above_contact()
+        self._move_to_waiting_position()
         motion.poll_for_duration(plan.rest)
-        self._check_zero()
+        self._require_zero_force_above_contact()
         if plan.contact == "force" and plan.touch == "each":
-            self._refine_contact_point()
+            self._refine_and_store_contact_point()
             self._phase = "rest"
         name, started = f"{plan.name}_{number}", _format_local_time()
-        loadings, stops = folder.count_loadings(plan.name), folder.list_stops(plan.name)
+        loadings, stops = folder.count_loadings_of_test(plan.name), folder.list_stops_for_test(plan.name)
         partial = self._partial = folder.open_partial(name, ["time [s]", "displacement [mm]", "force [N]", "segment"])
         record = self._record = MotionRecord()
         try:
-            self._execute_recorded_motion(f"recording {number} of {plan.replicates}")
+            self._execute_motion_and_log_loading(f"recording {number} of {plan.replicates}")
             motion.poll_for_duration(2 * POLLING.period)
         finally:
             self._record = None
         # Lost steps of the motor and a sensor without signal show here; the samples are then not saved as a recording.
         self._phase = "check"
-        self._move_above_contact()
-        self._check_zero()
+        self._move_to_waiting_position()
+        self._require_zero_force_above_contact()
         contact_point, zero, contact_metadata = self._contact_point or 0.0, motion.zero, self._contact_metadata
 
-        def save_recording() -> None:
+        def check_and_save_recording() -> None:
             """Build the recording, check that the contact force was reached, and save it; closes the partial file."""
             recording = build_recording(record, plan, contact_point, zero, motion.sensor.channels,
                                         1.0 / motion.sensor.rate)
@@ -328,13 +331,13 @@ class Recorder:
                 "loadings_before": loadings, "stops_before": stops, **recording.metadata}))
 
         # Saving a long test takes seconds; the devices must be polled during this time.
-        motion.run_while_polling(save_recording)
+        motion.run_while_polling(check_and_save_recording)
         self._partial = None
 
-    def _check_zero(self) -> None:
+    def _require_zero_force_above_contact(self) -> None:
         """Check the force above the contact point against the contact force; no check for contact ``"here"``."""
         if self._plan.contact == "force":
-            self._motion.check_zero(self._plan.contact_force)
+            self._motion.require_zero_force(self._plan.contact_force)
 
 
 def _convert_limits_to_json(limits: MotionLimits) -> dict[str, Any]:

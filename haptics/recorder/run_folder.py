@@ -13,7 +13,7 @@ from typing import Any
 
 from tissue_sim import Recording, write_recording
 from tissue_sim.atomic_write import write_bytes, write_text
-from tissue_sim.decode import read_json
+from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_bytes
 
@@ -52,9 +52,9 @@ class RunFolder:
         self._copies: dict[Path, str] = {}
         self.state: dict[str, Any] = {"schema": "tissue_sim.run/1", "protocol_sha256": digest, "state": "new",
                                       "done": [], "history": [], "stops": [], "left_out": {}}
-        self._load_state()
+        self._load_state_and_record_crash()
 
-    def _load_state(self) -> None:
+    def _load_state_and_record_crash(self) -> None:
         """Set `state` from ``run.json`` if the folder has files; add the stop "died" if a previous program crashed."""
         if self.folder.exists() and any(each.name != LOCK_FILE for each in self.folder.iterdir()):
             self.state = self._read_state()
@@ -74,7 +74,7 @@ class RunFolder:
             raise InputError("the folder must be empty or contain a run; it contains other files. Choose an empty "
                              "folder", file=self.folder)
         try:
-            state = read_json(file, "the file of a run")
+            state = read_json_value(file, "the file of a run")
         except (OSError, ValueError):
             state = None
         if not isinstance(state, dict) or "protocol_sha256" not in state:
@@ -97,7 +97,7 @@ class RunFolder:
             self._lock = None
             raise InputError("another program records into this folder; wait for its end, or choose another folder",
                              file=self.folder)
-        self._load_state()
+        self._load_state_and_record_crash()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -124,7 +124,7 @@ class RunFolder:
             "cause": cause, "message": message, "test": test, "phase": phase, "replicate": replicate,
             "at": _format_local_time()}])
 
-    def record_loading(self, test: str, description: str, depth: float, entry: int | None = None) -> int:
+    def add_or_update_loading_entry(self, test: str, description: str, depth: float, entry: int | None = None) -> int:
         """Append a loading of the specimen to the history, or replace an entry, and write ``run.json``.
 
         Args:
@@ -145,15 +145,15 @@ class RunFolder:
         self.update_state(history=history)
         return len(history) - 1 if entry is None else entry
 
-    def count_loadings(self, test: str) -> int:
+    def count_loadings_of_test(self, test: str) -> int:
         """Return the number of entries of a test in the history of loadings, planned entries included."""
         return sum(entry["test"] == test for entry in self.state["history"])
 
-    def list_stops(self, test: str) -> list[dict[str, Any]]:
+    def list_stops_for_test(self, test: str) -> list[dict[str, Any]]:
         """Return the recorded stops of a test, and the stops that belong to no test, oldest first."""
         return [stop for stop in self.state["stops"] if stop["test"] in (test, "")]
 
-    def list_missing_replicates(self, name: str, replicates: int) -> list[int]:
+    def list_missing_replicate_numbers(self, name: str, replicates: int) -> list[int]:
         """Return the numbers, from 1, of the replicates of a test that have no recording yet.
 
         Args:
@@ -162,7 +162,7 @@ class RunFolder:
         """
         return [number for number in range(1, replicates + 1) if f"{name}_{number}.csv" not in self.state["done"]]
 
-    def copy_file(self, path: Path) -> str:
+    def copy_input_file_once(self, path: Path) -> str:
         """Copy an input file of the tests into the folder; a later call with the same path makes no second copy.
 
         Args:

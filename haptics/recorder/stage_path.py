@@ -9,7 +9,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class StagePathSettings:
+class StagePositionTolerances:
     """Tolerances of the stage position: a force sample is recorded only if the error bound of its position is smaller.
 
     Attributes:
@@ -24,7 +24,7 @@ class StagePathSettings:
 
 
 #: Settings of every recording.
-SETTINGS = StagePathSettings()
+SETTINGS = StagePositionTolerances()
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class StagePath:
         self._positions = np.array([poll.position for poll in polls])
         self._changes = np.array(changes, dtype=float)
         self._speeds = np.array(speeds, dtype=float)
-        begun, ended = self._compute_largest_travel(self._earliest), self._compute_largest_travel(self._latest)
+        begun, ended = self._integrate_commanded_speed(self._earliest), self._integrate_commanded_speed(self._latest)
         position = self._positions
         # Row i holds the bounds of the first i polls (before), and of the polls from i on (after), without s(t).
         none = np.array([np.inf])
@@ -81,7 +81,7 @@ class StagePath:
         self._upper_after = np.minimum.accumulate(np.concatenate([none, (position + ended)[::-1]]))[::-1]
         self._lower_after = np.maximum.accumulate(np.concatenate([-none, (position - ended)[::-1]]))[::-1]
 
-    def _compute_largest_travel(self, times: np.ndarray) -> np.ndarray:
+    def _integrate_commanded_speed(self, times: np.ndarray) -> np.ndarray:
         """Return the integral of the commanded speed from its first change to each time, m; negative before it."""
         if self._changes.size == 0:
             return self._speeds[0] * times
@@ -104,7 +104,7 @@ class StagePath:
         Args:
             times: s, shape (n,).
         """
-        travel, position = self._compute_largest_travel(times), self.interpolate_position(times)
+        travel, position = self._integrate_commanded_speed(times), self.interpolate_position(times)
         before = np.searchsorted(self._latest, times, side="right")
         after = np.searchsorted(self._earliest, times, side="left")
         upper = np.minimum(self._upper_before[before] + travel, self._upper_after[after] - travel)
@@ -112,16 +112,16 @@ class StagePath:
         outside = (times < self._times[0]) | (times > self._times[-1])
         return np.where(outside, np.inf, np.maximum(np.abs(upper - position), np.abs(position - lower)))
 
-    def is_position_known(self, times: np.ndarray, depth: float) -> np.ndarray:
+    def find_known_position_mask(self, times: np.ndarray, depth: float) -> np.ndarray:
         """Return for each time whether the error bound of the position is within the tolerance, bool, shape (n,).
 
         Args:
             times: s, shape (n,).
             depth: largest depth of the motion, m.
         """
-        return self.bound_position_error(times) <= compute_position_tolerance(depth)
+        return self.bound_position_error(times) <= compute_position_tolerance_for_depth(depth)
 
 
-def compute_position_tolerance(depth: float) -> float:
+def compute_position_tolerance_for_depth(depth: float) -> float:
     """Return the largest permitted bound on the position error, m, for a motion with the largest depth `depth`, m."""
     return max(SETTINGS.tolerance * abs(depth), SETTINGS.least_tolerance)

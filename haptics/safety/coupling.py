@@ -33,7 +33,7 @@ class CouplingSettings:
 COUPLING = CouplingSettings()
 
 
-def has_stale_stiffness(answer: ToolForce) -> bool:
+def is_tool_force_stiffness_stale(answer: ToolForce) -> bool:
     """Return whether the stiffness of an answer is older than `CouplingSettings.longest_stiffness_age`."""
     return answer.stiffness_age > COUPLING.longest_stiffness_age
 
@@ -163,7 +163,7 @@ class VirtualCoupling:
         velocity = vx, vy, vz = (x - last_x) / dt, (y - last_y) / dt, (z - last_z) / dt
         px, py, pz = self.pose.position
         offset = (x - px, y - py, z - pz)
-        moved = (0.0, 0.0, 0.0) if answer is None else self._solve_proxy_motion(offset, velocity, answer, dt)
+        moved = (0.0, 0.0, 0.0) if answer is None else self._solve_proxy_displacement(offset, velocity, answer, dt)
         self._motion = mx, my, mz = moved
         px, py, pz = px + mx, py + my, pz + mz
         self.pose = Pose((px, py, pz), device.orientation)
@@ -174,7 +174,7 @@ class VirtualCoupling:
         self.dissipated += (damping * vx * vx + damping * vy * vy + damping * vz * vz) * dt
         return self.pose
 
-    def _solve_proxy_motion(self, offset: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
+    def _solve_proxy_displacement(self, offset: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
         """Solve the implicit step for the displacement of the proxy in one tick, and update the stored stiffnesses.
 
         Args:
@@ -188,14 +188,14 @@ class VirtualCoupling:
         """
         # A negative stiffness would reverse the implicit step, so it is set to zero; the next tick corrects the rest.
         ahead = answer if answer.ahead is None else answer.ahead
-        matrix = answer.stiffness_within_step if answer.ahead is None else answer.ahead.stiffness_matrix
+        matrix = answer.stiffness_matrix_within_step if answer.ahead is None else answer.ahead.stiffness_matrix
         a, b, c = matrix[0][:3]
         d, e, f = matrix[1][:3]
         g, h, i = matrix[2][:3]
         a, e, i = max(a, 0.0), max(e, 0.0), max(i, 0.0)
         if matrix is answer.stiffness_matrix:
-            self._update_stiffness(answer, max(a, e, i))
-            if has_stale_stiffness(answer):
+            self._update_largest_and_secant_stiffness(answer, max(a, e, i))
+            if is_tool_force_stiffness_stale(answer):
                 a = e = i = max(self._largest_stiffness, self._secant)
                 b = c = d = f = g = h = 0.0
         before_x, before_y, before_z = self._motion
@@ -217,7 +217,7 @@ class VirtualCoupling:
         y = (y - f * z) / second
         return ((x - b * y - c * z) / first, y, z)
 
-    def _update_stiffness(self, answer: ToolForce, largest: float) -> None:
+    def _update_largest_and_secant_stiffness(self, answer: ToolForce, largest: float) -> None:
         """Update the largest stiffness, or the secant stiffness if the stiffness of the answer is too old.
 
         Args:
@@ -226,7 +226,7 @@ class VirtualCoupling:
         """
         load, before, motion = answer.wrench[:3], self._load, math.hypot(*self._motion)
         self._load = load
-        if not has_stale_stiffness(answer):
+        if not is_tool_force_stiffness_stale(answer):
             self._largest_stiffness, self._secant = max(self._largest_stiffness, largest), 0.0
         elif before is not None and motion > COUPLING.smallest_motion:
             self._secant = max(self._secant, math.dist(load, before) / motion)

@@ -11,7 +11,7 @@ from tissue_sim.tool_force import ForceStatus, ToolForce
 
 
 @dataclass(frozen=True)
-class ReleaseSettings:
+class ForceFadeTimesAndThresholds:
     """Times and forces of `ForceRelease`.
 
     Attributes:
@@ -31,7 +31,7 @@ class ReleaseSettings:
 
 
 #: Defaults of every release.
-RELEASE = ReleaseSettings()
+RELEASE = ForceFadeTimesAndThresholds()
 
 
 class ForceRelease:
@@ -42,9 +42,9 @@ class ForceRelease:
     The momentum of the tissue limits this force, which is not faded. After `patience` without equilibrium,
     force and stiffness fade to zero together within `ramp` (status FADING): a client that extrapolates with the
     stiffness then stays below the force of the answer. With the next equilibrium they return within the same time
-    (status RETURNING). If the first force exceeds `ReleaseSettings.largest_first_force`, the hand starts inside the
-    tissue, and the force returns from zero in the same way. The answer to a refused pose keeps the status REFUSED and
-    is scaled by the same gain.
+    (status RETURNING). If the first force exceeds `ForceFadeTimesAndThresholds.largest_first_force`, the hand starts
+    inside the tissue, and the force returns from zero in the same way. The answer to a refused pose keeps the status
+    REFUSED and is scaled by the same gain.
 
     Args:
         patience: longest time without equilibrium at full force, s; infinite for local models of a slow solver, which
@@ -80,7 +80,7 @@ class ForceRelease:
         """
         watchdog, last, self._last_step = self._watchdog, self._last_step, now
         if last is None and math.hypot(*answer.wrench[:3]) > RELEASE.largest_first_force:
-            watchdog.withdraw_force()
+            watchdog.set_gain_to_zero()
         converged = answer.status is ForceStatus.CONVERGED
         has_equilibrium = converged or (answer.status is ForceStatus.LATE and answer.inertial and answer.age == 0.0)
         gain = watchdog.step(has_equilibrium, 0.0 if last is None else max(0.0, now - last))
@@ -91,4 +91,4 @@ class ForceRelease:
             status = ForceStatus.RETURNING
         elif status in (ForceStatus.LATE, ForceStatus.STOPPED) and watchdog.state is not WatchdogState.MISSING:
             status = ForceStatus.FADING
-        return answer.scale_force(gain, status)
+        return answer.multiply_force_and_set_status(gain, status)

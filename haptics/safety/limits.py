@@ -63,9 +63,9 @@ class ForceLimits:
             self.limited = self.rate_limited = False
             self.last = requested
             return requested
-        force, limited, rate_limited = _limit_vector(requested[:3], last[:3], self.force, self.rate)
-        torque, torque_limited, torque_rate_limited = _limit_vector(requested[3:], last[3:], self.torque,
-                                                                    self.torque_rate)
+        force, limited, rate_limited = _limit_magnitude_and_change(requested[:3], last[:3], self.force, self.rate)
+        torque, torque_limited, torque_rate_limited = _limit_magnitude_and_change(
+            requested[3:], last[3:], self.torque, self.torque_rate)
         self.limited, self.rate_limited = limited or torque_limited, rate_limited or torque_rate_limited
         self._limited_parts = (limited, rate_limited, torque_limited, torque_rate_limited)
         self.last = force + torque
@@ -87,7 +87,8 @@ class ForceLimits:
         return ", ".join(compress(descriptions, self._limited_parts))
 
 
-def _limit_vector(requested: Vector, last: Vector, largest: float, rate: float) -> tuple[Vector, bool, bool]:
+def _limit_magnitude_and_change(requested: Vector, last: Vector, largest: float,
+                                rate: float) -> tuple[Vector, bool, bool]:
     """Limit the magnitude of a vector and its distance to the last one.
 
     Args:

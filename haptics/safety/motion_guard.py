@@ -124,7 +124,7 @@ class CommandedMotion:
     speed: float
     started: float
 
-    def expected_travel(self, now: float) -> float:
+    def compute_expected_travel(self, now: float) -> float:
         """Return the distance that the tool should have moved at a time, m.
 
         Args:
@@ -172,8 +172,8 @@ class MotionGuard:
         Returns:
             The reason to stop the motion, or None.
         """
-        return (self._check_sensor(now, samples) or self._check_force(samples, forces) or self._check_stage(stage)
-                or self._check_motion(now, stage, command))
+        return (self._check_sensor(now, samples) or self._check_force(samples, forces)
+                or self._check_stage_status(stage) or self._check_duration_and_motion(now, stage, command))
 
     def _check_sensor(self, now: float, samples: Sequence[ForceSample]) -> StopReason | None:
         """Check the status of the sensor, and the time since its last sample; return the reason to stop, or None."""
@@ -184,13 +184,13 @@ class MotionGuard:
                                   "load, and check that the sensor reads zero")
             if sample.status & SampleStatus.FAULT:
                 return StopReason("sensor fault", "the sensor reports a fault, and its samples are unreliable; check "
-                                                  "its status display or its manual")
+                                  "its status display or its manual")
         if samples:
             self._last_sample = now
         elif now - self._last_sample > self._longest_silence:
             return StopReason("sensor lost", f"the sensor was silent for {now - self._last_sample:.3g} s, longer than "
-                                             f"the allowed {self._longest_silence:.3g} s; check its cable and its "
-                                             "power supply")
+                              f"the allowed {self._longest_silence:.3g} s; check its cable and its "
+                              "power supply")
         return None
 
     def _check_force(self, samples: Sequence[ForceSample], forces: Sequence[float]) -> StopReason | None:
@@ -203,19 +203,20 @@ class MotionGuard:
                 # Written as a negation, so that NaN exceeds the limit.
                 if not magnitude <= self.limits.force:
                     return StopReason("force", f"the force {direction} was {magnitude:.4g} N, above the limit of "
-                                               f"{self.limits.force:g} N")
+                                      f"{self.limits.force:g} N")
         return None
 
-    def _check_stage(self, stage: StageSample) -> StopReason | None:
+    def _check_stage_status(self, stage: StageSample) -> StopReason | None:
         """Check the status flags of the stage; return the reason to stop, or None."""
         if stage.status & SampleStatus.FAULT:
             return StopReason("stage fault", "the stage reports a fault; check its status display, and home it again")
         if stage.status & SampleStatus.LIMIT and self.is_stage_homed and not stage.moving:
             return StopReason("limit switch", "the stage is at a limit switch within the limits of the motion; "
-                                              "home it again")
+                              "home it again")
         return None
 
-    def _check_motion(self, now: float, stage: StageSample, command: CommandedMotion | None) -> StopReason | None:
+    def _check_duration_and_motion(self, now: float, stage: StageSample,
+                                   command: CommandedMotion | None) -> StopReason | None:
         """Check duration of the run, position and speed of the homed stage; return the reason to stop, or None."""
         limits = self.limits
         if now - self._started > limits.duration:
@@ -226,7 +227,7 @@ class MotionGuard:
         tolerance = _SETTINGS.stall_distance
         if not limits.lowest - tolerance <= stage.position <= limits.highest + tolerance:
             return StopReason("travel", f"the stage is at {stage.position * 1e3:.4g} mm, outside of its limits of "
-                                        f"{limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm")
+                              f"{limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm")
         return self._check_speed(stage) or (None if command is None else self._check_command(stage, command))
 
     def _check_speed(self, stage: StageSample) -> StopReason | None:
@@ -247,7 +248,7 @@ class MotionGuard:
             allowed = (1 + _SETTINGS.speed_tolerance) * self.limits.speed + _SETTINGS.stall_distance / longest
             if speed > allowed:
                 return StopReason("speed", f"the stage moves at {speed * 1e3:.3g} mm/s or faster, above the limit of "
-                                           f"{self.limits.speed * 1e3:g} mm/s")
+                                  f"{self.limits.speed * 1e3:g} mm/s")
         return None
 
     def _check_command(self, stage: StageSample, command: CommandedMotion) -> StopReason | None:
@@ -256,14 +257,14 @@ class MotionGuard:
         low, high = sorted((command.start, command.goal))
         if not low - tolerance <= stage.position <= high + tolerance:
             return StopReason("stage astray", f"the stage is at {stage.position * 1e3:.4g} mm, off the commanded path "
-                                              f"from {command.start * 1e3:.4g} to {command.goal * 1e3:.4g} mm; home it "
-                                              "again")
-        behind = command.expected_travel(stage.earliest_reading_time) - abs(stage.position - command.start)
+                              f"from {command.start * 1e3:.4g} to {command.goal * 1e3:.4g} mm; home it "
+                              "again")
+        behind = command.compute_expected_travel(stage.earliest_reading_time) - abs(stage.position - command.start)
         is_stall_testable = stage.earliest_reading_time - command.started > _SETTINGS.stall_time
         if self._measures_position and command.speed and is_stall_testable and \
                 behind > max(_SETTINGS.stall_distance, _SETTINGS.stall_time * command.speed):
             return StopReason("stage stalled", f"the stage is {behind * 1e3:.3g} mm behind its commanded position; "
-                                               "remove what blocks it, and home it again")
+                              "remove what blocks it, and home it again")
         return None
 
 

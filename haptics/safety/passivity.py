@@ -70,7 +70,7 @@ class PassivityObserver:
 
     way = OldName("displacement_to")
 
-    def compute_work(self, wrench: Screw, displacement: Screw) -> float:
+    def compute_work_by_hand(self, wrench: Screw, displacement: Screw) -> float:
         """Return the energy that the hand puts in between the last sample and a new one, J; the sums are unchanged.
 
         Args:
@@ -84,7 +84,7 @@ class PassivityObserver:
         x, y, z, u, v, w = displacement
         return -(a * x + b * y + c * z + d * u + e * v + f * w)
 
-    work = OldName("compute_work")
+    work = OldName("compute_work_by_hand")
     velocity = OldName("compute_mean_velocity")
 
     def observe(self, wrench: Screw, pose: Pose, displacement: Screw | None = None):
@@ -100,7 +100,7 @@ class PassivityObserver:
             if self._pose is None and not pose.is_finite:
                 return
             displacement = self.displacement_to(pose)
-        work = self.compute_work(wrench, displacement)
+        work = self.compute_work_by_hand(wrench, displacement)
         # A component of the pose that is not finite makes the work not finite.
         if not math.isfinite(work + sum(wrench)):
             return
@@ -123,7 +123,7 @@ class PassivityObserver:
         return ((x1 - x0) / dt, (y1 - y0) / dt, (z1 - z0) / dt)
 
 
-class EnergyLimit:
+class ReturnedEnergyCutoff:
     """Switch the force off permanently if the hand receives much more energy than it put in.
 
     This is the last safeguard behind the passivity controller, against tissue that drives the hand because of a wrong
@@ -203,7 +203,8 @@ class PassivityController:
             pose: pose in this tick.
             dt: length of the tick, s.
         """
-        energy = self.observer.energy + self.observer.compute_work(_NO_WRENCH, self.observer.displacement_to(pose))
+        energy = self.observer.energy + self.observer.compute_work_by_hand(_NO_WRENCH,
+                                                                           self.observer.displacement_to(pose))
         x, y, z = self.observer.compute_mean_velocity(pose, dt)
         power = (x * x + y * y + z * z) * dt
         self.added = min(-energy / power, self.damping) if energy < 0 and power > 0 else 0.0

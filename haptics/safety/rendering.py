@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
-from haptics.safety.passivity import EnergyLimit, PassivityController, PassivityObserver
+from haptics.safety.passivity import PassivityController, PassivityObserver, ReturnedEnergyCutoff
 from haptics.safety.watchdog import Watchdog, WatchdogState
 from tissue_sim.pose import Pose, Screw, scale_screw
 from tissue_sim.public_names import OldName
@@ -90,7 +90,7 @@ class RenderedForce(NamedTuple):
         return bool(self.flags & _RATE_LIMITED)
 
     @property
-    def has_invalid_input(self) -> bool:
+    def has_invalid_force_or_time_step(self) -> bool:
         """Whether the force or dt was not a finite number; the force then goes to zero."""
         return bool(self.flags & _INVALID)
 
@@ -111,7 +111,7 @@ class RenderedForce(NamedTuple):
 
 
 # `NamedTuple` does not call ``__set_name__`` of the members of its class body before Python 3.13.
-for _old, _new in (("active", "is_active"), ("invalid", "has_invalid_input")):
+for _old, _new in (("active", "is_active"), ("invalid", "has_invalid_force_or_time_step")):
     _alias = OldName(_new)
     _alias.__set_name__(RenderedForce, _old)
     setattr(RenderedForce, _old, _alias)
@@ -137,9 +137,9 @@ class ForceRendering:
     """
 
     def __init__(self, limits: ForceLimits, coupling: VirtualCoupling | None = None, watchdog: Watchdog | None = None,
-                 controller_damping: float | None = None, energy_limit: EnergyLimit | None = None):
+                 controller_damping: float | None = None, energy_limit: ReturnedEnergyCutoff | None = None):
         self.limits, self.coupling, self.watchdog = limits, coupling, watchdog or Watchdog()
-        self.energy_limit = energy_limit or EnergyLimit(math.inf)
+        self.energy_limit = energy_limit or ReturnedEnergyCutoff(math.inf)
         self.observer, self.held_observer = PassivityObserver(), PassivityObserver(held=True)
         self.controller = (None if controller_damping is None
                            else PassivityController(self.held_observer, controller_damping))

@@ -52,11 +52,11 @@ class Watchdog:
         self.state, self.gain, self.missing = WatchdogState.TRACKING, 1.0, 0.0
         self._progress = 1.0
 
-    def withdraw_force(self):
+    def set_gain_to_zero(self):
         """Set the gain to zero and the state to LOST; the next pose starts the ramp to full force."""
         self.state, self.gain, self._progress = WatchdogState.LOST, 0.0, 0.0
 
-    withdraw = OldName("withdraw_force")
+    withdraw = OldName("set_gain_to_zero")
 
     def step(self, seen: bool, dt: float) -> float:
         """Advance by one tick, and return the gain of the force.

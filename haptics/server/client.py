@@ -97,7 +97,7 @@ class TissueClient:
         end = time.monotonic() + self._timeout
         while time.monotonic() <= end:
             try:
-                reply = decode_reply(self._receive_datagram())
+                reply = decode_reply(self._receive_datagram_or_raise())
             except OtherVersionError as error:
                 raise InputError(f"the server uses protocol version {error.version}, this client version "
                                  f"{self._version}; install the same tissue_sim on both sides") from None
@@ -112,7 +112,7 @@ class TissueClient:
         # Only replies to earlier requests, or datagrams that are no replies, arrived.
         raise TimeoutError(f"no reply within {self._timeout:g} s")
 
-    def _receive_datagram(self) -> bytes:
+    def _receive_datagram_or_raise(self) -> bytes:
         """Return the next datagram: poll first, then wait up to the timeout, after which TimeoutError is raised."""
         if self._polls:
             self._socket.setblocking(False)

@@ -13,11 +13,11 @@ import numpy as np
 from haptics.server.steps import StepService
 from haptics.server.wire import FRAME, REPLY_SIZE, REQUEST_SIZE, VERSION
 from tissue_sim.decode import convert_to_json_types, decode_struct
-from tissue_sim.errors import ConvergenceError, InputError, suggest_known_word
+from tissue_sim.errors import ConvergenceError, InputError, make_hint_with_similar_or_known_words
 
 
 @dataclass(frozen=True)
-class CommandLimits:
+class SavedStateAndSurfaceLimits:
     """Limits of commands that keep or return large data.
 
     Attributes:
@@ -33,7 +33,7 @@ class CommandLimits:
 
 
 #: Limits of every server.
-LIMITS = CommandLimits()
+LIMITS = SavedStateAndSurfaceLimits()
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
@@ -89,9 +89,9 @@ class ConfigurationCommands:
             "statistics": (_CommandWithoutArguments, self._collect_statistics),
             "reset": (_CommandWithoutArguments, self._reset_tissue),
             "set_parameters": (_SetParametersCommand, self._set_parameters),
-            "surface": (_SurfaceCommand, self._encode_surface),
-            "save": (_NamedStateCommand, self._save_state),
-            "restore": (_NamedStateCommand, self._restore_state),
+            "surface": (_SurfaceCommand, self._encode_outline_and_triangles),
+            "save": (_NamedStateCommand, self._save_state_and_parameters),
+            "restore": (_NamedStateCommand, self._restore_state_and_parameters),
         }
 
     def execute(self, line: bytes) -> Iterator[bytes]:
@@ -133,8 +133,9 @@ class ConfigurationCommands:
         if not isinstance(name, str):
             raise InputError(f"the command must be one of {', '.join(self._commands)}; got none", field="command")
         if name not in self._commands:
-            raise InputError(f"unknown command {name[:64]!r}{suggest_known_word(name[:64], self._commands)}",
-                             field="command")
+            raise InputError(
+                f"unknown command {name[:64]!r}{make_hint_with_similar_or_known_words(name[:64], self._commands)}",
+                field="command")
         kind, function = self._commands[name]
         if self._service.tissue is not self._tissue:
             # The service has rebuilt the tissue after a failure, with the initial parameters.
@@ -165,22 +166,22 @@ class ConfigurationCommands:
         """Change parameters of the tissue, and return all parameters."""
         for name in request.parameters:
             if name not in self._parameters:
-                hint = suggest_known_word(name[:64], self._parameters) if self._parameters else \
+                hint = make_hint_with_similar_or_known_words(name[:64], self._parameters) if self._parameters else \
                     "; this tissue has no parameters to set"
                 raise InputError(f"unknown parameter{hint}", field=f"parameters.{name[:64]}")
         self._get_tissue_method("set_parameters")(**request.parameters)
         self._parameters |= request.parameters
         return {"parameters": self._parameters}
 
-    def _encode_surface(self, request: _SurfaceCommand) -> Iterator[bytes]:
+    def _encode_outline_and_triangles(self, request: _SurfaceCommand) -> Iterator[bytes]:
         """Yield the deformed surface as an outline and, on request, as triangles."""
         surface = self._get_tissue_method("surface")()
         arrays = {} if surface.outline is None else {"outline": surface.outline}
         if request.segments is not None:
             arrays["vertices"], arrays["triangles"] = surface.triangles(request.segments)
-        return _encode_arrays("surface", arrays)
+        return _iterate_json_pieces_of_arrays("surface", arrays)
 
-    def _save_state(self, request: _NamedStateCommand) -> dict[str, Any]:
+    def _save_state_and_parameters(self, request: _NamedStateCommand) -> dict[str, Any]:
         """Save state and parameters of the tissue under a name, and return the names of all saved states."""
         if request.name not in self._states and len(self._states) == LIMITS.max_states:
             raise InputError(f"at most {LIMITS.max_states} states can be saved; save under an existing name: "
@@ -188,10 +189,11 @@ class ConfigurationCommands:
         self._states[request.name] = (self._get_tissue_method("save")(), dict(self._parameters))
         return {"states": list(self._states)}
 
-    def _restore_state(self, request: _NamedStateCommand) -> dict[str, Any]:
+    def _restore_state_and_parameters(self, request: _NamedStateCommand) -> dict[str, Any]:
         """Restore the state and the parameters that were saved under a name, and return all parameters."""
         if request.name not in self._states:
-            hint = suggest_known_word(request.name, self._states) if self._states else "; no state was saved"
+            hint = make_hint_with_similar_or_known_words(request.name, self._states) if self._states \
+                else "; no state was saved"
             raise InputError(f"unknown state {request.name!r}{hint}", field="name")
         state, parameters = self._states[request.name]
         if parameters != self._parameters:
@@ -216,8 +218,8 @@ class ConfigurationCommands:
         return method
 
 
-def _encode_arrays(command: str, arrays: Mapping[str, np.ndarray]) -> Iterator[bytes]:
-    """Yield a JSON object of arrays in pieces of at most `CommandLimits.rows_per_piece` rows.
+def _iterate_json_pieces_of_arrays(command: str, arrays: Mapping[str, np.ndarray]) -> Iterator[bytes]:
+    """Yield a JSON object of arrays in pieces of at most `SavedStateAndSurfaceLimits.rows_per_piece` rows.
 
     Args:
         command: value of the key ``command``.

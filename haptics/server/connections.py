@@ -38,8 +38,8 @@ Execute = Callable[[bytes], Iterator[bytes]]
 class ConfigurationPort:
     """Accept TCP connections, and answer their lines.
 
-    `accept_connection` and the connections do one piece of work per call and never wait. The owner of the selector
-    decides when to call.
+    `accept_and_evict_idle_connection` and the connections do one piece of work per call and never wait. The owner of
+    the selector decides when to call.
 
     Args:
         listener: bound and listening socket.
@@ -53,9 +53,9 @@ class ConfigurationPort:
         self._listener, self._execute, self._selector = listener, execute, selector
         self._connections: set[_ConfigurationConnection] = set()
         listener.setblocking(False)
-        selector.register(listener, selectors.EVENT_READ, self.accept_connection)
+        selector.register(listener, selectors.EVENT_READ, self.accept_and_evict_idle_connection)
 
-    def accept_connection(self, now: float) -> None:
+    def accept_and_evict_idle_connection(self, now: float) -> None:
         """Accept one connection; if there are too many, close the connection that was idle for longest.
 
         Args:
@@ -70,7 +70,7 @@ class ConfigurationPort:
         self._connections.add(_ConfigurationConnection(peer, self._execute, self._selector, self._connections.discard,
                                                        now))
 
-    def close_stalled(self, now: float) -> None:
+    def close_stalled_and_idle_connections(self, now: float) -> None:
         """Close the connections without traffic, see `ConnectionLimits.stalled` and `ConnectionLimits.idle`.
 
         Args:
@@ -105,14 +105,14 @@ class _ConfigurationConnection:
         self._too_long = False
         peer.setblocking(False)
         self._interest = selectors.EVENT_READ
-        selector.register(peer, self._interest, self.serve_once)
+        selector.register(peer, self._interest, self.serve_connection_once)
 
     @property
     def is_busy(self) -> bool:
         """Whether a line is incomplete, or an answer is not fully sent."""
         return bool(self._inbox or self._too_long or self._outbox or self._answer)
 
-    def serve_once(self, now: float) -> None:
+    def serve_connection_once(self, now: float) -> None:
         """Do one piece of work: receive bytes, execute a line, compute a piece of the answer, or send bytes.
 
         Args:
@@ -129,7 +129,7 @@ class _ConfigurationConnection:
         interest = selectors.EVENT_WRITE if ready else selectors.EVENT_READ
         if interest != self._interest:
             self._interest = interest
-            self._selector.modify(self._peer, interest, self.serve_once)
+            self._selector.modify(self._peer, interest, self.serve_connection_once)
 
     def close(self) -> None:
         """Close the connection; bytes that were not sent are lost."""

@@ -29,7 +29,7 @@ class ReplyRateLimit:
 RATE_LIMIT = ReplyRateLimit()
 
 
-def open_owner_socket(owner: Address, port: socket.socket) -> socket.socket | None:
+def open_owner_socket_or_none(owner: Address, port: socket.socket) -> socket.socket | None:
     """Open a socket on the same port that receives only the packets of the owner, so that no flood fills its buffer.
 
     Linux delivers a packet to the socket that is connected to its sender, and to an unconnected socket otherwise.

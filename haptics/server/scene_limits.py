@@ -24,7 +24,7 @@ class SceneLimits(MotionLimits):
 
     force: float = 100.0
 
-    def limit_force(self, answer: ToolForce) -> tuple[ToolForce, bool]:
+    def limit_force_and_zero_stiffness(self, answer: ToolForce) -> tuple[ToolForce, bool]:
         """Scale an answer so that its force does not exceed the limit.
 
         Force and torque are scaled by the same factor. The stiffness of a scaled answer is zero, because a client that
@@ -39,6 +39,6 @@ class SceneLimits(MotionLimits):
         force = math.hypot(*answer.wrench[:3])
         if force <= self.force:
             return answer, False
-        scaled = answer.scale_force(self.force / force, answer.status)
+        scaled = answer.multiply_force_and_set_status(self.force / force, answer.status)
         return replace(scaled, stiffness_matrix=_NO_STIFFNESS, ahead=None, step_stiffness_matrix=None,
                        stiffness_age=0.0, force_error=None, error_age=0.0), True

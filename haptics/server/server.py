@@ -17,7 +17,7 @@ from typing import Any
 from haptics.safety.force_release import ForceRelease
 from haptics.server.commands import ConfigurationCommands, Description
 from haptics.server.connections import ConfigurationPort
-from haptics.server.owner_port import ReplyLimiter, open_owner_socket
+from haptics.server.owner_port import ReplyLimiter, open_owner_socket_or_none
 from haptics.server.scene_limits import SceneLimits
 from haptics.server.steps import SILENCE, ServedTissue, StepCounters, StepService
 from haptics.server.wire import REQUEST_SIZE
@@ -28,7 +28,7 @@ LOOPBACK = "127.0.0.1"
 
 
 @dataclass(frozen=True)
-class ReceiveSettings:
+class ServerLoopSettings:
     """Settings of the loop of a server.
 
     Attributes:
@@ -46,7 +46,7 @@ class ReceiveSettings:
 
 
 #: Settings of every server.
-_SETTINGS = ReceiveSettings()
+_SETTINGS = ServerLoopSettings()
 
 
 class TissueServer:
@@ -86,13 +86,13 @@ class TissueServer:
                  silence: float = SILENCE, limits: SceneLimits | None = None, releases: bool = True,
                  rebuild: Callable[[], ServedTissue] | None = None, session: int | None = None, spin: float = 0.0,
                  expose: bool = False):
-        _require_loopback(host, expose)
+        _require_loopback_or_expose(host, expose)
         self._service = StepService(tissue, silence, limits=limits, release=ForceRelease() if releases else None,
                                     rebuild=rebuild, session=session)
         self._spin, self._last_packet = spin, -math.inf
         self._stopping = False
         self._selector = selectors.DefaultSelector()
-        self._poses = _open_socket(socket.SOCK_DGRAM, host, port, "port")
+        self._poses = _open_bound_socket(socket.SOCK_DGRAM, host, port, "port")
         #: Socket that receives only the packets of the owner; None: no owner, or not supported by the system.
         self._owner_socket: socket.socket | None = None
         #: Address of the owner for which the socket was opened; None: no owner.
@@ -104,7 +104,7 @@ class TissueServer:
         self._wake_receiver, self._wake_sender = socket.socketpair()
         try:
             if configuration_port is not None:
-                listener = _open_socket(socket.SOCK_STREAM, host, configuration_port, "configuration_port")
+                listener = _open_bound_socket(socket.SOCK_STREAM, host, configuration_port, "configuration_port")
                 commands = ConfigurationCommands(self._service, description, parameters)
                 self._configuration = ConfigurationPort(listener, commands.execute, self._selector)
                 self.configuration_address = listener.getsockname()[:2]
@@ -145,7 +145,7 @@ class TissueServer:
             if now > next_check:
                 next_check = now + _SETTINGS.check_interval
                 if self._configuration is not None:
-                    self._configuration.close_stalled(now)
+                    self._configuration.close_stalled_and_idle_connections(now)
 
     def stop(self) -> None:
         """Make `run` return after its present step; may be called from any thread or signal handler."""
@@ -173,18 +173,18 @@ class TissueServer:
         """Read the waiting datagrams, those of the owner first, then step to the newest pose and reply."""
         service = self._service
         if self._owner_socket is not None:
-            self._receive_datagrams(self._owner_socket, _SETTINGS.most_datagrams)
-        self._receive_datagrams(self._poses, _SETTINGS.most_datagrams if self._owner_socket is None
-                                else _SETTINGS.most_foreign_datagrams)
+            self._process_waiting_datagrams(self._owner_socket, _SETTINGS.most_datagrams)
+        self._process_waiting_datagrams(self._poses, _SETTINGS.most_datagrams if self._owner_socket is None
+                                        else _SETTINGS.most_foreign_datagrams)
         if service.owner_address != self._owner:
-            self._open_owner_socket()
+            self._replace_owner_socket()
         answer = service.step(time.monotonic())
         if answer is not None:
-            self._send_reply(*answer)
+            self._send_reply_or_count_unsent(*answer)
             self._last_packet = time.monotonic()
             service.restart_owner_silence(self._last_packet)
 
-    def _receive_datagrams(self, source: socket.socket, most: int) -> None:
+    def _process_waiting_datagrams(self, source: socket.socket, most: int) -> None:
         """Read datagrams of a socket, and answer those that need no step.
 
         Args:
@@ -209,19 +209,19 @@ class TissueServer:
             self._last_packet = now
             reply = service.receive(packet[:size], address, now)
             if reply is not None:
-                self._send_reply(reply, address)
+                self._send_reply_or_count_unsent(reply, address)
 
-    def _open_owner_socket(self) -> None:
+    def _replace_owner_socket(self) -> None:
         """Replace the socket of the previous owner by a socket for the present owner."""
         if self._owner_socket is not None:
             self._selector.unregister(self._owner_socket)
             self._owner_socket.close()
         owner = self._owner = self._service.owner_address
-        self._owner_socket = None if owner is None else open_owner_socket(owner, self._poses)
+        self._owner_socket = None if owner is None else open_owner_socket_or_none(owner, self._poses)
         if self._owner_socket is not None:
             self._selector.register(self._owner_socket, selectors.EVENT_READ)
 
-    def _send_reply(self, reply: bytes, address: Any) -> None:
+    def _send_reply_or_count_unsent(self, reply: bytes, address: Any) -> None:
         """Send a reply; count it as unsent if the operating system refuses it."""
         try:
             self._poses.sendto(reply, address)
@@ -233,7 +233,7 @@ class TissueServer:
 _yield_processor = getattr(os, "sched_yield", partial(time.sleep, 0.0))
 
 
-def _require_loopback(host: str, expose: bool) -> None:
+def _require_loopback_or_expose(host: str, expose: bool) -> None:
     """Refuse an invalid address, and an address that other computers can reach unless `expose` is True."""
     try:
         loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
@@ -244,7 +244,7 @@ def _require_loopback(host: str, expose: bool) -> None:
                          "Other computers can reach this address, and the protocol has no password", field="host")
 
 
-def _open_socket(kind: socket.SocketKind, host: str, port: int, field: str) -> socket.socket:
+def _open_bound_socket(kind: socket.SocketKind, host: str, port: int, field: str) -> socket.socket:
     """Return a socket that is bound to an address; a TCP socket also listens.
 
     Args:

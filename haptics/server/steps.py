@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from haptics.safety.coupling import has_stale_stiffness
+from haptics.safety.coupling import is_tool_force_stiffness_stale
 from haptics.safety.force_release import ForceRelease
 from haptics.server.scene_limits import SceneLimits
 from haptics.server.wire import (
@@ -20,7 +20,7 @@ from haptics.server.wire import (
     RequestKind,
     Status,
     WireError,
-    decode_request,
+    decode_request_without_pose_check,
     encode_reply,
 )
 from tissue_sim.errors import InputError
@@ -188,7 +188,7 @@ class StepService:
         """
         counters = self.counters
         try:
-            request = decode_request(packet)
+            request = decode_request_without_pose_check(packet)
         except OtherVersionError as error:
             counters.other_version += 1
             return self._encode_status_reply(Status.OTHER_VERSION, Request(error.sequence, error.time))
@@ -213,7 +213,7 @@ class StepService:
         if owner is None or not owner.is_sender_of_request(request, address) or request.sequence <= owner.sequence:
             self._release_owner()
             owner = self._owner = _TissueOwner(address, request.session)
-            self._restart_force_release()
+            self._treat_next_force_as_first()
             counters.clients += 1
         owner.sequence, owner.last_contact, owner.address = request.sequence, now, address
         if self._newest is not None:
@@ -237,17 +237,17 @@ class StepService:
         if self._newest is None or self._owner is None:
             return None
         request, self._newest, owner = self._newest, None, self._owner
-        answer, dt = self._check_and_step(request, owner)
+        answer, dt = self._step_or_refuse_and_get_time_step(request, owner)
         if self._release is not None:
             answer = self._release.step(answer, now)
-        answer, limited = self.limits.limit_force(answer)
+        answer, limited = self.limits.limit_force_and_zero_stiffness(answer)
         counters = self.counters
         counters.count_step_status(answer.status)
         counters.limited += limited
-        flags = (_INERTIAL * answer.inertial | _LIMITED * limited | _STALE * has_stale_stiffness(answer)
+        flags = (_INERTIAL * answer.inertial | _LIMITED * limited | _STALE * is_tool_force_stiffness_stale(answer)
                  | _OFF_AXIS * (request.version > 2 and not answer.is_on_axis))
         reply = Reply(answer.status, request.sequence, request.time, request.session, answer.force_vector,
-                      answer.torque_vector, answer.stiffness_matrix, answer.stiffness_within_step, answer.age,
+                      answer.torque_vector, answer.stiffness_matrix, answer.stiffness_matrix_within_step, answer.age,
                       answer.compute_time, answer.residual, dt, answer.iterations, flags, counters.malformed,
                       counters.stale, counters.skipped, counters.turned_away, request.version, answer.stiffness_age,
                       answer.force_error, answer.error_age, answer.least_tool_mass)
@@ -265,11 +265,11 @@ class StepService:
     def discard_last_step(self) -> None:
         """Discard the last step after the state of the tissue was replaced: the next step has the time step zero."""
         self._last = _NO_FORCE
-        self._restart_force_release()
+        self._treat_next_force_as_first()
         if self._owner is not None:
             self._owner.time = self._owner.pose = None
 
-    def _check_and_step(self, request: Request, owner: _TissueOwner) -> tuple[ToolForce, float]:
+    def _step_or_refuse_and_get_time_step(self, request: Request, owner: _TissueOwner) -> tuple[ToolForce, float]:
         """Check a request, and step the tissue to its pose.
 
         Args:
@@ -287,10 +287,10 @@ class StepService:
             pose = Pose(request.position, request.orientation)
             self.limits.require_valid_step(pose, None if reset else owner.pose, dt)
         except InputError:
-            return self._repeat_last_answer_as_refused(), 0.0
+            return self._copy_last_force_as_refused(), 0.0
         try:
             if self._is_broken:
-                self._rebuild_tissue()
+                self._rebuild_or_reset_tissue()
             if reset:
                 self.tissue.reset()
                 self.discard_last_step()
@@ -299,30 +299,30 @@ class StepService:
                 raise ArithmeticError("the force of the tissue must be finite; got NaN or infinity")
         except Exception as error:
             if isinstance(error, InputError) and not self._is_broken:
-                return self._repeat_last_answer_as_refused(), 0.0
-            return self._rebuild_after_error(error), 0.0
+                return self._copy_last_force_as_refused(), 0.0
+            return self._rebuild_and_make_failed_force(error), 0.0
         if answer.status == ForceStatus.REFUSED:
             return answer, 0.0
         owner.time, owner.pose, self._last = request.time, pose, answer
         return answer, dt
 
-    def _repeat_last_answer_as_refused(self) -> ToolForce:
+    def _copy_last_force_as_refused(self) -> ToolForce:
         """Return a copy of the last force of the tissue with the status REFUSED."""
         return replace(self._last, status=ForceStatus.REFUSED, iterations=0, compute_time=0.0)
 
-    def _rebuild_after_error(self, error: Exception) -> ToolForce:
+    def _rebuild_and_make_failed_force(self, error: Exception) -> ToolForce:
         """Rebuild the tissue after an error, and return a zero force with the status FAILED."""
         self.log(f"a step failed ({type(error).__name__}: {str(error)[:200]}); the tissue is rebuilt, undeformed")
         self._is_broken = True
         try:
-            self._rebuild_tissue()
+            self._rebuild_or_reset_tissue()
         except Exception as again:
             self.log(f"the tissue could not be rebuilt; the next step tries again ({type(again).__name__}: "
                      f"{str(again)[:200]})")
         self.discard_last_step()
         return replace(_NO_FORCE, status=ForceStatus.FAILED)
 
-    def _rebuild_tissue(self) -> None:
+    def _rebuild_or_reset_tissue(self) -> None:
         """Replace the tissue by the result of `rebuild`, or reset it if no such function was given."""
         if self._rebuild is None:
             self.tissue.reset()
@@ -336,7 +336,7 @@ class StepService:
             self.counters.skipped += 1
         self._owner = self._newest = None
 
-    def _restart_force_release(self) -> None:
+    def _treat_next_force_as_first(self) -> None:
         """Treat the next force as the first force of a client."""
         if self._release is not None:
             self._release.reset()

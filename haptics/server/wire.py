@@ -218,7 +218,7 @@ def encode_request(request: Request) -> bytes:
                          *request.position, *request.orientation, request.flags, 0)
 
 
-def decode_request(packet: bytes | bytearray | memoryview) -> Request:
+def decode_request_without_pose_check(packet: bytes | bytearray | memoryview) -> Request:
     """Return the request in a packet.
 
     The numbers of the pose are not checked and may be NaN; `StepService` checks them.
@@ -250,7 +250,7 @@ def encode_reply(reply: Reply) -> bytes:
     if version == 2:
         return packet
     return packet + _VERSION_3_FIELDS.pack(stiffness_age, math.nan if force_error is None else force_error, error_age,
-                               least_tool_mass)
+                                           least_tool_mass)
 
 
 def decode_reply(packet: bytes | bytearray | memoryview) -> Reply:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from scenes.commands.shared.console import make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import CommandParser, add_json_flag, parse_positive_number
+from scenes.commands.shared.parsing import InputErrorArgumentParser, add_json_flag, parse_positive_number
 
 SUMMARY = "check this computer: Python, Taichi, packages, real-time behaviour, caches and ports"
 EXAMPLE = "tissue-sim doctor"
@@ -12,7 +12,7 @@ EXAMPLE = "tissue-sim doctor"
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the arguments of `tissue-sim doctor`."""
     parser.add_argument("--clock-seconds", type=parse_positive_number, metavar="N", default=2.0,
                         help="duration of the clock measurement (default: 2)")
@@ -22,11 +22,11 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments) -> int:
     """Print each check with its remedy; `ExitCode.GOAL_MISSED` if a check failed."""
-    from scenes.doctor import run_checks
+    from scenes.doctor import iterate_check_results
 
     checks = []
     console = make_results_console(quiet=arguments.json)
-    for check in run_checks(clock_seconds=arguments.clock_seconds):
+    for check in iterate_check_results(clock_seconds=arguments.clock_seconds):
         checks.append(check)
         console.print(f"[{_COLOURS[check.status]}]{check.status:<4}[/]", end="  ")
         console.print(f"{check.name}: {check.finding}", markup=False, soft_wrap=True)

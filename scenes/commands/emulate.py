@@ -7,7 +7,7 @@ from typing import Any
 
 from scenes.commands.shared.console import make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import CommandParser, add_json_flag, parse_positive_number
+from scenes.commands.shared.parsing import InputErrorArgumentParser, add_json_flag, parse_positive_number
 from scenes.stop_signals import call_stop_at_signals
 
 SUMMARY = "emulate force sensors, stages and a haptic device with their own protocols, and faults on request"
@@ -16,14 +16,14 @@ EXAMPLE = "tissue-sim emulate rdt tic --faults loss=0.02 --seconds 60"
 _NAMES = "rdt, ati-serial, tic, grbl, haply"
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the arguments of `tissue-sim emulate`."""
     parser.add_argument("names", nargs="+", metavar="NAME[:SETTINGS]",
                         help=f"emulated device: {_NAMES}, or an emulator of an installed package; all devices share "
-                             "one virtual rig, so that the sensor measures the specimen that the stage presses")
+                        "one virtual rig, so that the sensor measures the specimen that the stage presses")
     parser.add_argument("--faults", default="", metavar="NAME=NUMBER,...",
                         help="faults of the devices: loss, duplicate, reorder, garble (fraction of the packets), "
-                             "delay_ms, disconnect_after_s, saturate_after_s, stall_after_s, drift_N_per_s, seed")
+                        "delay_ms, disconnect_after_s, saturate_after_s, stall_after_s, drift_N_per_s, seed")
     parser.add_argument("--rate-hz", type=parse_positive_number, metavar="N", default=1000.0,
                         help="sampling rate of the sensor (default: %(default)g)")
     parser.add_argument("--seconds", type=parse_positive_number, metavar="N", help="duration (default: until Ctrl-C)")
@@ -44,7 +44,7 @@ def run(arguments) -> int:
     from haptics.emulators.emulator import open_emulator
 
     faults = parse_faults(arguments.faults)
-    bench = _make_reference_study_rig(arguments.rate_hz, faults).bench
+    bench = _make_virtual_reference_study_rig(arguments.rate_hz, faults).bench
     emulators = [open_emulator(name, bench, faults) for name in arguments.names]
     stop = threading.Event()
     with ExitStack() as stack, call_stop_at_signals(stop.set):
@@ -73,7 +73,7 @@ def run(arguments) -> int:
     return ExitCode.DONE
 
 
-def _make_reference_study_rig(rate: float, faults: Any) -> Any:
+def _make_virtual_reference_study_rig(rate: float, faults: Any) -> Any:
     """Return a virtual rig with the needle and the silicone specimen of the reference study.
 
     Args:
@@ -82,11 +82,11 @@ def _make_reference_study_rig(rate: float, faults: Any) -> Any:
     """
     import tissue_sim as ts
     from haptics.devices.virtual.rig import ElasticSpecimen, VirtualRig
-    from scenes.commands.shared.tissue_flags import load_material_or_default
+    from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
 
     needle = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(10e-3), tool=ts.Tool("flat", radius=8e-3),
         friction="bonded")
-    return VirtualRig(ElasticSpecimen(ts.Model(needle, load_material_or_default(None), ts.Rig()), 10e-3),
+    return VirtualRig(ElasticSpecimen(ts.Model(needle, load_material_or_study_silicone(None), ts.Rig()), 10e-3),
                       ts.Rig(force_noise=0.02),
                       channels=("Fx", "Fy", "Fz", "Tx", "Ty", "Tz"), rate=rate, faults=faults)

@@ -16,14 +16,14 @@ from scenes.commands.shared.experiment_flags import (
 )
 from scenes.commands.shared.log_lines import display_task
 from scenes.commands.shared.parsing import (
-    CommandParser,
+    InputErrorArgumentParser,
     add_json_flag,
     make_integer_parser,
-    make_number_parser,
+    make_open_interval_number_parser,
     parse_non_negative_number,
     parse_positive_number,
 )
-from scenes.commands.shared.tissue_flags import load_material_or_default
+from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
 from tissue_sim.errors import InputError
 
 SUMMARY = "make a reduced model of a three-dimensional test for 1000 steps per second, for tool poses inside a box"
@@ -33,16 +33,16 @@ EXAMPLE = ("tissue-sim reduce needle_indentation --material m.material.json --to
 _ACCEPTABLE_ERROR = 0.03
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the arguments of `tissue-sim reduce`."""
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
                         help=f"test to reduce: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
                         help="material file NAME.material.json (default: silicone of the reference study, law "
-                             "reduced_polynomial_2)")
+                        "reduced_polynomial_2)")
     parser.add_argument("--also", type=Path, metavar="FILE", action="append", default=[],
                         help="further material for which the reduced model must be accurate; each material is used in "
-                             "turn for the training paths (may be given several times)")
+                        "turn for the training paths (may be given several times)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE",
                         help="file of the reduced model, NAME.reduced.npz")
     parser.add_argument("--overwrite", action="store_true", help="replace existing output")
@@ -51,27 +51,27 @@ def add_arguments(parser: CommandParser) -> None:
                      help="largest depth of the tool (default: %(default)g)")
     box.add_argument("--sideways-mm", type=parse_non_negative_number, metavar="N", default=0.0,
                      help="largest lateral displacement, along x and y in both directions (default: 0)")
-    box.add_argument("--turn-deg", type=make_number_parser(0.0, 45.0), metavar="N", default=0.0,
+    box.add_argument("--turn-deg", type=make_open_interval_number_parser(0.0, 45.0), metavar="N", default=0.0,
                      help="largest rotation of the tool, about any axis (default: 0)")
     effort = parser.add_argument_group("accuracy and effort")
     effort.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
                         help="mesh of the full model (default: %(default)s)")
     effort.add_argument("--strokes", type=make_integer_parser(2, 4000), metavar="N",
                         help="number of training paths, motions of the tool that the full model simulates (default: 24 "
-                             "for a bonded tool, 60 for other contact; for a cylinder under an upright tool on its "
-                             "axis 6 and 30, because mirror images are used too; the same number again for each "
-                             "--also)")
+                        "for a bonded tool, 60 for other contact; for a cylinder under an upright tool on its "
+                        "axis 6 and 30, because mirror images are used too; the same number again for each "
+                        "--also)")
     effort.add_argument("--modes", type=make_integer_parser(2, 400), metavar="N",
                         help="number of displacement modes (default: 24 for a bonded tool, 64 for other contact)")
-    effort.add_argument("--bulk-ratio", type=make_number_parser(1.0, 1000.0), metavar="N",
+    effort.add_argument("--bulk-ratio", type=make_open_interval_number_parser(1.0, 1000.0), metavar="N",
                         help="upper limit of bulk modulus over shear modulus; a larger value needs more modes and "
-                             "training paths (default: 300; 50 for a tool that slides on the tissue)")
+                        "training paths (default: 300; 50 for a tool that slides on the tissue)")
     effort.add_argument("--sampling", type=parse_positive_number, metavar="N", default=6e-3,
                         help="relative error of the internal forces of the sampled elements (hyper-reduction; default: "
-                             "%(default)g)")
+                        "%(default)g)")
     effort.add_argument("--tried", type=make_integer_parser(1, 1000), metavar="N", default=3,
                         help="number of test paths, not used in training, for the error of the reduced model; at least "
-                             "one path for each material (default: %(default)s)")
+                        "one path for each material (default: %(default)s)")
     add_experiment_flags(parser, motion=False)
     add_json_flag(parser)
     parser.set_defaults(run=run)
@@ -94,8 +94,8 @@ def run(arguments) -> int:
     from tissue_sim.fem.reduced.file import POINTS
     from tissue_sim.fem.reduced.reduction import remove_training_path_files
 
-    material, also = load_material_or_default(arguments.material), [load_material_or_default(path)
-                                                                    for path in arguments.also]
+    material, also = load_material_or_study_silicone(arguments.material), [load_material_or_study_silicone(path)
+                                                                           for path in arguments.also]
     depth = arguments.depth_mm * 1e-3
     experiment = make_experiment_from_flags(arguments, ts.Protocol.ramp(depth, points=POINTS), material)
     box = ts.PoseBox(arguments.sideways_mm * 1e-3, depth, math.radians(arguments.turn_deg))

@@ -16,11 +16,11 @@ from scenes.commands.shared.experiment_flags import (
     add_experiment_flags,
     make_experiment_from_flags,
     make_protocol_from_flags,
-    refuse_curve_corrections,
+    refuse_tilt_and_slip_correction_flags,
     require_known_scene,
 )
 from scenes.commands.shared.parsing import (
-    CommandParser,
+    InputErrorArgumentParser,
     add_json_flag,
     make_integer_parser,
     parse_non_negative_number,
@@ -28,8 +28,8 @@ from scenes.commands.shared.parsing import (
 )
 from scenes.commands.shared.tissue_flags import (
     add_reduced_flag,
-    add_solver_flags,
-    load_reduced_model,
+    add_resolution_and_solver_flags,
+    load_reduced_model_and_set_flags,
     require_known_solver,
 )
 from scenes.stop_signals import call_stop_at_signals
@@ -71,13 +71,13 @@ class ServeFlagDefaults:
 SETTINGS = ServeFlagDefaults()
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the arguments of `tissue-sim serve`."""
     parser.add_argument("--scene", metavar="SCENE", default="needle_indentation",
                         help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
                         help="material file NAME.material.json; required without --reduced")
-    add_solver_flags(parser)
+    add_resolution_and_solver_flags(parser)
     add_reduced_flag(parser)
     network = parser.add_argument_group("network")
     network.add_argument("--port", type=make_integer_parser(0, SETTINGS.max_port), metavar="N", default=SETTINGS.port,
@@ -98,17 +98,17 @@ def add_arguments(parser: CommandParser) -> None:
     timing = parser.add_argument_group("timing")
     timing.add_argument("--budget-us", type=parse_non_negative_number, metavar="N",
                         help="time limit of a simulation step; a step that reaches it returns the force of the last "
-                             "equilibrium, extrapolated with its stiffness; 0: no limit (default: "
-                             f"{SETTINGS.budget_us:g}; with --resolution accurate 0)")
+                        "equilibrium, extrapolated with its stiffness; 0: no limit (default: "
+                        f"{SETTINGS.budget_us:g}; with --resolution accurate 0)")
     timing.add_argument("--inertia", choices=("auto", "on", "off"), default="auto",
                         help="inertia of the tissue; auto: on where the tool is fast (default: auto)")
     timing.add_argument("--spin-us", type=parse_non_negative_number, metavar="N",
                         help="busy-wait this long for the next packet before sleeping; occupies one processor while a "
-                             f"client is active (default: {SETTINGS.spin_us:g}; 0 on a single processor and with "
-                             "--real-time)")
+                        f"client is active (default: {SETTINGS.spin_us:g}; 0 on a single processor and with "
+                        "--real-time)")
     timing.add_argument("--real-time", action="store_true",
                         help="request real-time scheduling (SCHED_FIFO) and locked memory; useful where other programs "
-                             "load the computer")
+                        "load the computer")
     add_experiment_flags(parser)
     add_json_flag(parser)
     parser.set_defaults(run=run)
@@ -121,16 +121,16 @@ def run(arguments) -> int:
         InputError: missing material, unknown scene or solver, or values that scene or server do not accept.
     """
     require_known_scene(arguments.scene)
-    refuse_curve_corrections(arguments)
+    refuse_tilt_and_slip_correction_flags(arguments)
     require_known_solver(arguments.solver)
-    reduced = load_reduced_model(arguments)
+    reduced = load_reduced_model_and_set_flags(arguments)
     if arguments.material is None and reduced is None:
         raise InputError("is required without --reduced. Give a material file NAME.material.json", field="--material")
     # This must precede the import of numpy: waiting for helper threads of BLAS would make steps late.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
     import tissue_sim as ts
-    from haptics.loop.real_time import request_real_time_features
+    from haptics.loop.real_time import requested_real_time_features
     from haptics.loop.tissue_factory import make_real_time_tissue_factory
     from haptics.server.scene_limits import SceneLimits
     from haptics.server.server import TissueServer
@@ -152,10 +152,10 @@ def run(arguments) -> int:
     progress = make_progress_console(quiet=arguments.json)
 
     build = make_real_time_tissue_factory(ts.Model(experiment, material), resolution=arguments.resolution,
-                                          budget=get_step_budget(arguments), inertia=arguments.inertia,
+                                          budget=get_step_time_limit_or_none(arguments), inertia=arguments.inertia,
                                           solver=arguments.solver, mesh=reduced)
 
-    def rebuild_served_tissue() -> ServedTissue:
+    def build_warmed_up_tissue() -> ServedTissue:
         """Build a new simulator of the served tissue, and warm it up."""
         simulator = build()
         simulator.warm_up()
@@ -166,25 +166,25 @@ def run(arguments) -> int:
     limits = SceneLimits(deepest=SETTINGS.max_depth * experiment.specimen.height, force=arguments.largest_force_N)
     # The ports are opened before the compilation, so that a port in use is reported at once.
     with TissueServer(simulator, host=arguments.host, port=arguments.port, configuration_port=port,
-                      description=lambda: describe_served_scene(arguments, experiment, material_file, simulator,
-                                                                reduced),
+                      description=lambda: make_served_scene_json_object(arguments, experiment, material_file, simulator,
+                                                                        reduced),
                       parameters={} if reduced and reduced.rest else parameter_values(material),
                       silence=arguments.silence_s, limits=limits,
-                      rebuild=rebuild_served_tissue, session=arguments.session,
+                      rebuild=build_warmed_up_tissue, session=arguments.session,
                       spin=get_busy_wait_time(arguments),
                       expose=arguments.expose) as server:
         with progress.status("loading the solver (the first run on a computer compiles it)"):
             simulator.warm_up()
         gc.collect()
         gc.freeze()  # keeps existing objects out of garbage collections between two steps
-        with request_real_time_features(arguments.real_time) as features, call_stop_at_signals(server.stop):
+        with requested_real_time_features(arguments.real_time) as features, call_stop_at_signals(server.stop):
             print_ready_line(arguments, server, features)
             server.run()
     print_packet_counters(server, sys.stderr if arguments.json else sys.stdout)
     return 0
 
 
-def get_step_budget(arguments) -> float | None:
+def get_step_time_limit_or_none(arguments) -> float | None:
     """Return the time limit of a simulation step, s; None for no limit."""
     default = 0.0 if arguments.resolution == "accurate" else SETTINGS.budget_us
     return (default if arguments.budget_us is None else arguments.budget_us) * 1e-6 or None
@@ -199,7 +199,8 @@ def get_busy_wait_time(arguments) -> float:
     return 0.0 if processors == 1 or arguments.real_time else SETTINGS.spin_us * 1e-6
 
 
-def describe_served_scene(arguments, experiment: Experiment, material_file, simulator, reduced=None) -> dict[str, Any]:
+def make_served_scene_json_object(arguments, experiment: Experiment, material_file, simulator,
+                                  reduced=None) -> dict[str, Any]:
     """Return the answer to the configuration command ``describe``: scene, specimen, tool, material and solver.
 
     Args:

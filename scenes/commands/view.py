@@ -15,15 +15,20 @@ from scenes.commands.shared.experiment_flags import (
     add_experiment_flags,
     make_experiment_from_flags,
     make_protocol_from_flags,
-    refuse_curve_corrections,
+    refuse_tilt_and_slip_correction_flags,
     require_known_scene,
 )
-from scenes.commands.shared.parsing import CommandParser, add_json_flag, make_integer_parser, parse_positive_number
+from scenes.commands.shared.parsing import (
+    InputErrorArgumentParser,
+    add_json_flag,
+    make_integer_parser,
+    parse_positive_number,
+)
 from scenes.commands.shared.tissue_flags import (
     add_reduced_flag,
-    add_solver_flags,
-    load_material_or_default,
-    load_reduced_model,
+    add_resolution_and_solver_flags,
+    load_material_or_study_silicone,
+    load_reduced_model_and_set_flags,
     require_known_solver,
 )
 from scenes.doctor.platform_services import VIEWER_PORT
@@ -33,24 +38,24 @@ SUMMARY = "simulate a test interactively on a page in the browser, and compare i
 EXAMPLE = "tissue-sim view needle_indentation --material m.material.json --measured needle_1.csv needle_2.csv"
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the arguments of `tissue-sim view`."""
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
                         help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
                         help="material file NAME.material.json (default: silicone of the reference study, law "
-                             "reduced_polynomial_2)")
+                        "reduced_polynomial_2)")
     parser.add_argument("--materials", type=Path, metavar="DIR",
                         help="folder in which the page lists and saves material files (default: folder of --material, "
-                             "otherwise the current folder)")
+                        "otherwise the current folder)")
     parser.add_argument("--measured", type=Path, nargs="+", metavar="FILE", default=[],
                         help="recordings for comparison; a recording belongs to the kind of test that its sidecar "
-                             "names, otherwise to SCENE")
-    add_solver_flags(parser)
+                        "names, otherwise to SCENE")
+    add_resolution_and_solver_flags(parser)
     add_reduced_flag(parser)
     parser.add_argument("--device", metavar="NAME:SETTINGS",
                         help="haptic device that moves the tool and displays the force: one of "
-                             f"{', '.join(HAPTIC_DEVICES)}")
+                        f"{', '.join(HAPTIC_DEVICES)}")
     parser.add_argument("--no-real-time", action="store_true",
                         help="do not request real-time scheduling (SCHED_FIFO) and locked memory")
     bench = parser.add_argument_group("show a test bench instead of a simulation (the page only displays it)")
@@ -70,7 +75,7 @@ def add_arguments(parser: CommandParser) -> None:
     parser.set_defaults(run=run)
 
 
-def add_page_flags(parser: CommandParser) -> None:
+def add_page_flags(parser: InputErrorArgumentParser) -> None:
     """Add the flags of the page: address, access and graphics."""
     page = parser.add_argument_group("page")
     page.add_argument("--port", type=make_integer_parser(0, 65535), metavar="N", default=VIEWER_PORT,
@@ -79,10 +84,10 @@ def add_page_flags(parser: CommandParser) -> None:
                       help="network address of the page (default: 127.0.0.1, this computer only)")
     page.add_argument("--expose", action="store_true",
                       help="allow a --host that other computers can reach; they can see and control the page without "
-                           "a password")
+                      "a password")
     page.add_argument("--no-token", action="store_true",
                       help="omit the access token from the address; every program on this computer can then open the "
-                           "page")
+                      "page")
     page.add_argument("--open", action="store_true", help="open the page in the browser of this computer")
     page.add_argument("--low-graphics", action="store_true",
                       help="simpler graphics at half the resolution, for computers without a graphics card")
@@ -98,20 +103,20 @@ def run(arguments) -> int:
     require_known_scene(arguments.scene)
     if arguments.headless and arguments.seconds is None:
         raise InputError("is required with --headless. Give the duration in s", field="--seconds")
-    refuse_curve_corrections(arguments)
+    refuse_tilt_and_slip_correction_flags(arguments)
     if arguments.run_folder or arguments.sensor or arguments.stage:
         return _serve_bench_page(arguments)
     require_known_solver(arguments.solver)
-    reduced = load_reduced_model(arguments)
+    reduced = load_reduced_model_and_set_flags(arguments)
 
     from scenes.viewer.live_simulation import PATIENT, SETTINGS
-    from scenes.viewer.run import run_viewer_page, run_without_browser
+    from scenes.viewer.run import run_headless_and_return_curve, run_viewer_page
     from scenes.viewer.scene import BUILT_IN, Scene, read_measurements_by_kind
 
     if reduced and not arguments.material:
         material = reduced.model.material
     else:
-        material = load_material_or_default(arguments.material)
+        material = load_material_or_study_silicone(arguments.material)
     experiment = (reduced.model.experiment if reduced else
                   make_experiment_from_flags(arguments, make_protocol_from_flags(arguments), material))
     source = arguments.material or arguments.reduced
@@ -127,8 +132,8 @@ def run(arguments) -> int:
     if arguments.device:
         options["device"] = open_haptic(arguments.device)
     if arguments.headless:
-        answer = run_without_browser(scene, arguments.seconds, protocol=arguments.protocol,
-                                     speed=arguments.speed_mm_s * 1e-3, **options)
+        answer = run_headless_and_return_curve(scene, arguments.seconds, protocol=arguments.protocol,
+                                               speed=arguments.speed_mm_s * 1e-3, **options)
         if arguments.json:
             print_json(answer)
         elif answer["phase"] == "stopped":
@@ -138,8 +143,8 @@ def run(arguments) -> int:
                   f"largest force {answer['largest_force_N']:.3f} N", file=sys.stdout)
         return ExitCode.DONE if answer["phase"] != "stopped" else ExitCode.GOAL_MISSED
     folder = arguments.materials or (arguments.material.parent if arguments.material else Path())
-    return run_viewer_page(scene, folder, make_page_options(arguments), seconds=arguments.seconds, json=arguments.json,
-                           **options)
+    return run_viewer_page(scene, folder, make_page_options_dict(arguments), seconds=arguments.seconds,
+                           json=arguments.json, **options)
 
 
 def _serve_bench_page(arguments) -> int:
@@ -150,7 +155,7 @@ def _serve_bench_page(arguments) -> int:
     """
     from haptics.devices.back_ends import open_sensor, open_stage
     from haptics.devices.contracts import DeviceError
-    from scenes.viewer.bench.page import run_bench_page
+    from scenes.viewer.bench.page import serve_bench_page_and_get_exit_code
     from scenes.viewer.bench.sources import ConnectedDevicesSource, RecordRunSource
 
     if arguments.run_folder and (arguments.sensor or arguments.stage):
@@ -163,10 +168,11 @@ def _serve_bench_page(arguments) -> int:
     except DeviceError as error:
         print(f"tissue-sim: {error}", file=sys.stderr)
         return ExitCode.GOAL_MISSED
-    return run_bench_page(source, make_page_options(arguments), seconds=arguments.seconds, json=arguments.json)
+    return serve_bench_page_and_get_exit_code(source, make_page_options_dict(arguments), seconds=arguments.seconds,
+                                              json=arguments.json)
 
 
-def make_page_options(arguments) -> dict:
+def make_page_options_dict(arguments) -> dict:
     """Return the options of the page for `scenes.viewer.run.run_viewer_page`."""
     from scenes.viewer.page_token import make_access_token
 

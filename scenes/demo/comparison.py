@@ -11,7 +11,7 @@ from tissue_sim.experiment.kinds.kind import TestKind
 
 
 @dataclass(frozen=True, eq=False)
-class PredictedAndMeasuredForce:
+class PredictionWithMeasuredReplicates:
     """Predicted force curve of a test and its measured replicates.
 
     Attributes:
@@ -30,11 +30,11 @@ class PredictedAndMeasuredForce:
         return np.mean([recording.force for recording in self.measured], axis=0)
 
     @property
-    def prediction_error(self) -> np.ndarray:
+    def prediction_minus_mean_measured_force(self) -> np.ndarray:
         """Predicted force less mean measured force, N, shape (samples,)."""
         return self.predicted.force - self.mean_measured_force
 
     @property
-    def prediction_rmse(self) -> float:
-        """Root mean square of `prediction_error` over the curve, N."""
-        return float(np.sqrt(np.mean(self.prediction_error**2)))
+    def force_prediction_rmse(self) -> float:
+        """Root mean square of `prediction_minus_mean_measured_force` over the curve, N."""
+        return float(np.sqrt(np.mean(self.prediction_minus_mean_measured_force**2)))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from scenes.demo.comparison import PredictedAndMeasuredForce
-from scenes.figures import draw_fold, draw_section, write_figure_file
+from scenes.demo.comparison import PredictionWithMeasuredReplicates
+from scenes.figures import draw_section, draw_tool_edge_closeup, write_figure_file
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.material.material import Material
 from tissue_sim.recording.recording import Recording
@@ -21,9 +21,9 @@ MODEL = "#0072B2"
 SECOND = "#D55E00"
 
 
-def draw_demo_figure(calibrated_on: list[Recording], material: Material, needle: PredictedAndMeasuredForce,
-                     bonded: PredictedAndMeasuredForce, path: Path, *,
-                     noise: float, specimen: Specimen) -> None:
+def write_demo_figure(calibrated_on: list[Recording], material: Material, needle: PredictionWithMeasuredReplicates,
+                      bonded: PredictionWithMeasuredReplicates, path: Path, *,
+                      noise: float, specimen: Specimen) -> None:
     """Draw calibration, predictions, errors and the deformed section into six panels of an image file.
 
     Args:
@@ -58,9 +58,10 @@ def draw_demo_figure(calibrated_on: list[Recording], material: Material, needle:
         axes.plot(test.predicted.displacement * 1e3, test.predicted.force, color=colour, linewidth=1.8,
                   label="predicted by finite elements")
         axes.set_title(f"Prediction: {test.kind.title.lower()}", loc="left", fontweight="bold")
-        error.plot(test.predicted.displacement * 1e3, test.prediction_error, color=colour, linewidth=1.2,
-                   label=f"{test.kind.title.lower()}, RMSE {test.prediction_rmse:.3f} N")
-    limit = 2.2 * max(3 * standard_error, abs(needle.prediction_error).max(), abs(bonded.prediction_error).max())
+        error.plot(test.predicted.displacement * 1e3, test.prediction_minus_mean_measured_force, color=colour,
+                   linewidth=1.2, label=f"{test.kind.title.lower()}, RMSE {test.force_prediction_rmse:.3f} N")
+    limit = 2.2 * max(3 * standard_error, abs(needle.prediction_minus_mean_measured_force).max(),
+                      abs(bonded.prediction_minus_mean_measured_force).max())
     error.set_ylim(-limit, limit)
     error.set_title("Predicted − measured", loc="left", fontweight="bold")
     for axes in (calibration, *predictions, error):
@@ -72,7 +73,7 @@ def draw_demo_figure(calibrated_on: list[Recording], material: Material, needle:
         axes.legend(frameon=False, loc="upper left", fontsize=9)
     tool = NEEDLE.require_tool()
     draw_section(section, needle.predicted.fields, "von_mises", tool=tool)
-    draw_fold(fold, needle.predicted.fields, "von_mises", tool)
+    draw_tool_edge_closeup(fold, needle.predicted.fields, "von_mises", tool)
     write_figure_file(figure, path)
 
 

@@ -87,7 +87,7 @@ class HideableEffectRange:
     sizes: Mapping[str, tuple[float, float]]
     tests: tuple[str, ...] = (PLATES, NEEDLE)
 
-    def draw_values(self, random: np.random.Generator) -> HiddenEffect:
+    def draw_random_hidden_effect(self, random: np.random.Generator) -> HiddenEffect:
         """Draw the values of the effect from a log-uniform distribution, rounded to three digits.
 
         Args:
@@ -109,7 +109,7 @@ HIDEABLE_EFFECTS = (
     HideableEffectRange("backlash", {"rig.backlash": (5e-5, 2e-4)}))
 
 
-def choose_hidden_effect(seed: int) -> HiddenEffect:
+def choose_hidden_or_no_effect(seed: int) -> HiddenEffect:
     """Draw one of `HIDEABLE_EFFECTS`, or no effect, with equal probability; equal seeds draw the same effect.
 
     Args:
@@ -117,10 +117,11 @@ def choose_hidden_effect(seed: int) -> HiddenEffect:
     """
     random = np.random.default_rng(seed)
     number = int(random.integers(len(HIDEABLE_EFFECTS) + 1))
-    return HIDEABLE_EFFECTS[number].draw_values(random) if number < len(HIDEABLE_EFFECTS) else HiddenEffect()
+    return HIDEABLE_EFFECTS[number].draw_random_hidden_effect(random) if number < len(HIDEABLE_EFFECTS) \
+        else HiddenEffect()
 
 
-def evaluate_diagnosis_success(hidden: HiddenEffect, diagnosis: Diagnosis) -> tuple[bool, str]:
+def judge_diagnosis_with_sentence(hidden: HiddenEffect, diagnosis: Diagnosis) -> tuple[bool, str]:
     """Return whether a diagnosis found the hidden effect, and a sentence on it.
 
     Args:

@@ -13,9 +13,15 @@ import numpy as np
 
 import tissue_sim as ts
 from calibration.effects.catalogue import CATALOGUE
-from scenes.demo.hidden_effect import NEEDLE, PLATES, HiddenEffect, choose_hidden_effect, evaluate_diagnosis_success
+from scenes.demo.hidden_effect import (
+    NEEDLE,
+    PLATES,
+    HiddenEffect,
+    choose_hidden_or_no_effect,
+    judge_diagnosis_with_sentence,
+)
 from scenes.demo.hidden_figure import draw_fits_before_and_after
-from scenes.demo.measurement_settings import VirtualMeasurementSettings
+from scenes.demo.measurement_settings import VirtualReplicateAndErrorSettings
 from scenes.demo.specimen import BULK_RATIO, PHANTOM, SPECIMEN
 from tissue_sim.atomic_write import write_text
 
@@ -26,8 +32,8 @@ if TYPE_CHECKING:
 #: Motion of both tests.
 PROTOCOL = "ramp 10mm @0.248mm/s; hold 60s; unload"
 #: Recordings and errors of the virtual measurements.
-MEASUREMENT = VirtualMeasurementSettings(replicates=3, samples=140, force_noise=0.02, contact_jitter=0.03e-3,
-                                         zero_jitter=0.01)
+MEASUREMENT = VirtualReplicateAndErrorSettings(replicates=3, samples=140, force_noise=0.02, contact_jitter=0.03e-3,
+                                               zero_jitter=0.01)
 #: Name of each test -> its kind.
 KINDS = {PLATES: "lubricated_compression", NEEDLE: "needle_indentation"}
 
@@ -138,7 +144,7 @@ def run_hidden_demo(output: Path, *, seed: int, overwrite: bool = False, console
     if output.exists() and (not output.is_dir() or any(output.iterdir())) and not overwrite:
         raise ts.InputError("the folder must be empty; choose another folder or add --overwrite", file=output)
     say = console.print if console else lambda *_, **__: None
-    hidden, models = choose_hidden_effect(seed), build_plain_models()
+    hidden, models = choose_hidden_or_no_effect(seed), build_plain_models()
     say("1 measuring a virtual specimen with a possible hidden effect ...")
     random = np.random.default_rng([seed, 1])
     for test, model in models.items():
@@ -153,7 +159,7 @@ def run_hidden_demo(output: Path, *, seed: int, overwrite: bool = False, console
     figure = output / "before_and_after.png"
     draw_fits_before_and_after(result, figure)
     say(f"\n{diagnosis.message}", markup=False, soft_wrap=True)
-    found, sentence = evaluate_diagnosis_success(hidden, diagnosis)
+    found, sentence = judge_diagnosis_with_sentence(hidden, diagnosis)
     truth = hidden.describe_values(models)
     say(f"{'gap':>10}: {diagnosis.gap_before_N:.2g} N before, "
         + ("nothing was added" if diagnosis.gap_after_N is None else f"{diagnosis.gap_after_N:.2g} N after")
@@ -162,7 +168,7 @@ def run_hidden_demo(output: Path, *, seed: int, overwrite: bool = False, console
         say(f"{name:>10}: {path}", markup=False, soft_wrap=True)
     say(f"\n3 hidden effect (seed {seed}): {truth} was hidden.\n  {sentence}", markup=False, soft_wrap=True)
     return HiddenDemoResult(result, hidden, truth, found, sentence, figure, report, campaign, seed,
-                        time.perf_counter() - began)
+                            time.perf_counter() - began)
 
 
 def simulate_and_write_replicates(model: ts.Model, test: str, folder: Path,

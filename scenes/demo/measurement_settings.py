@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class VirtualMeasurementSettings:
+class VirtualReplicateAndErrorSettings:
     """Number of recordings of a virtual test, and the errors of the virtual rig.
 
     Attributes:

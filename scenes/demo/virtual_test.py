@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 import tissue_sim as ts
-from scenes.demo.comparison import PredictedAndMeasuredForce
-from scenes.demo.figure import draw_demo_figure
-from scenes.demo.measurement_settings import VirtualMeasurementSettings
+from scenes.demo.comparison import PredictionWithMeasuredReplicates
+from scenes.demo.figure import write_demo_figure
+from scenes.demo.measurement_settings import VirtualReplicateAndErrorSettings
 from scenes.demo.specimen import BULK_RATIO, DEPTH, PHANTOM, SPECIMEN
 from tissue_sim.atomic_write import write_text
 from tissue_sim.experiment.kinds.compression import BONDED, LUBRICATED
@@ -19,7 +19,7 @@ from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.experiment.kinds.kind import TestKind
 
 #: Recordings and errors of the virtual measurements.
-MEASUREMENT = VirtualMeasurementSettings(replicates=3, samples=101, force_noise=0.02)
+MEASUREMENT = VirtualReplicateAndErrorSettings(replicates=3, samples=101, force_noise=0.02)
 #: Material laws that are calibrated.
 LAWS = ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1")
 
@@ -75,7 +75,7 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     seeds = iter(np.random.SeedSequence(seed).generate_state(3 * MEASUREMENT.replicates).tolist())
 
     say("1 measuring the virtual specimen (the first run on a computer compiles the solver, about 10 s) ...")
-    measured = {kind: _simulate_and_write_replicates(kind, output / "measured", seeds)
+    measured = {kind: _write_and_return_replicate_recordings(kind, output / "measured", seeds)
                 for kind in (LUBRICATED, BONDED, NEEDLE)}
 
     say(f"2 calibrating {len(LAWS)} laws on the lubricated test ...")
@@ -91,15 +91,17 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
                       for kind in (NEEDLE, BONDED))
 
     figure = output / "prediction.png"
-    draw_demo_figure(measured[LUBRICATED], material, needle, bonded, figure, noise=MEASUREMENT.force_noise,
-                     specimen=SPECIMEN)
+    write_demo_figure(measured[LUBRICATED], material, needle, bonded, figure, noise=MEASUREMENT.force_noise,
+                      specimen=SPECIMEN)
     answer = {
         "figure": str(figure), "report": str(output / "calibration" / "report.html"), "campaign": str(campaign),
         "material_file": str(material_file), "law": material.law, "parameters": dict(material.parameters),
-        "prediction_rmse_N": needle.prediction_rmse, "prediction_error_N": float(needle.prediction_error[-1]),
+        "prediction_rmse_N": needle.force_prediction_rmse,
+        "prediction_error_N": float(needle.prediction_minus_mean_measured_force[-1]),
         "predictions": [{"test": one.kind.name, "predicted_N": float(one.predicted.force[-1]),
-                         "measured_N": float(one.mean_measured_force[-1]), "error_N": float(one.prediction_error[-1]),
-                         "RMSE_N": one.prediction_rmse}
+                         "measured_N": float(one.mean_measured_force[-1]),
+                         "error_N": float(one.prediction_minus_mean_measured_force[-1]),
+                         "RMSE_N": one.force_prediction_rmse}
                         for one in (needle, bonded)],
         "noise_N": MEASUREMENT.force_noise, "wall_s": time.perf_counter() - started,
     }
@@ -108,13 +110,13 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     for one in (needle, bonded):
         say(f"{one.kind.title.lower():>20}: predicted {one.predicted.force[-1]:.3f} N, "
             f"measured {one.mean_measured_force[-1]:.3f} N; "
-            f"RMSE over the curve {one.prediction_rmse:.3f} N", markup=False, soft_wrap=True)
+            f"RMSE over the curve {one.force_prediction_rmse:.3f} N", markup=False, soft_wrap=True)
     for name in ("figure", "report", "material_file"):
         say(f"{name.replace('_', ' '):>20}: {answer[name]}", markup=False, soft_wrap=True)
     return answer
 
 
-def _simulate_and_write_replicates(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
+def _write_and_return_replicate_recordings(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
     """Simulate a test, and write its replicates as recordings of the virtual rig.
 
     Args:
@@ -138,7 +140,7 @@ def _simulate_and_write_replicates(kind: TestKind, folder: Path, seeds) -> list[
 
 
 def _simulate_and_write_prediction(kind: TestKind, measured: list[ts.Recording], material: ts.Material,
-                                   output: Path) -> PredictedAndMeasuredForce:
+                                   output: Path) -> PredictionWithMeasuredReplicates:
     """Simulate the measured motion with the calibrated material, and write the recording.
 
     Args:
@@ -152,4 +154,4 @@ def _simulate_and_write_prediction(kind: TestKind, measured: list[ts.Recording],
     predicted = ts.simulate(ts.Model(experiment, material), resolution="accurate", fields=kind is NEEDLE,
                             estimate_error=False)
     ts.write_recording(predicted, output / f"predicted_{kind.name}.csv")
-    return PredictedAndMeasuredForce(kind, measured, predicted)
+    return PredictionWithMeasuredReplicates(kind, measured, predicted)

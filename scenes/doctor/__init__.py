@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from scenes.doctor.check import CheckResult
 
 
-def run_checks(*, clock_seconds: float = 2.0) -> Iterator[CheckResult]:
+def iterate_check_results(*, clock_seconds: float = 2.0) -> Iterator[CheckResult]:
     """Run all checks one after the other, basic requirements first; each check runs when the iterator reaches it.
 
     Args:
@@ -18,16 +18,16 @@ def run_checks(*, clock_seconds: float = 2.0) -> Iterator[CheckResult]:
     """
     from scenes.doctor import clock, installation, platform_services, realtime_mesh, taichi_backend
 
-    yield installation.check_python_version()
-    yield from installation.check_required_packages()
+    yield installation.check_python_version_and_platform()
+    yield from installation.iterate_required_package_checks()
     yield installation.check_common_package_folder()
     yield taichi_backend.check_taichi_kernel()
-    yield taichi_backend.check_taichi_kernel_cache()
-    yield realtime_mesh.check_realtime_mesh()
+    yield taichi_backend.check_taichi_kernel_cache_size()
+    yield realtime_mesh.check_selected_realtime_mesh()
     yield clock.check_clock_lateness(clock_seconds)
     yield clock.check_real_time_priority()
     yield platform_services.check_matplotlib_font_cache()
     yield platform_services.check_viewer_port()
 
 
-__all__ = ["CheckResult", "run_checks"]
+__all__ = ["CheckResult", "iterate_check_results"]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from haptics.loop.real_time import PRIORITY, request_fifo_scheduling
+from haptics.loop.real_time import PRIORITY, request_fifo_and_get_refusal
 from scenes.doctor.check import CheckResult
 
 
@@ -44,8 +44,8 @@ def check_clock_lateness(seconds: float) -> CheckResult:
         seconds: duration of the measurement, s.
     """
     with ExitStack() as undo:
-        scheduler = "ordinary priority" if request_fifo_scheduling(undo, PRIORITY) else "SCHED_FIFO"
-        lateness = measure_tick_lateness(seconds)
+        scheduler = "ordinary priority" if request_fifo_and_get_refusal(undo, PRIORITY) else "SCHED_FIFO"
+        lateness = measure_lateness_of_each_tick(seconds)
     late, very_late = (
         float((lateness > limit).mean()) for limit in (_SETTINGS.late, _SETTINGS.very_late))
     p50, p99, longest = (float(x) for x in np.quantile(lateness, (0.5, 0.99, 1.0)) * 1e6)
@@ -62,7 +62,7 @@ def check_clock_lateness(seconds: float) -> CheckResult:
     return CheckResult("1 kHz clock", "ok", finding, values=values)
 
 
-def measure_tick_lateness(seconds: float) -> np.ndarray:
+def measure_lateness_of_each_tick(seconds: float) -> np.ndarray:
     """Measure the lateness of each tick.
 
     The deadlines are fixed in advance: a tick that is several periods late also delays the following ticks, as in a
@@ -93,7 +93,7 @@ def measure_tick_lateness(seconds: float) -> np.ndarray:
 def check_real_time_priority() -> CheckResult:
     """Check whether this user may use the real-time scheduler SCHED_FIFO."""
     with ExitStack() as undo:
-        allowed = not request_fifo_scheduling(undo, PRIORITY)
+        allowed = not request_fifo_and_get_refusal(undo, PRIORITY)
     values = {"allowed": allowed}
     if allowed:
         return CheckResult("real-time priority", "ok", "SCHED_FIFO is allowed", values=values)

@@ -21,7 +21,7 @@ TAICHI_PLATFORMS = (("linux", "x86_64"), ("win32", "amd64"), ("darwin", "arm64")
 PYTHON_RANGE = ((3, 11), (3, 13))
 
 
-def check_python_version() -> CheckResult:
+def check_python_version_and_platform() -> CheckResult:
     """Check the version of Python and the platform."""
     version = ".".join(str(part) for part in sys.version_info[:3])
     finding = f"{version} on {platform.platform()}, {platform.machine()}"
@@ -30,24 +30,24 @@ def check_python_version() -> CheckResult:
     if not low <= sys.version_info[:2] <= high:
         return CheckResult("Python", "fail", finding, "use Python 3.11, 3.12 or 3.13, for which Taichi has wheels",
                            values)
-    if not has_taichi_wheel():
+    if not has_taichi_wheel_for_platform():
         return CheckResult("Python", "warn", finding, "Taichi has no wheel for this platform: analytical calibration "
                            "works, finite elements need Linux x86-64, Windows or a Mac with Apple silicon", values)
     return CheckResult("Python", "ok", finding, values=values)
 
 
-def has_taichi_wheel() -> bool:
+def has_taichi_wheel_for_platform() -> bool:
     """Return whether Taichi has a wheel for this platform."""
     return (sys.platform, platform.machine().lower()) in TAICHI_PLATFORMS
 
 
-def check_required_packages() -> Iterator[CheckResult]:
+def iterate_required_package_checks() -> Iterator[CheckResult]:
     """Check whether each required package is installed; yield one result per package."""
     for name in REQUIRED_PACKAGES:
         try:
             version = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            status: Status = "warn" if name == "taichi" and not has_taichi_wheel() else "fail"
+            status: Status = "warn" if name == "taichi" and not has_taichi_wheel_for_platform() else "fail"
             yield CheckResult(name, status, "not installed", f"python -m pip install {name}" if status == "fail" else
                               "finite elements need a platform with a Taichi wheel")
         else:

@@ -11,7 +11,7 @@ from tissue_sim.errors import MissingBackendError
 
 
 @dataclass(frozen=True)
-class TaichiCheckSettings:
+class TaichiCheckTermsAndTimeout:
     """Size and time limit of the checks of Taichi.
 
     Attributes:
@@ -23,14 +23,14 @@ class TaichiCheckSettings:
     timeout: float = 60.0
 
 
-_SETTINGS = TaichiCheckSettings()
+_SETTINGS = TaichiCheckTermsAndTimeout()
 #: Back-ends of Taichi except the CPU; the OpenGL ones last, see `find_usable_gpu_backends`.
 _OTHER_BACKENDS = ("cuda", "amdgpu", "metal", "vulkan", "dx11", "opengl", "gles")
 #: Program that prints each of its arguments that names an available back-end.
 _PROBE = """
 import sys
 from tissue_sim.fem.taichi import runtime
-ti = runtime.initialise()
+ti = runtime.get_initialised_taichi()
 for name in sys.argv[1:]:
     if ti.lang.misc.is_arch_supported(getattr(ti, name)):
         print(name, flush=True)
@@ -43,7 +43,7 @@ def check_taichi_kernel() -> CheckResult:
 
     start = time.perf_counter()
     try:
-        ti = runtime.initialise()
+        ti = runtime.get_initialised_taichi()
     except MissingBackendError as error:
         return CheckResult("Taichi", "warn", str(error),
                            "use Linux x86-64, Windows or a Mac with Apple silicon for finite elements")
@@ -52,14 +52,14 @@ def check_taichi_kernel() -> CheckResult:
                            "set TISSUE_SIM_CACHE to a writable folder")
 
     @ti.kernel
-    def compute_sum_of_squares(terms: ti.i32) -> ti.f64:
+    def sum_squares_of_integers_below(terms: ti.i32) -> ti.f64:
         total = ti.cast(0.0, ti.f64)
         for i in range(terms):
             total += ti.cast(i, ti.f64) * i
         return total
 
     try:
-        answer = compute_sum_of_squares(_SETTINGS.terms)
+        answer = sum_squares_of_integers_below(_SETTINGS.terms)
     except (RuntimeError, ti.TaichiCompilationError) as error:
         return CheckResult("Taichi", "fail", f"cannot compile a kernel ({error})",
                            "python -m pip install --force-reinstall taichi==1.7.4")
@@ -87,13 +87,13 @@ def find_usable_gpu_backends() -> list[str]:
     """
     try:
         process = subprocess.run([sys.executable, "-c", _PROBE, *_OTHER_BACKENDS], capture_output=True, text=True,
-                              encoding="utf-8", timeout=_SETTINGS.timeout, check=False)
+                                 encoding="utf-8", timeout=_SETTINGS.timeout, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return []
     return [name for name in process.stdout.split() if name in _OTHER_BACKENDS]
 
 
-def check_taichi_kernel_cache() -> CheckResult:
+def check_taichi_kernel_cache_size() -> CheckResult:
     """Report the folder of the compiled kernels and its size."""
     from tissue_sim.files import get_cache_folder
 

@@ -9,7 +9,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class BandTriangles:
+class TrianglesSortedByBand:
     """Triangles that result from cutting a triangulation at the levels; each triangle lies in one band.
 
     Attributes:
@@ -34,7 +34,7 @@ class TriangleConnectivity:
     triangles: np.ndarray
 
     @cached_property
-    def _unique_edges(self) -> tuple[np.ndarray, np.ndarray]:
+    def _edges_and_triangle_edge_numbers(self) -> tuple[np.ndarray, np.ndarray]:
         """Edges of the triangles, each edge listed once.
 
         Returns:
@@ -46,7 +46,7 @@ class TriangleConnectivity:
         keys, number = np.unique(ends[:, 0] * points + ends[:, 1], return_inverse=True)
         return np.stack([keys // points, keys % points], axis=-1), number.reshape(-1, 3)
 
-    def cut_at_levels(self, points: np.ndarray, values: np.ndarray, levels: np.ndarray) -> BandTriangles:
+    def cut_at_levels(self, points: np.ndarray, values: np.ndarray, levels: np.ndarray) -> TrianglesSortedByBand:
         """Cut the triangles where the linear interpolant of the values crosses the levels.
 
         Args:
@@ -56,7 +56,7 @@ class TriangleConnectivity:
                 above the last level to the last band.
         """
         inner = np.asarray(levels, dtype=float)[1:-1]
-        edges, edges_of = self._unique_edges
+        edges, edges_of = self._edges_and_triangle_edge_numbers
         at_ends = values[edges]
         # For each point: the number of levels < value, and the number of levels <= value.
         below, reached = np.searchsorted(inner, values, "left"), np.searchsorted(inner, values, "right")
@@ -76,15 +76,15 @@ class TriangleConnectivity:
         highest = np.maximum(below[self.triangles].max(axis=1), lowest)
         whole = lowest == highest
         split = np.flatnonzero(~whole)
-        pieces, band = self._cut_triangles_across_levels(split, values, below, reached, of_edge, edges_of,
-                                                         lowest[split],
-                                                         highest[split])
+        pieces, band = self._cut_triangles_into_band_pieces(split, values, below, reached, of_edge, edges_of,
+                                                            lowest[split],
+                                                            highest[split])
         triangles = np.concatenate([self.triangles[whole], pieces])
         band = np.concatenate([lowest[whole], band])
         order = np.argsort(band, kind="stable")
-        return BandTriangles(all_points, triangles[order], band[order])
+        return TrianglesSortedByBand(all_points, triangles[order], band[order])
 
-    def _cut_triangles_across_levels(self, split, values, below, reached, of_edge, edges_of, lowest, highest):
+    def _cut_triangles_into_band_pieces(self, split, values, below, reached, of_edge, edges_of, lowest, highest):
         """Cut the triangles numbered `split` into pieces.
 
         The long edge of a triangle connects the corners with the lowest and the highest value; the two short edges
@@ -111,14 +111,14 @@ class TriangleConnectivity:
         on_long, on_low, on_high = of_edge[long[of]], of_edge[short_low[of]], of_edge[short_high[of]]
         under, reach = below[middle], reached[middle]
 
-        def find_crossing_on_short_edges(level):
+        def choose_point_numbers_on_short_edges(level):
             """Return point numbers: the crossing of a short edge, or the middle corner if it is on the level."""
             return np.where(level < under, on_low + level, np.where(level >= reach, on_high + level, middle))
 
         bottom, top = band == lowest[of], band == highest[of]
         long_below, long_above = np.where(bottom, low, on_long + band - 1), np.where(top, high, on_long + band)
-        short_below = np.where(bottom, low, find_crossing_on_short_edges(band - 1))
-        short_above = np.where(top, high, find_crossing_on_short_edges(band))
+        short_below = np.where(bottom, low, choose_point_numbers_on_short_edges(band - 1))
+        short_above = np.where(top, high, choose_point_numbers_on_short_edges(band))
         inside = (bottom | (band - 1 < under)) & (top | (band >= reach))
         between = np.where(inside, middle, short_below)
         pieces = np.stack([np.stack([long_below, short_below, between], axis=-1),
@@ -130,8 +130,8 @@ class TriangleConnectivity:
         return pieces[real], np.repeat(band, 3).reshape(-1, 3)[real]
 
 
-def split_triangles_by_band(triangles: np.ndarray, band: np.ndarray, points: int,
-                            bands: int) -> tuple[np.ndarray, np.ndarray, list]:
+def renumber_triangles_for_band_meshes(triangles: np.ndarray, band: np.ndarray, points: int,
+                                       bands: int) -> tuple[np.ndarray, np.ndarray, list]:
     """Split triangles into one mesh per band, each with its own point numbers.
 
     Args:
@@ -171,12 +171,13 @@ def clip_triangles_to_bands(points: np.ndarray, triangles: np.ndarray, values: n
         For each band its vertices, shape (m, 2), and its triangles with the original orientation, shape (k, 3).
     """
     pieces = TriangleConnectivity(np.asarray(triangles)).cut_at_levels(points, values, levels)
-    kept, numbers, slices = split_triangles_by_band(pieces.triangles, pieces.band, len(pieces.points), len(levels) - 1)
+    kept, numbers, slices = renumber_triangles_for_band_meshes(pieces.triangles, pieces.band, len(pieces.points),
+                                                               len(levels) - 1)
     return [(pieces.points[kept[points_of]], numbers[cut]) for points_of, cut in slices]
 
 
-def split_polyline_at_levels(points: np.ndarray, values: np.ndarray,
-                             levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def insert_polyline_points_at_levels(points: np.ndarray, values: np.ndarray,
+                                     levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Insert points into a polyline where its values, interpolated linearly along each line, cross a level.
 
     Args:

@@ -7,14 +7,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from scenes.viewer.cut_away import HalfSection
+from scenes.viewer.cut_away import TriangulatedHalfSection
 from scenes.viewer.revolution import TriangulatedSurface
-from scenes.viewer.solid_body import SolidBody
+from scenes.viewer.solid_body import ThreeDimensionalMeshBody
 from scenes.viewer.tool_picture import find_tool_contact
 from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.axisymmetric.fields import Fields
-from tissue_sim.fem.fields import extrapolate_to_nodes
+from tissue_sim.fem.fields import extrapolate_to_nodes_and_average
 from tissue_sim.fem.solid.fields import SolidFields
 
 
@@ -25,8 +25,8 @@ class DrawableBody(Protocol):
     `wedge` is the wedge that is removed from the picture. Lengths are in m.
     """
 
-    def evaluate_field(self, fields: Any, name: str, positions: np.ndarray,
-                       wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Any]:
+    def evaluate_field_at_nodes_and_samples(self, fields: Any, name: str, positions: np.ndarray,
+                                            wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Any]:
         """Evaluate a field for the picture.
 
         Returns:
@@ -38,10 +38,10 @@ class DrawableBody(Protocol):
                               wedge: Wedge) -> list[TriangulatedSurface]:
         """Return the visible surface of each band between two levels."""
 
-    def compute_edge_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
+    def compute_element_edge_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
         """Return the visible element edges, shape (lines, 2, 3)."""
 
-    def find_contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
+    def find_contact_lines_or_none(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
         """Return lines along the contact with the tool, shape (lines, 2, 3); None without contact."""
 
     def make_undeformed_outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
@@ -61,13 +61,14 @@ class RevolvedBody:
         cut_away: Half section of the body.
     """
 
-    cut_away: HalfSection
+    cut_away: TriangulatedHalfSection
 
-    def evaluate_field(self, fields: Fields, name: str, positions: np.ndarray,
-                       wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Fields]:
+    def evaluate_field_at_nodes_and_samples(self, fields: Fields, name: str, positions: np.ndarray,
+                                            wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Fields]:
         """Return nodal values, values at the quadrature points, and `fields`; shapes as in `DrawableBody`."""
         at_points = fields.at_points(name)
-        nodal = fields.at_nodes(name) if name == "displacement" else extrapolate_to_nodes(fields.mesh, at_points)
+        nodal = fields.at_nodes(name) if name == "displacement" \
+            else extrapolate_to_nodes_and_average(fields.mesh, at_points)
         return nodal, at_points, fields
 
     def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
@@ -75,13 +76,13 @@ class RevolvedBody:
         """Return the surface of each colour band between two levels: section faces and outer surface."""
         return self.cut_away.compute_band_surfaces(positions, values, levels, wedge.opening)
 
-    def compute_edge_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
+    def compute_element_edge_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
         """Return the element edges on both section faces, shape (lines, 2, 3)."""
-        return self.cut_away.compute_edge_lines(positions, wedge.opening)
+        return self.cut_away.compute_element_edge_lines(positions, wedge.opening)
 
-    def find_contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
+    def find_contact_lines_or_none(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
         """Return lines along the contact on both section faces and around its rim; None without contact."""
-        contact = find_tool_contact(self.cut_away.compute_contact_boundary(positions), tool, wedge.pose.depth,
+        contact = find_tool_contact(self.cut_away.compute_possible_contact_boundary(positions), tool, wedge.pose.depth,
                                     wedge.opening)
         return None if contact is None else contact.lines
 
@@ -92,7 +93,8 @@ class RevolvedBody:
 
 def make_drawable_body(mesh: Any) -> DrawableBody:
     """Return the drawable body of a mesh in 3D or of an axisymmetric mesh."""
-    return SolidBody.from_mesh(mesh) if mesh.nodes.shape[1] == 3 else RevolvedBody(HalfSection.from_mesh(mesh))
+    return ThreeDimensionalMeshBody.from_mesh(mesh) if mesh.nodes.shape[1] == 3 \
+        else RevolvedBody(TriangulatedHalfSection.from_mesh(mesh))
 
 
 def can_draw_fields(fields: Any) -> bool:

@@ -9,8 +9,8 @@ from typing import Protocol
 
 import tissue_sim as ts
 from scenes.viewer.calibration_run import CalibrationRun
-from scenes.viewer.material_files import choose_new_material_path
-from scenes.viewer.recording_upload import RecordingUpload
+from scenes.viewer.material_files import require_unused_material_path
+from scenes.viewer.recording_upload import UploadedRecordingOrSidecar
 from scenes.viewer.scene import Scene
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
@@ -30,11 +30,11 @@ class CalibrationHost(Protocol):
     scene: Scene
     calibration: CalibrationRun
 
-    def replace_material(self, material: ts.Material, source: str) -> None:
+    def replace_material_restart_if_needed(self, material: ts.Material, source: str) -> None:
         """Replace the material of the scene; raise InputError if the simulation refuses the material."""
 
 
-def apply_finished_calibration(session: CalibrationHost) -> None:
+def use_finished_calibration_in_scene(session: CalibrationHost) -> None:
     """Use a finished calibration in the scene: its material, and its recordings as the measurement.
 
     The scene is unchanged, and the calibration state gets a message, if the fit is unusable, if the scene has changed
@@ -42,7 +42,7 @@ def apply_finished_calibration(session: CalibrationHost) -> None:
     function does nothing.
     """
     run = session.calibration
-    result = run.poll_fit()
+    result = run.poll_fit_for_new_result()
     if result is None or run.scene is None:
         return
     if result.unusable:
@@ -54,15 +54,16 @@ def apply_finished_calibration(session: CalibrationHost) -> None:
         run.set_problem_message("The scene changed during the calibration, so the calibrated material is not in use. "
                                 "Save the material, or return to the previous scene and calibrate again.")
         return
-    session.scene = replace(before, measurements={**before.measurements, before.kind.name: run.combined_measurement})
+    session.scene = replace(before,
+                            measurements={**before.measurements, before.kind.name: run.combined_measurement_or_raise})
     try:
-        session.replace_material(result.material, CALIBRATED)
+        session.replace_material_restart_if_needed(result.material, CALIBRATED)
     except InputError as error:
         session.scene = before
         run.set_problem_message(f"{error} The material is unchanged.")
 
 
-def _save_calibrated_material(session: CalibrationHost, folder: Path, name: str) -> None:
+def _write_calibrated_material_to_new_file(session: CalibrationHost, folder: Path, name: str) -> None:
     """Write the material file of the newest result into a new file of a folder.
 
     Raises:
@@ -71,20 +72,20 @@ def _save_calibrated_material(session: CalibrationHost, folder: Path, name: str)
     result = session.calibration.state.result
     if result is None:
         raise InputError("There is no calibrated material yet. Press Calibrate first.")
-    path = choose_new_material_path(folder, name)
+    path = require_unused_material_path(folder, name)
     write_bytes(path, result.file)
     if session.scene.source == CALIBRATED and session.scene.material == result.material:
         session.scene = replace(session.scene, source=path.name)
 
 
-def _add_recordings(session: CalibrationHost, uploads: Sequence[RecordingUpload]) -> None:
+def _add_recordings(session: CalibrationHost, uploads: Sequence[UploadedRecordingOrSidecar]) -> None:
     """Add all uploaded files to the calibration, or none of them if one is refused with an InputError."""
-    session.calibration.add_uploads(uploads)
+    session.calibration.add_all_uploads_or_none(uploads)
 
 
 def _remove_recordings(session: CalibrationHost) -> None:
     """Remove all uploaded recordings; keep the last result."""
-    session.calibration.remove_all_recordings()
+    session.calibration.remove_recordings_but_keep_result()
 
 
 def _begin_fit(session: CalibrationHost) -> None:
@@ -92,7 +93,7 @@ def _begin_fit(session: CalibrationHost) -> None:
     session.calibration.start_fit(session.scene)
 
 
-def _cancel_fit(session: CalibrationHost) -> None:
+def _cancel_running_fit_or_raise(session: CalibrationHost) -> None:
     """Stop the running fit; raise InputError if no fit runs."""
     session.calibration.cancel_fit()
 
@@ -102,6 +103,6 @@ CALIBRATION_COMMANDS: dict[str, Callable[..., None]] = {
     "add_recordings": _add_recordings,
     "remove_recordings": _remove_recordings,
     "calibrate": _begin_fit,
-    "cancel_calibration": _cancel_fit,
-    "save_calibration": _save_calibrated_material,
+    "cancel_calibration": _cancel_running_fit_or_raise,
+    "save_calibration": _write_calibrated_material_to_new_file,
 }

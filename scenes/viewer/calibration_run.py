@@ -18,19 +18,19 @@ from scenes.viewer.calibration_task import (
     CalibrationResult,
     calibrate_uploaded_files,
 )
-from scenes.viewer.measurement import Measurement, build_measurement
-from scenes.viewer.recording_upload import RecordingUpload
+from scenes.viewer.measurement import Measurement, build_measurement_from_replicates
+from scenes.viewer.recording_upload import UploadedRecordingOrSidecar
 from scenes.viewer.scene import Scene
 from tissue_sim.atomic_write import write_bytes
-from tissue_sim.decode import read_json
-from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, shorten_text
+from tissue_sim.decode import read_json_value
+from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, shorten_text_in_middle
 from tissue_sim.recording.recording import Recording
 
 _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class UploadedRecordingLimits:
+class RecordingCountAndReplicateLimits:
     """Limits of the recordings of a calibration.
 
     Attributes:
@@ -44,7 +44,7 @@ class UploadedRecordingLimits:
 
 
 #: Limits of every calibration.
-LIMITS = UploadedRecordingLimits()
+LIMITS = RecordingCountAndReplicateLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +57,9 @@ class UploadedRecording:
         sidecar: The uploaded sidecar; None if there is none.
     """
 
-    file: RecordingUpload
+    file: UploadedRecordingOrSidecar
     measured: Measurement
-    sidecar: RecordingUpload | None = None
+    sidecar: UploadedRecordingOrSidecar | None = None
 
     @property
     def recording(self) -> Recording:
@@ -72,12 +72,12 @@ class UploadedRecording:
         return float(self.recording.displacement.max())
 
     @property
-    def recording_duration(self) -> float | None:
+    def recording_duration_or_none(self) -> float | None:
         """Duration of the recording, s; None if it has no time."""
         return float(self.recording.time[-1] - self.recording.time[0]) if "time" in self.recording else None
 
     @property
-    def mean_loading_speed(self) -> float | None:
+    def first_loading_mean_speed_or_none(self) -> float | None:
         """Mean speed of the first loading, m/s; None if the recording has no time."""
         loading, _ = self.measured.branches[0]
         if "time" not in self.recording:
@@ -87,7 +87,7 @@ class UploadedRecording:
         return travel / duration if duration > 0 else None
 
     @property
-    def stated_tool(self) -> str:
+    def stated_tool_text(self) -> str:
         """Tool that the sidecar states, such as "flat, radius 8 mm"; empty if it states none."""
         stated = self.recording.metadata.get("tool")
         if not isinstance(stated, Mapping) or "shape" not in stated:
@@ -98,7 +98,8 @@ class UploadedRecording:
     def list_scene_mismatches(self, scene: Scene) -> tuple[str, ...]:
         """Return sentences about differences between the recording and a scene: kind of test, tool, depth."""
         sentences = []
-        kind, tool = self.measured.stated_test_kind, self.measured.describe_deviating_tool(scene.experiment.tool)
+        kind, tool = self.measured.stated_test_kind, self.measured.describe_deviating_tool_or_empty(
+            scene.experiment.tool)
         if kind is not None and kind != scene.kind.name:
             sentences.append(f"The recording is a {kind}; the scene is a {scene.kind.name}.")
         if tool:
@@ -156,20 +157,20 @@ class CalibrationRun:
     def __init__(self) -> None:
         self._pool = ProcessPool(1)
         #: Sidecars that were uploaded before their recordings, by the stem of the recording.
-        self._waiting: dict[str, RecordingUpload] = {}
+        self._waiting: dict[str, UploadedRecordingOrSidecar] = {}
         self._computed: Future | None = None
         self._folder: tempfile.TemporaryDirectory | None = None
         self.state = CalibrationState()
         self.scene: Scene | None = None
 
-    def add_uploads(self, uploads: Sequence[RecordingUpload]) -> None:
+    def add_all_uploads_or_none(self, uploads: Sequence[UploadedRecordingOrSidecar]) -> None:
         """Add the recordings or the sidecar of an uploaded file; add all of them or, on an error, none.
 
         Raises:
             InputError: A fit runs, a recording of this name exists, a sidecar belongs to another file, or there are
                 too many recordings.
         """
-        self._refuse_during_fit()
+        self._raise_if_fit_runs()
         before, waiting = self.state, dict(self._waiting)
         try:
             for upload in uploads:
@@ -178,7 +179,7 @@ class CalibrationRun:
             self.state, self._waiting = before, waiting
             raise
 
-    def _add_upload(self, upload: RecordingUpload) -> None:
+    def _add_upload(self, upload: UploadedRecordingOrSidecar) -> None:
         """Add one recording, or the sidecar of one; a sidecar is kept until its recording is uploaded."""
         present = self.state.recordings
         if upload.measured is None:
@@ -200,18 +201,18 @@ class CalibrationRun:
         self._waiting.pop(upload.file_stem, None)
         self.state = replace(self.state, recordings=(*present, new))
 
-    def remove_all_recordings(self) -> None:
+    def remove_recordings_but_keep_result(self) -> None:
         """Remove all recordings; keep the last result.
 
         Raises:
             InputError: A fit runs.
         """
-        self._refuse_during_fit()
+        self._raise_if_fit_runs()
         self._waiting.clear()
         self.state = replace(self.state, recordings=())
 
     @property
-    def combined_measurement(self) -> Measurement:
+    def combined_measurement_or_raise(self) -> Measurement:
         """Measurement of all recordings.
 
         Raises:
@@ -219,7 +220,7 @@ class CalibrationRun:
         """
         if not self.state.recordings:
             raise InputError("There is no recording. Upload a recording first.")
-        return build_measurement([each.recording for each in self.state.recordings])
+        return build_measurement_from_replicates([each.recording for each in self.state.recordings])
 
     def start_fit(self, scene: Scene) -> None:
         """Start a fit of the scene's material to the recordings, with its parameters as start values.
@@ -228,10 +229,10 @@ class CalibrationRun:
             InputError: A fit runs, there is no recording, the recordings are of different kinds of tests, or the
                 process does not start.
         """
-        self._refuse_during_fit()
-        _ = self.combined_measurement  # raises if the recordings are of different kinds
+        self._raise_if_fit_runs()
+        _ = self.combined_measurement_or_raise  # raises if the recordings are of different kinds
         request = CalibrationRequest(scene.kind.name, scene.experiment, scene.rig, scene.material,
-                                     group_replicates(self.state.recordings),
+                                     group_replicate_file_names(self.state.recordings),
                                      {each.file.name: each.file.origin for each in self.state.recordings
                                       if each.file.origin is not None})
         folder = tempfile.TemporaryDirectory(prefix="tissue_sim_")
@@ -259,9 +260,9 @@ class CalibrationRun:
         if self._computed is None:
             raise InputError("No calibration is running.")
         self._pool.stop()
-        self._store_fit_outcome(problem="The calibration was cancelled. The material is unchanged.")
+        self._delete_fit_folder_and_set_outcome(problem="The calibration was cancelled. The material is unchanged.")
 
-    def poll_fit(self) -> CalibrationResult | None:
+    def poll_fit_for_new_result(self) -> CalibrationResult | None:
         """Update the state from the process of the fit.
 
         Returns:
@@ -277,16 +278,18 @@ class CalibrationRun:
         try:
             result = self._computed.result()
         except (ConvergenceError, InputError, MissingBackendError) as error:
-            self._store_fit_outcome(problem=f"{error} The material is unchanged.")
+            self._delete_fit_folder_and_set_outcome(problem=f"{error} The material is unchanged.")
         except self._pool.death:
-            self._store_fit_outcome(problem="The calibration process has died. The material is unchanged. Press "
-                                            "Calibrate to try again.")
+            self._delete_fit_folder_and_set_outcome(
+                problem="The calibration process has died. The material is unchanged. Press "
+                "Calibrate to try again.")
         except Exception as error:  # a programming error in the fit must not stop the running simulation
             _logger.exception("the calibration failed with an internal error")
-            self._store_fit_outcome(problem=f"The calibration failed with an internal error ({type(error).__name__}: "
-                                    f"{shorten_text(str(error), 200)}). The material is unchanged.")
+            self._delete_fit_folder_and_set_outcome(
+                problem=f"The calibration failed with an internal error ({type(error).__name__}: "
+                f"{shorten_text_in_middle(str(error), 200)}). The material is unchanged.")
         else:
-            self._store_fit_outcome(result=result)
+            self._delete_fit_folder_and_set_outcome(result=result)
             return result
         return None
 
@@ -297,14 +300,14 @@ class CalibrationRun:
     def close(self) -> None:
         """Stop the process and delete its folder."""
         self._pool.stop()
-        self._store_fit_outcome()
+        self._delete_fit_folder_and_set_outcome()
 
-    def _refuse_during_fit(self) -> None:
+    def _raise_if_fit_runs(self) -> None:
         """Raise InputError if a fit runs."""
         if self._computed is not None:
             raise InputError("A calibration is running. Wait for its end, or cancel it.")
 
-    def _store_fit_outcome(self, result: CalibrationResult | None = None, problem: str = "") -> None:
+    def _delete_fit_folder_and_set_outcome(self, result: CalibrationResult | None = None, problem: str = "") -> None:
         """Delete the folder of the fit, and store its result or problem."""
         self._computed = None
         if self._folder is not None:
@@ -314,7 +317,7 @@ class CalibrationRun:
                              problem=problem)
 
 
-def group_replicates(recordings: Sequence[UploadedRecording]) -> tuple[tuple[str, ...], ...]:
+def group_replicate_file_names(recordings: Sequence[UploadedRecording]) -> tuple[tuple[str, ...], ...]:
     """Group recordings into tests; a recording joins the first test whose first recording has its depth and speed.
 
     Returns:
@@ -322,7 +325,7 @@ def group_replicates(recordings: Sequence[UploadedRecording]) -> tuple[tuple[str
     """
     groups: list[list[UploadedRecording]] = []
     for each in recordings:
-        group = next((group for group in groups if _are_replicates_of_one_test(group[0], each)), None)
+        group = next((group for group in groups if _have_similar_depth_and_speed(group[0], each)), None)
         if group is None:
             groups.append([each])
         else:
@@ -330,13 +333,15 @@ def group_replicates(recordings: Sequence[UploadedRecording]) -> tuple[tuple[str
     return tuple(tuple(each.file.name for each in group) for group in groups)
 
 
-def _are_replicates_of_one_test(first: UploadedRecording, second: UploadedRecording) -> bool:
+def _have_similar_depth_and_speed(first: UploadedRecording, second: UploadedRecording) -> bool:
     """Return whether depths and speeds differ by at most the replicate tolerance; an unknown speed agrees."""
-    pairs = [(first.max_displacement, second.max_displacement), (first.mean_loading_speed, second.mean_loading_speed)]
+    pairs = [(first.max_displacement, second.max_displacement),
+             (first.first_loading_mean_speed_or_none, second.first_loading_mean_speed_or_none)]
     return all(a is None or b is None or max(a, b) <= (1.0 + LIMITS.replicate_tolerance) * min(a, b) for a, b in pairs)
 
 
-def _add_sidecar_metadata(file: RecordingUpload, sidecar: RecordingUpload | None) -> UploadedRecording:
+def _add_sidecar_metadata(file: UploadedRecordingOrSidecar,
+                          sidecar: UploadedRecordingOrSidecar | None) -> UploadedRecording:
     """Combine a recording with the metadata of its sidecar.
 
     Raises:
@@ -351,12 +356,12 @@ def _add_sidecar_metadata(file: RecordingUpload, sidecar: RecordingUpload | None
         raise InputError(f"must be the SHA-256 of {file.name}. The recording was changed after the sidecar was "
                          "written; upload the original files.", file=sidecar.name, field="sha256")
     metadata = {key: value for key, value in sidecar.sidecar.items() if key not in ("source", "sha256")}
-    return UploadedRecording(file, build_measurement([recording.with_metadata(**metadata)]), sidecar)
+    return UploadedRecording(file, build_measurement_from_replicates([recording.with_metadata(**metadata)]), sidecar)
 
 
 def _read_fit_status(path: Path) -> FitProgress | None:
     """Read the progress file of the fit; return None if the file does not exist or is incomplete."""
     try:
-        return FitProgress(**read_json(path, "the progress of a calibration"))
+        return FitProgress(**read_json_value(path, "the progress of a calibration"))
     except (InputError, TypeError):
         return None

@@ -14,14 +14,14 @@ import tissue_sim as ts
 from tissue_sim.atomic_write import write_text
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.experiment.tools.tool import tool_sizes
+from tissue_sim.experiment.tools.tool import list_all_tool_sizes_by_key
 from tissue_sim.files import read_bytes
 from tissue_sim.material.file import read_material_file, write_material_file
 from tissue_sim.parameters import convert_to_file_keys, parameters
 from tissue_sim.rig.file import write_rig
 
 if TYPE_CHECKING:
-    from calibration.fit.fit import DescentIteration, Fit
+    from calibration.fit.fit import DescentEvaluation, Fit
 
 #: Name of the file in the folder of a calibration to which the progress of the fit is written.
 PROGRESS_FILE = "progress.json"
@@ -120,7 +120,7 @@ def calibrate_uploaded_files(folder: str, request: CalibrationRequest) -> Calibr
         status["sentence"] = f"{sentence}, {done} of {of}" if of else sentence
         write_progress_file()
 
-    def report_iteration(_campaign: str, _law: str, iteration: DescentIteration) -> None:
+    def report_iteration(_campaign: str, _law: str, iteration: DescentEvaluation) -> None:
         """Count one simulation, and write misfit and parameters of the iteration to the progress file."""
         status.update(solves=status["solves"] + 1, rmse=iteration.RMSE_N, parameters=iteration.parameters)
         write_progress_file()
@@ -128,7 +128,7 @@ def calibrate_uploaded_files(folder: str, request: CalibrationRequest) -> Calibr
     campaign = root / "page.toml"
     try:
         write_progress_file()
-        write_text(campaign, build_campaign_text(request, root))
+        write_text(campaign, build_campaign_text_and_write_rig(request, root))
         # The report is deleted with the folder, so its figures are not drawn.
         result, = calibration.calibrate([campaign], root / "results", progress=report_task, listen=report_iteration,
                                         figures=False)
@@ -138,7 +138,7 @@ def calibrate_uploaded_files(folder: str, request: CalibrationRequest) -> Calibr
         file = root / "results" / fit.material_file
         if request.origins:
             _add_original_files_to_provenance(file, request.origins)
-        return CalibrationResult(ts.load_material(file), _list_fitted_values(fit), fit.RMSE_N,
+        return CalibrationResult(ts.load_material(file), _collect_fitted_parameters_by_name(fit), fit.RMSE_N,
                                  _collect_fit_warnings(fit),
                                  fit.fem_solves, read_bytes(file, "a calibrated material"), fit.unusable or "")
     except InputError as error:
@@ -158,7 +158,7 @@ def _add_original_files_to_provenance(file: Path, origins: Mapping[str, Mapping[
     write_material_file(replace(content, provenance=replace(content.provenance, settings=settings)), file)
 
 
-def build_campaign_text(request: CalibrationRequest, folder: Path) -> str:
+def build_campaign_text_and_write_rig(request: CalibrationRequest, folder: Path) -> str:
     """Return the campaign file (TOML) of a request; also write ``rig.json`` into the folder if the rig is not ideal.
 
     Raises:
@@ -206,11 +206,11 @@ def _make_experiment_keys(request: CalibrationRequest) -> dict[str, Any]:
     tool = experiment.tool
     file = getattr(tool, "profile_file", None)
     keys: dict[str, Any] = {"tool": tool.shape if file is None else str(Path(file).resolve())}
-    for key, (declaration, name, _) in tool_sizes().items():
+    for key, (declaration, name, _) in list_all_tool_sizes_by_key().items():
         value = getattr(tool, name, None)
         if value:
             keys[key] = value / declaration.factor
-    keys |= {key: getattr(experiment, key) for key, face in kind.face_interfaces.items()
+    keys |= {key: getattr(experiment, key) for key, face in kind.face_interfaces_by_field.items()
              if not face.fixed and not (key == "friction_wall" and not tool.has_shaft)}
     if experiment.contact_laws:
         keys["contact_laws"] = {name: convert_to_file_keys(law) for name, law in experiment.contact_laws.items()}
@@ -219,14 +219,15 @@ def _make_experiment_keys(request: CalibrationRequest) -> dict[str, Any]:
     return keys | ({"slip": experiment.slip} if experiment.slip else {})
 
 
-def _list_fitted_values(fit: Fit) -> dict[str, FittedParameter]:
+def _collect_fitted_parameters_by_name(fit: Fit) -> dict[str, FittedParameter]:
     """Return the parameters that were free in the fit."""
     free = [name for name, error in fit.standard_errors.items() if error != 0]
     return {name: FittedParameter(fit.parameters[name], fit.intervals95.get(name), fit.units.get(name, "1"),
-                                  _describe_interval_limits(name, fit.on_bound, fit.not_identifiable)) for name in free}
+                                  _describe_interval_limitation(name, fit.on_bound, fit.not_identifiable))
+            for name in free}
 
 
-def _describe_interval_limits(name: str, on_bound: Sequence[str], not_identifiable: Sequence[str]) -> str:
+def _describe_interval_limitation(name: str, on_bound: Sequence[str], not_identifiable: Sequence[str]) -> str:
     """Return the limitation of the confidence interval of a parameter in words; empty if there is none."""
     return "on its bound" if name in on_bound else "not identifiable" if name in not_identifiable else ""
 

@@ -18,7 +18,7 @@ _MARGIN = 1.08
 
 
 @dataclass(frozen=True, eq=False)
-class CameraPose:
+class CameraPositionAndTarget:
     """Position of the camera and the point at which it is aimed, in the frame of the scene, m, shape (3,)."""
 
     position: np.ndarray
@@ -29,8 +29,9 @@ class CameraPose:
 PRESETS = {"iso": (-62.0, 24.0), "front": (-90.0, 0.0), "top": (-90.0, 89.0), "contact": (-72.0, 12.0)}
 
 
-def compute_camera_pose(preset: str, specimen: Specimen, tool: Tool, depth: float, above: float, aspect: float = 1.0,
-                        turn: float = 0.0, lateral: tuple[float, float] = (0.0, 0.0)) -> CameraPose:
+def compute_preset_camera_pose(preset: str, specimen: Specimen, tool: Tool, depth: float, above: float,
+                               aspect: float = 1.0,
+                               turn: float = 0.0, lateral: tuple[float, float] = (0.0, 0.0)) -> CameraPositionAndTarget:
     """Return the camera of a preset view, which shows the whole scene or, for ``contact``, the end of the tool.
 
     Args:
@@ -66,5 +67,5 @@ def compute_camera_pose(preset: str, specimen: Specimen, tool: Tool, depth: floa
     # Every point p must satisfy |p @ up|, |p @ right| / aspect <= half * (distance - p @ toward).
     across = np.maximum(np.abs(points @ up), np.abs(points @ right) / max(aspect, 1e-3))
     distance = float(np.max(across * _MARGIN / half + points @ toward))
-    return CameraPose(centre + distance * toward, centre)
+    return CameraPositionAndTarget(centre + distance * toward, centre)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scenes.colour_scale import compute_volume_quantiles
+from scenes.colour_scale import compute_low_and_high_volume_quantile
 from tissue_sim.errors import InputError
 from tissue_sim.fem.fields import FIELD_UNITS
 
@@ -49,10 +49,11 @@ class ColourLevelSettings:
 SETTINGS = ColourLevelSettings()
 
 
-def compute_colour_range(values: np.ndarray, fields: Fields, name: str, factor: float = 1.0) -> tuple[float, float]:
+def compute_field_quantile_range(values: np.ndarray, fields: Fields, name: str,
+                                 factor: float = 1.0) -> tuple[float, float]:
     """Return the smallest and largest value of a field for the colours, without rounding error of the solver.
 
-    The values are two quantiles by volume, as `compute_volume_quantiles` defines them.
+    The values are two quantiles by volume, as `compute_low_and_high_volume_quantile` defines them.
 
     Args:
         values: Field at the quadrature points in the unit of the colours, shape (elements, q).
@@ -60,7 +61,7 @@ def compute_colour_range(values: np.ndarray, fields: Fields, name: str, factor: 
         name: Name of the field.
         factor: Unit of the colours per SI unit.
     """
-    low, high = compute_volume_quantiles(values, fields.weights, SETTINGS.excluded_volume)
+    low, high = compute_low_and_high_volume_quantile(values, fields.weights, SETTINGS.excluded_volume)
     tolerance = SETTINGS.stress_tolerance * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
     if max(abs(low), abs(high)) <= tolerance:
         return 0.0, 0.0
@@ -139,7 +140,7 @@ def colour_bar_html(levels: np.ndarray, colours: Sequence[tuple[int, int, int]],
     bands = len(levels) - 1
     if len(colours) != bands:
         raise InputError(f"must be one per band; got {len(colours)} for {bands} bands", field="colours")
-    numbers, power = _format_levels(np.asarray(levels, dtype=float))
+    numbers, power = _format_levels_and_power_of_ten(np.asarray(levels, dtype=float))
     points = {0: "polygon(0 50%,60% 0,100% 0,100% 100%,60% 100%)",
               bands - 1: "polygon(0 0,40% 0,100% 50%,40% 100%,0 100%)"}
     blocks = []
@@ -177,7 +178,7 @@ def _choose_round_levels(low: float, high: float, bands: int, apart_from: float 
     raise InputError(f"must have a range wider than its rounding error; got {low:g} to {high:g}", field="levels")
 
 
-def _format_levels(levels: np.ndarray) -> tuple[list[str], str]:
+def _format_levels_and_power_of_ten(levels: np.ndarray) -> tuple[list[str], str]:
     """Format levels as short numbers; also return the power of ten that multiplies them as text, empty for 1."""
     largest, step = np.abs(levels).max(), np.ptp(levels) / (len(levels) - 1)
     power = 0

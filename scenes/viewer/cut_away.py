@@ -9,19 +9,19 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from scipy.sparse import csr_array
 
-from scenes.viewer.bands import TriangleConnectivity, split_polyline_at_levels
+from scenes.viewer.bands import TriangleConnectivity, insert_polyline_points_at_levels
 from scenes.viewer.revolution import (
     TriangulatedSurface,
     WedgeOpening,
     concatenate_surfaces,
-    make_section_surfaces,
-    revolve_polyline,
+    make_section_surfaces_by_band,
+    revolve_polyline_by_band,
 )
 from tissue_sim.mesh import Mesh
 
 
 @dataclass(frozen=True)
-class HalfSectionSettings:
+class HalfSectionDivisionSettings:
     """Resolution of the picture of a half section.
 
     Attributes:
@@ -39,11 +39,11 @@ class HalfSectionSettings:
 
 
 #: Settings of the viewer.
-SETTINGS = HalfSectionSettings()
+SETTINGS = HalfSectionDivisionSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class ContactBoundary:
+class PossibleContactBoundary:
     """Part of the half section's boundary that can touch the tool: the top from the axis outwards, then the side.
 
     Attributes:
@@ -57,7 +57,7 @@ class ContactBoundary:
 
 
 @dataclass(frozen=True, eq=False)
-class HalfSection:
+class TriangulatedHalfSection:
     """Half section divided into small triangles; the division stays the same from frame to frame.
 
     Attributes:
@@ -81,12 +81,12 @@ class HalfSection:
     edges: np.ndarray
 
     @classmethod
-    def from_mesh(cls, mesh: Mesh, divisions: int | None = None) -> HalfSection:
+    def from_mesh(cls, mesh: Mesh, divisions: int | None = None) -> TriangulatedHalfSection:
         """Divide the elements of a mesh into small triangles.
 
         Args:
             mesh: Quadrilaterals in the (r, z) half plane.
-            divisions: Number of straight parts of each element edge; None: as `HalfSectionSettings` states.
+            divisions: Number of straight parts of each element edge; None: as `HalfSectionDivisionSettings` states.
         """
         if divisions is None:
             divisions = min(max(round((SETTINGS.cells / len(mesh.connectivity)) ** 0.5), SETTINGS.min_divisions),
@@ -95,7 +95,7 @@ class HalfSection:
         shapes, _ = mesh.element.evaluate_shape_functions(np.array([(a, b) for b in line for a in line]))
         # A point is identified by its nodes and weights, which are the same in all elements that share the point.
         points: dict[tuple, int] = {}
-        number = np.array([[points.setdefault(key, len(points)) for key in _list_point_interpolations(nodes, shapes)]
+        number = np.array([[points.setdefault(key, len(points)) for key in _iterate_point_interpolations(nodes, shapes)]
                            for nodes in mesh.connectivity.tolist()])
         rows = np.repeat(np.arange(len(points)), [len(key) for key in points])
         nodes, weights = np.array([entry for key in points for entry in key]).T
@@ -109,11 +109,13 @@ class HalfSection:
         edges = np.unique(np.sort(np.stack([rim[:, :-1], rim[:, 1:]], axis=-1).reshape(-1, 2), axis=1), axis=0)
 
         coordinates = matrix @ mesh.nodes
-        top, side, base = (_select_points_of_nodes(mesh.sets[name], points) for name in ("top", "side", "base"))
+        top, side, base = (_select_points_depending_on_nodes_only(mesh.sets[name], points)
+                           for name in ("top", "side", "base"))
         top, side = top[np.argsort(coordinates[top, 0])], side[np.argsort(-coordinates[side, 1])]
         base = base[np.argsort(-coordinates[base, 0])]
         outline = np.concatenate([top, side[1:], base[1:]])
-        return cls(mesh, matrix, TriangleConnectivity(triangles), outline, *_find_contact_boundary(mesh), edges)
+        return cls(mesh, matrix, TriangleConnectivity(triangles), outline,
+                   *_find_top_side_nodes_and_gauss_weights(mesh), edges)
 
     def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
                               opening: WedgeOpening) -> list[TriangulatedSurface]:
@@ -132,15 +134,15 @@ class HalfSection:
         """
         points, at_points = self._interpolate_nodal_positions(positions), self.weights @ values
         bands = len(levels) - 1
-        line, band_of_line = split_polyline_at_levels(points[self.outline], at_points[self.outline], levels)
-        outside = revolve_polyline(line, band_of_line, bands, opening)
+        line, band_of_line = insert_polyline_points_at_levels(points[self.outline], at_points[self.outline], levels)
+        outside = revolve_polyline_by_band(line, band_of_line, bands, opening)
         if opening.removes_nothing:
             return outside
         pieces = self.triangulation.cut_at_levels(points, at_points, levels)
-        sections = make_section_surfaces(pieces.points, pieces.triangles, pieces.band, bands, opening)
+        sections = make_section_surfaces_by_band(pieces.points, pieces.triangles, pieces.band, bands, opening)
         return [concatenate_surfaces(*both) for both in zip(sections, outside, strict=True)]
 
-    def compute_edge_lines(self, positions: np.ndarray, opening: WedgeOpening) -> np.ndarray:
+    def compute_element_edge_lines(self, positions: np.ndarray, opening: WedgeOpening) -> np.ndarray:
         """Return the element edges on both section faces, shape (lines, 2, 3); a closed solid has none.
 
         Args:
@@ -165,7 +167,7 @@ class HalfSection:
         inside, deepest = tool
         covered = inside >= radius
         rims = [_split_polyline_into_dashes(np.concatenate([circle[:, 0], circle[-1:, 1]]), length) for circle in
-                (opening.make_circle_lines(radius, z) for z in ((-height,) if covered else (0.0, -height)))]
+                (opening.make_single_circle_lines(radius, z) for z in ((-height,) if covered else (0.0, -height)))]
         side = np.array([[radius, -deepest if covered else 0.0], [radius, -height], [0.0, -height]])
         corners = side if covered else np.concatenate([[[inside, 0.0]], side])
         if opening.removes_nothing:
@@ -177,13 +179,13 @@ class HalfSection:
                      np.array([[0.0, 0.0, -deepest], [0.0, 0.0, -height]])]
         return np.concatenate([*rims, *(_split_polyline_into_dashes(line, length) for line in lines)])
 
-    def compute_contact_boundary(self, positions: np.ndarray) -> ContactBoundary:
+    def compute_possible_contact_boundary(self, positions: np.ndarray) -> PossibleContactBoundary:
         """Return the deformed boundary line that can touch the tool.
 
         Args:
             positions: Deformed positions (r, z) of the nodes, shape (nodes, 2).
         """
-        return ContactBoundary(positions[self.surface], self.gauss_weights @ positions)
+        return PossibleContactBoundary(positions[self.surface], self.gauss_weights @ positions)
 
     @property
     def specimen_radius(self) -> float:
@@ -203,26 +205,26 @@ class HalfSection:
         return points
 
 
-def _list_point_interpolations(nodes: list[int], shapes: np.ndarray) -> Iterator[tuple]:
+def _iterate_point_interpolations(nodes: list[int], shapes: np.ndarray) -> Iterator[tuple]:
     """Yield for each point of an element the nodes and weights that define the point."""
     for row in shapes.tolist():
         yield tuple(sorted((node, round(weight, 9)) for node, weight in zip(nodes, row, strict=True)
                            if abs(weight) > 1e-9))
 
 
-def _select_points_of_nodes(nodes: np.ndarray, points: dict[tuple, int]) -> np.ndarray:
+def _select_points_depending_on_nodes_only(nodes: np.ndarray, points: dict[tuple, int]) -> np.ndarray:
     """Return the numbers of the points that depend on the given nodes only."""
     members = set(nodes.tolist())
     return np.array([number for key, number in points.items() if all(node in members for node, _ in key)])
 
 
-def _find_contact_boundary(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
+def _find_top_side_nodes_and_gauss_weights(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
     """Return the nodes of top and side in order, and the shape functions at the Gauss points between them."""
     top, side, order = mesh.sets["top"], mesh.sets["side"], mesh.element.order
     nodes = np.concatenate([top[np.argsort(mesh.nodes[top, 0])], side[np.argsort(-mesh.nodes[side, 1])][1:]])
     along, _ = leggauss(order)
     shapes, _ = mesh.element.evaluate_shape_functions(np.column_stack([along, np.full(order, -1.0)]))
-    edge_shapes = shapes[:, list(mesh.element.edge_nodes[0])]
+    edge_shapes = shapes[:, list(mesh.element.local_edge_node_indices[0])]
     edge_nodes = nodes[np.arange(0, nodes.size - 1, order)[:, None] + np.arange(order + 1)]
     columns = np.repeat(edge_nodes, order, axis=0)
     rows = np.broadcast_to(np.arange(len(columns))[:, None], columns.shape)

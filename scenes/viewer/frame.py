@@ -11,7 +11,7 @@ import numpy as np
 
 import tissue_sim as ts
 from scenes.viewer.calibration_run import CalibrationState
-from scenes.viewer.measurement import ForceResidual, Measurement
+from scenes.viewer.measurement import ForceResidualCurves, Measurement
 from scenes.viewer.revolution import TriangulatedSurface
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
@@ -28,7 +28,7 @@ class Phase(Enum):
 
 
 @dataclass(frozen=True)
-class FrameRateSettings:
+class FrameAndPlotRateSettings:
     """Rates of the frames of a session.
 
     Attributes:
@@ -41,7 +41,7 @@ class FrameRateSettings:
 
 
 #: Rates of every session.
-FRAMES = FrameRateSettings()
+FRAMES = FrameAndPlotRateSettings()
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class PlotCurves:
     model: ts.Recording | None = None
     compared: tuple[str, ts.Recording] | None = None
     measurement: Measurement | None = None
-    residual: ForceResidual | None = None
+    residual: ForceResidualCurves | None = None
     trace: Trace | None = None
     replayed: tuple[np.ndarray, np.ndarray] | None = None
     number: int = 0

@@ -14,7 +14,7 @@ _STANDING_SPEED = 1e-5
 
 
 @dataclass(frozen=True)
-class LiveForceGap:
+class LargestLiveForceGap:
     """Largest difference between the live force and the model curve.
 
     Attributes:
@@ -32,7 +32,7 @@ class LiveForceGap:
     inertia_fraction: float
 
 
-def compute_live_force_gap(trace: Trace, grid: np.ndarray, live: Pair, model: Pair) -> LiveForceGap | None:
+def find_largest_live_force_gap(trace: Trace, grid: np.ndarray, live: Pair, model: Pair) -> LargestLiveForceGap | None:
     """Compute the largest difference between the live force and the model curve.
 
     Args:
@@ -54,12 +54,12 @@ def compute_live_force_gap(trace: Trace, grid: np.ndarray, live: Pair, model: Pa
     moving = speeds[speeds > _STANDING_SPEED]
     is_late, includes_inertia = (np.concatenate([getattr(each, name) for each in branches]) if branches
                                  else np.zeros(1) for name in ("is_late", "includes_inertia"))
-    return LiveForceGap(float(gaps[worst]), float(grid[worst % grid.size]),
-                        float(np.median(moving)) if moving.size else 0.0,
-                        float(is_late.mean()), float(includes_inertia.mean()))
+    return LargestLiveForceGap(float(gaps[worst]), float(grid[worst % grid.size]),
+                               float(np.median(moving)) if moving.size else 0.0,
+                               float(is_late.mean()), float(includes_inertia.mean()))
 
 
-def select_extrapolated_forces(trace: Trace, grid: np.ndarray) -> np.ndarray:
+def select_forces_of_late_ticks_on_grid(trace: Trace, grid: np.ndarray) -> np.ndarray:
     """Return the forces of the newest loading and unloading that late ticks extrapolated.
 
     Args:

@@ -122,7 +122,7 @@ class LiveSimulation:
         return 0.0 if last is None else float(last["tool_depth"]) / self._inclination_cosine
 
     @property
-    def tool_lateral_position(self) -> tuple[float, float] | None:
+    def tool_axis_surface_crossing_or_none(self) -> tuple[float, float] | None:
         """Present x and y at which the tool's axis crosses the undeformed surface, m; None before the first tick."""
         last = None if self._ring is None else self._ring.latest()
         if last is None:
@@ -168,12 +168,12 @@ class LiveSimulation:
             published = self._snapshots.latest(after=self._published)
             if published is not None:
                 self._published = published.number
-                self._store_newest_snapshot(published.snapshot)
+                self._store_snapshot_and_surface(published.snapshot)
         if len(records):
             self._update_readouts(records)
         return records
 
-    def send_command(self, command: str, **values: Any) -> None:
+    def send_command_and_wait(self, command: str, **values: Any) -> None:
         """Send a command to the loop and wait some milliseconds for its execution.
 
         Args:
@@ -205,7 +205,7 @@ class LiveSimulation:
             self._number = self._ring.written
         self._statistics = self._statistics[:0]
 
-    def _store_newest_snapshot(self, snapshot: Snapshot) -> None:
+    def _store_snapshot_and_surface(self, snapshot: Snapshot) -> None:
         """Store a snapshot, and the surface of the tissue if the snapshot contains one."""
         skin = snapshot.skin
         if skin is not None:
@@ -236,13 +236,13 @@ class LiveSimulation:
             float(last["time"]), float(last["tool_depth"]), float(last["tissue_force"]), float(last["stiffness"]),
             float(np.median(compute_time[recent])), float(iterations[recent].mean()), rate,
             float((last["late"] + last["missed"]) / max(deadlines, 1)), _describe_force_status(status, last),
-            _describe_mesh_resolution(self._loop.resolution, self._loop.force_error),
+            _describe_resolution_and_force_error(self._loop.resolution, self._loop.force_error),
             _describe_force_warning(status, last),
             int(np.count_nonzero(statuses != ForceStatus.CONVERGED)),
             (float(last["tissue_wrench"][0]), float(last["tissue_wrench"][1])))
 
 
-def _describe_mesh_resolution(resolution: str, force_error: float | None) -> str:
+def _describe_resolution_and_force_error(resolution: str, force_error: float | None) -> str:
     """Return the resolution of the mesh, with the relative error of its force if it is known."""
     return resolution if force_error is None else f"{resolution}, force within {100 * force_error:.2g} %"
 
@@ -251,17 +251,17 @@ def _describe_force_status(status: ForceStatus, last: np.void) -> str:
     """Return the status of the newest force in words."""
     if status is ForceStatus.CONVERGED:
         return "paused" if last["flags"] & PAUSED else "in equilibrium"
-    return "inaccurate" if _is_equilibrium_force_inaccurate(status, last) else status.name.lower()
+    return "inaccurate" if _is_late_status_despite_equilibrium(status, last) else status.name.lower()
 
 
 def _describe_force_warning(status: ForceStatus, last: np.void) -> str:
     """Return cause and remedy of a status; empty for an accurate equilibrium."""
-    if _is_equilibrium_force_inaccurate(status, last):
+    if _is_late_status_despite_equilibrium(status, last):
         return (f"The force is in equilibrium, but its estimated error is {last['force_error']:.2g} N. "
                 "Use a finer mesh, a deeper indentation or a slower motion.")
     return "" if status is ForceStatus.CONVERGED else status.message
 
 
-def _is_equilibrium_force_inaccurate(status: ForceStatus, last: np.void) -> bool:
+def _is_late_status_despite_equilibrium(status: ForceStatus, last: np.void) -> bool:
     """Return whether the newest force is an equilibrium force whose estimated error is too large."""
     return status is ForceStatus.LATE and last["age"] == 0.0 and bool(np.isfinite(last["force_error"]))

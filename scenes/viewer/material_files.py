@@ -11,7 +11,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.material.file import MaterialFile, read_material_file, write_material_file
 from tissue_sim.material.material import BULK_RATIOS, Material
 from tissue_sim.parameters import Parameter, parameters, with_values
-from tissue_sim.units import get_display_unit
+from tissue_sim.units import get_display_unit_and_factor
 
 #: Suffix of material files.
 SUFFIX = ".material.json"
@@ -43,7 +43,7 @@ SETTINGS = SliderRangeSettings()
 
 
 @dataclass(frozen=True)
-class SliderRange:
+class SliderRangeAndUnit:
     """Range of a linear slider for a parameter, in the unit of the page.
 
     Attributes:
@@ -95,7 +95,7 @@ def read_uploaded_material(name: str, content: bytes) -> Material:
             raise InputError(error.problem, file=name, line=error.line, field=error.field) from None
 
 
-def compute_parameter_slider_ranges(material: Material) -> dict[str, SliderRange]:
+def compute_parameter_slider_ranges(material: Material) -> dict[str, SliderRangeAndUnit]:
     """Return the slider range of each parameter of a material, by the path of the parameter.
 
     With s = `SliderRangeSettings.span`, the range of a positive value v is [0, s v], or [v / s, s v] if the material
@@ -107,24 +107,24 @@ def compute_parameter_slider_ranges(material: Material) -> dict[str, SliderRange
     return {name: _compute_slider_range(material, each) for name, each in parameters(material).items()}
 
 
-def format_exact_parameter_values(material: Material) -> dict[str, str]:
+def format_parameter_values_by_path(material: Material) -> dict[str, str]:
     """Return the value of each parameter with nine digits and its unit on the page, by the path of the parameter."""
     texts = {}
     for each in parameters(material).values():
-        unit, factor = get_display_unit(each.declaration.unit)
+        unit, factor = get_display_unit_and_factor(each.declaration.unit)
         texts[each.path] = f"{factor * each.value:.9g} {unit}".rstrip()
     return texts
 
 
-def _compute_slider_range(material: Material, parameter: Parameter) -> SliderRange:
+def _compute_slider_range(material: Material, parameter: Parameter) -> SliderRangeAndUnit:
     """Return the slider range of one parameter, as `compute_parameter_slider_ranges` defines it."""
     name, value = parameter.path, parameter.value
-    unit, factor = get_display_unit(parameter.declaration.unit)
+    unit, factor = get_display_unit_and_factor(parameter.declaration.unit)
     scale = material.mu0 if unit == "kPa" else 1.0
     if value == 0 or (name in material.parameters and abs(value) < SETTINGS.zero_tolerance * scale):
         ends = [_find_nearest_usable_value(material, name, value, end) for end in (-scale, scale)]
     else:
-        inner = 0.0 if _is_usable_parameter_value(material, name, 0.0) else value / SETTINGS.span
+        inner = 0.0 if _is_simulatable_parameter_value(material, name, 0.0) else value / SETTINGS.span
         ends = sorted([_find_nearest_usable_value(material, name, value, inner),
                        _find_nearest_usable_value(material, name, value, SETTINGS.span * value)])
     low, high = (factor * end for end in ends)
@@ -133,10 +133,10 @@ def _compute_slider_range(material: Material, parameter: Parameter) -> SliderRan
     step *= max(n for n in (1, 2, 5) if n * step <= max((high - low) / SETTINGS.steps, step))
     # Round inwards to accepted values, but keep the present value inside.
     low, high = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    low += not _is_usable_parameter_value(material, name, _remove_binary_rounding_error(low * step) / factor)
-    high -= not _is_usable_parameter_value(material, name, _remove_binary_rounding_error(high * step) / factor)
-    return SliderRange(min(_remove_binary_rounding_error(low * step), now),
-                       max(_remove_binary_rounding_error(high * step), now), step, unit, factor)
+    low += not _is_simulatable_parameter_value(material, name, _remove_binary_rounding_error(low * step) / factor)
+    high -= not _is_simulatable_parameter_value(material, name, _remove_binary_rounding_error(high * step) / factor)
+    return SliderRangeAndUnit(min(_remove_binary_rounding_error(low * step), now),
+                              max(_remove_binary_rounding_error(high * step), now), step, unit, factor)
 
 
 def _remove_binary_rounding_error(number: float) -> float:
@@ -144,7 +144,7 @@ def _remove_binary_rounding_error(number: float) -> float:
     return float(f"{number:.12g}")
 
 
-def _is_usable_parameter_value(material: Material, name: str, value: float) -> bool:
+def _is_simulatable_parameter_value(material: Material, name: str, value: float) -> bool:
     """Return whether a value of a parameter is valid and the material can still be simulated."""
     try:
         changed = with_values(material, {name: value})
@@ -161,13 +161,13 @@ def _find_nearest_usable_value(material: Material, name: str, value: float, targ
 
     The function bisects 40 times, so the result is exact up to 1e-12 of the interval.
     """
-    if _is_usable_parameter_value(material, name, target):
+    if _is_simulatable_parameter_value(material, name, target):
         return target
     accepted, refused = value, target
     for _ in range(40):
         middle = 0.5 * (accepted + refused)
         accepted, refused = (middle,
-                             refused) if _is_usable_parameter_value(material, name, middle) else (accepted, middle)
+                             refused) if _is_simulatable_parameter_value(material, name, middle) else (accepted, middle)
     return accepted
 
 
@@ -189,14 +189,14 @@ def save_edited_material(material: Material, folder: str | Path, name: str, *, s
     Raises:
         InputError: The name is not a valid file name, the file exists already, or the folder cannot be written.
     """
-    path = choose_new_material_path(folder, name)
+    path = require_unused_material_path(folder, name)
     provenance = {"method": "edited by hand", "settings": {"edited_from": source}}
     named = replace(material, name=path.name.removesuffix(SUFFIX))
     write_material_file(MaterialFile.of(named, provenance=provenance), path)
     return path
 
 
-def choose_new_material_path(folder: str | Path, name: str) -> Path:
+def require_unused_material_path(folder: str | Path, name: str) -> Path:
     """Return the path for a new material file without writing the file.
 
     Args:

@@ -15,13 +15,13 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.recording.file import read_recordings
-from tissue_sim.recording.origin import describe_tool_mismatch
+from tissue_sim.recording.origin import get_recorded_tool_if_different_or_empty
 from tissue_sim.recording.recording import MIN_POINTS, Recording
-from tissue_sim.recording.segmentation import find_loading_and_unloading
+from tissue_sim.recording.segmentation import find_loading_and_unloading_indices
 
 
 @dataclass(frozen=True)
-class ResamplingSettings:
+class ResamplingPointCounts:
     """Numbers of points to which measured curves are resampled.
 
     Attributes:
@@ -38,11 +38,11 @@ class ResamplingSettings:
 
 
 #: Resolution of every comparison.
-RESAMPLING = ResamplingSettings()
+RESAMPLING = ResamplingPointCounts()
 
 
 @dataclass(frozen=True, eq=False)
-class ReplicateStatistics:
+class BranchReplicateStatistics:
     """Statistics of one branch, loading or unloading, over the replicates on a grid of depths.
 
     All arrays have shape (n,) and are NaN at depths that a replicate does not reach.
@@ -69,13 +69,13 @@ class Measurement:
         depth: Grid of depths, m, ascending from the smallest displacement (at least 0) to the largest one, shape (n,).
         load: Statistics of the first loading.
         unload: Statistics of the first unloading after it; None if no replicate has one.
-        branches: Sample numbers of loading and unloading of each replicate, from `find_loading_and_unloading`.
+        branches: Sample numbers of loading and unloading of each replicate, from `find_loading_and_unloading_indices`.
     """
 
     recordings: tuple[Recording, ...]
     depth: np.ndarray
-    load: ReplicateStatistics
-    unload: ReplicateStatistics | None
+    load: BranchReplicateStatistics
+    unload: BranchReplicateStatistics | None
     branches: tuple[tuple[np.ndarray, np.ndarray], ...]
 
     @property
@@ -88,17 +88,18 @@ class Measurement:
         """Kind of test that the recordings state; None if they state none."""
         return next((str(each.metadata["kind"]) for each in self.recordings if "kind" in each.metadata), None)
 
-    def describe_deviating_tool(self, tool: Tool) -> str:
+    def describe_deviating_tool_or_empty(self, tool: Tool) -> str:
         """Describe the tool of the recordings if its shape, or its radius by more than 1 %, differs from a tool.
 
         Returns:
             The description; empty if the tools agree or the recordings state none.
         """
-        return next(filter(None, (describe_tool_mismatch(each, tool.shape, tool.radius) for each in self.recordings)),
+        return next(filter(
+            None, (get_recorded_tool_if_different_or_empty(each, tool.shape, tool.radius) for each in self.recordings)),
                     "")
 
     @property
-    def replicate_scatter(self) -> float | None:
+    def replicate_force_rms_scatter(self) -> float | None:
         """Root mean square over depths and branches of the standard deviation of replicates, N; None for one."""
         spreads = [each.standard_deviation for each in (self.load, self.unload)
                    if each is not None and each.standard_deviation is not None]
@@ -107,7 +108,7 @@ class Measurement:
 
 
 @dataclass(frozen=True, eq=False)
-class ForceResidual:
+class ForceResidualCurves:
     """Difference between model and measurement over depth, with its root mean square.
 
     Attributes:
@@ -137,10 +138,10 @@ def read_measurement_files(paths: Sequence[str | Path], **reading) -> Measuremen
         InputError: There is no file, a file cannot be read, displacement or force is missing, a recording has too few
             samples, or the recordings are of different kinds of tests.
     """
-    return build_measurement([each for path in paths for each in read_recordings(path, **reading)])
+    return build_measurement_from_replicates([each for path in paths for each in read_recordings(path, **reading)])
 
 
-def build_measurement(recordings: Sequence[Recording]) -> Measurement:
+def build_measurement_from_replicates(recordings: Sequence[Recording]) -> Measurement:
     """Build a measurement from replicates of one test.
 
     Raises:
@@ -168,7 +169,7 @@ def build_measurement(recordings: Sequence[Recording]) -> Measurement:
                          "test.", file=kinds[named[1]], field="kind")
     grid = np.linspace(max(0.0, min(each.displacement.min() for each in recordings)),
                        max(each.displacement.max() for each in recordings), RESAMPLING.grid_points)
-    branches = tuple(find_loading_and_unloading(each) for each in recordings)
+    branches = tuple(find_loading_and_unloading_indices(each) for each in recordings)
     unloadings = [unloading for _, unloading in branches if unloading.size]
     unload = None
     if unloadings:
@@ -179,12 +180,12 @@ def build_measurement(recordings: Sequence[Recording]) -> Measurement:
 
 
 def _compute_replicate_statistics(recordings: Sequence[Recording], branches: Sequence[np.ndarray], direction: int,
-                                  grid: np.ndarray) -> ReplicateStatistics:
+                                  grid: np.ndarray) -> BranchReplicateStatistics:
     """Return the statistics of one branch per recording; `direction` is 1 for loading and -1 for unloading."""
     forces = np.array([interpolate_branch_force(each.displacement[branch], each.force[branch], direction, grid)
                        for each, branch in zip(recordings, branches, strict=True)])
     spread = forces.std(axis=0, ddof=1) if len(forces) > 1 else None
-    return ReplicateStatistics(forces.mean(axis=0), forces.min(axis=0), forces.max(axis=0), spread)
+    return BranchReplicateStatistics(forces.mean(axis=0), forces.min(axis=0), forces.max(axis=0), spread)
 
 
 def interpolate_loading_and_unloading(recording: Recording, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -200,13 +201,13 @@ def interpolate_loading_and_unloading(recording: Recording, grid: np.ndarray) ->
     Returns:
         Force in loading and in unloading, N, each of shape (n,), NaN at depths that the branch does not reach.
     """
-    load, unload = find_loading_and_unloading(recording)
-    return _interpolate_branch_monotone(recording, load, 1,
-                                        grid), _interpolate_branch_monotone(recording, unload, -1, grid)
+    load, unload = find_loading_and_unloading_indices(recording)
+    return (_interpolate_branch_by_monotone_cubic(recording, load, 1, grid),
+            _interpolate_branch_by_monotone_cubic(recording, unload, -1, grid))
 
 
-def _interpolate_branch_monotone(recording: Recording, branch: np.ndarray, direction: int,
-                                 depth: np.ndarray) -> np.ndarray:
+def _interpolate_branch_by_monotone_cubic(recording: Recording, branch: np.ndarray, direction: int,
+                                          depth: np.ndarray) -> np.ndarray:
     """Interpolate the force of one branch to depths by a monotone cubic, N; NaN at depths outside of the branch."""
     from scipy.interpolate import PchipInterpolator
 
@@ -220,35 +221,36 @@ def _interpolate_branch_monotone(recording: Recording, branch: np.ndarray, direc
     return np.where(inside, PchipInterpolator(x, recording.force[branch])(np.clip(depth, x[0], x[-1])), np.nan)
 
 
-def compute_force_residual(model: Recording, measured: Measurement) -> ForceResidual:
+def compute_force_residual(model: Recording, measured: Measurement) -> ForceResidualCurves:
     """Compute model minus measurement.
 
     Args:
-        model: Simulation of `make_motion_protocol(measured)`, or of another motion that reaches the same depths.
+        model: Simulation of `make_first_cycle_motion_protocol(measured)`, or of another motion that reaches the same
+            depths.
         measured: The measurement.
 
     Raises:
         InputError: The model reaches no sample of the measurement.
     """
     load, unload = interpolate_loading_and_unloading(model, measured.depth)
-    model_branches = dict(zip((1, -1), find_loading_and_unloading(model), strict=True))
+    model_branches = dict(zip((1, -1), find_loading_and_unloading_indices(model), strict=True))
     differences = []
     for recording, branches in zip(measured.recordings, measured.branches, strict=True):
         for direction, branch in zip((1, -1), branches, strict=True):
-            force = _interpolate_branch_monotone(model, model_branches[direction], direction,
-                                                 recording.displacement[branch])
+            force = _interpolate_branch_by_monotone_cubic(model, model_branches[direction], direction,
+                                                          recording.displacement[branch])
             differences.append(force - recording.force[branch])
     errors = np.concatenate(differences)
     errors = errors[np.isfinite(errors)]
     if not errors.size:
         raise InputError("must reach the measured depths. Simulate the measured motion.", field="model")
     out = np.full(measured.depth.size, np.nan) if measured.unload is None else unload - measured.unload.mean
-    return ForceResidual(measured.depth, load - measured.load.mean, out, float(np.sqrt(np.mean(errors**2))),
-                         errors.size)
+    return ForceResidualCurves(measured.depth, load - measured.load.mean, out, float(np.sqrt(np.mean(errors**2))),
+                               errors.size)
 
 
-def make_motion_protocol(measured: Measurement, *, samples: int = RESAMPLING.motion_samples,
-                         speed: float | None = None) -> Protocol:
+def make_first_cycle_motion_protocol(measured: Measurement, *, samples: int = RESAMPLING.motion_samples,
+                                     speed: float | None = None) -> Protocol:
     """Return a protocol of the measured motion with few samples, to simulate it for comparison.
 
     The motion is that of the typical replicate from its first sample to the end of its first unloading. The samples are
@@ -263,7 +265,7 @@ def make_motion_protocol(measured: Measurement, *, samples: int = RESAMPLING.mot
     Raises:
         InputError: The speed is not positive.
     """
-    recording, (load, unload) = find_typical_replicate(measured)
+    recording, (load, unload) = find_typical_replicate_with_branches(measured)
     end = int(unload[-1] if unload.size else load[-1]) + 1
     depth = recording.displacement[:end]
     time = recording.time[:end] if "time" in recording else _compute_constant_speed_times(depth, recording, speed)
@@ -273,13 +275,14 @@ def make_motion_protocol(measured: Measurement, *, samples: int = RESAMPLING.mot
     time, depth = time[kept], depth[kept]
     ends = [0, load[0], load[-1], *([unload[0], unload[-1]] if unload.size else [])]
     corners = np.unique(np.minimum(np.searchsorted(kept, ends), kept.size - 1))
-    chosen = np.union1d(corners, _select_even_samples(time, depth, corners, max(samples - corners.size, 2)))
+    chosen = np.union1d(corners,
+                        _select_samples_even_in_path_and_time(time, depth, corners, max(samples - corners.size, 2)))
     labels = {name: values[:end][kept][chosen] for name, values in recording.labels.items()
               if values.dtype.kind in {"segment": "U", "cycle": "iu"}[name]}
     return Protocol(time[chosen], depth[chosen], **labels)
 
 
-def find_typical_replicate(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
+def find_typical_replicate_with_branches(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
     """Return the replicate whose loading is nearest to the mean in least squares, and its `Measurement.branches`."""
     def compute_squared_deviation(pair) -> float:
         """Return the sum of the squared differences between the loading of a replicate and the mean loading, N^2."""
@@ -301,7 +304,8 @@ def _compute_constant_speed_times(depth: np.ndarray, recording: Recording, speed
     return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(depth)))]) / speed
 
 
-def _select_even_samples(time: np.ndarray, depth: np.ndarray, corners: np.ndarray, count: int) -> np.ndarray:
+def _select_samples_even_in_path_and_time(time: np.ndarray, depth: np.ndarray, corners: np.ndarray,
+                                          count: int) -> np.ndarray:
     """Return the numbers of about `count` samples that are evenly distributed over path length and time.
 
     The path length between two corners ignores reversals, which are noise.
@@ -314,7 +318,8 @@ def _select_even_samples(time: np.ndarray, depth: np.ndarray, corners: np.ndarra
     return np.unique(np.searchsorted(measure, np.linspace(0.0, measure[-1], count)).clip(0, depth.size - 1))
 
 
-def compute_force_residual_if_possible(model: Recording | None, measured: Measurement | None) -> ForceResidual | None:
+def compute_force_residual_if_possible(model: Recording | None,
+                                       measured: Measurement | None) -> ForceResidualCurves | None:
     """Return `compute_force_residual`; None if one of the two is missing or the model reaches no measured depth."""
     if model is None or measured is None:
         return None

@@ -39,7 +39,7 @@ class ModelCurveWorker:
         """Whether a requested curve has not been computed yet."""
         return self._computed is not None or self._requested is not None
 
-    def request_curve(self, model: ts.Model) -> None:
+    def store_curve_request(self, model: ts.Model) -> None:
         """Store a request for the curve of a model, instead of a request that has not started; start no computation."""
         self._requested = model
 

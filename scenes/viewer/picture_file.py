@@ -85,7 +85,7 @@ def compose_picture_png(render: np.ndarray, levels: Sequence[float] | np.ndarray
     from matplotlib.figure import Figure
 
     view = _blend_with_white(render)
-    bands = None if levels is None else _validate_colour_bands(levels, colours)
+    bands = None if levels is None else _check_and_convert_colour_bands(levels, colours)
     margin, bar = _LAYOUT.margin, _LAYOUT.bar if bands else 0.0
     height, width = (max(side / DPI, _LAYOUT.smallest) for side in view.shape[:2])
     wide = width + bar + (_LAYOUT.curve if curves else 0.0) + 3 * margin
@@ -93,10 +93,10 @@ def compose_picture_png(render: np.ndarray, levels: Sequence[float] | np.ndarray
     size = (wide, height + _LAYOUT.line * len(caption) + 2 * margin)
     figure = Figure(figsize=size, dpi=DPI, facecolor="white")
 
-    def add_axes_at(left: float, bottom: float, wide: float, high: float):
+    def add_axes_at_inches(left: float, bottom: float, wide: float, high: float):
         return figure.add_axes((left / size[0], bottom / size[1], wide / size[0], high / size[1]))
 
-    picture = add_axes_at(margin, margin, width, height)
+    picture = add_axes_at_inches(margin, margin, width, height)
     picture.imshow(view, interpolation="nearest")
     picture.set_axis_off()
     for number, line in enumerate(caption):
@@ -104,11 +104,12 @@ def compose_picture_png(render: np.ndarray, levels: Sequence[float] | np.ndarray
                     fontsize=11 if number == 0 else 9, fontweight="bold" if number == 0 else "normal",
                     color="0.1" if number == 0 else "0.3", parse_math=False)
     if bands is not None:
-        _draw_colour_bar(add_axes_at(width + 2 * margin, margin + 0.1 * height, 0.2, 0.8 * height), *bands, label)
+        _draw_colour_bar(add_axes_at_inches(width + 2 * margin, margin + 0.1 * height, 0.2, 0.8 * height), *bands,
+                         label)
     if curves:
         left = width + bar + 2 * margin + 0.6
         high = min(height - 0.5, 3.2)
-        curve = add_axes_at(left, margin + 0.5 * (height - high + 0.4), _LAYOUT.curve - 0.6, high)
+        curve = add_axes_at_inches(left, margin + 0.5 * (height - high + 0.4), _LAYOUT.curve - 0.6, high)
         _draw_force_curves(curve, curves, band, now)
     return render_png(figure, DPI)
 
@@ -125,8 +126,8 @@ def _blend_with_white(render: np.ndarray) -> np.ndarray:
     return np.round(render[:, :, :3] * opacity + 255.0 * (1.0 - opacity)).astype(np.uint8)
 
 
-def _validate_colour_bands(levels: Sequence[float] | np.ndarray,
-                           colours: Sequence | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _check_and_convert_colour_bands(levels: Sequence[float] | np.ndarray,
+                                    colours: Sequence | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Check levels and colours; return the levels, shape (n + 1,), and the colours, RGBA from 0 to 1, shape (n, 4)."""
     from matplotlib.colors import to_rgba_array
 

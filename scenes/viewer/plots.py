@@ -2,7 +2,7 @@
 
 Arrays are in mm, N and s with ascending x. Missing values are NaN, so that the number of series is constant. The axis
 ranges are always given, because uPlot's automatic range fails at NaN. A change of the options makes the browser rebuild
-the plot, so `round_axis_range` changes a range rarely.
+the plot, so `keep_or_round_axis_range_with_zero` changes a range rarely.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from scenes.viewer.measurement import ForceResidual, Measurement
+from scenes.viewer.measurement import ForceResidualCurves, Measurement
 
 Pair = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
-class PlotSettings:
+class PlotSizesAndRanges:
     """Sizes and ranges of the plots.
 
     Attributes:
@@ -43,7 +43,7 @@ class PlotSettings:
 
 
 #: Settings of every page.
-PLOTS = PlotSettings()
+PLOTS = PlotSizesAndRanges()
 #: Colours of the curves on a light page (Okabe and Ito), by role.
 LIGHT = {"measured": "#6b6b6b", "model": "#0072B2", "compared": "#CC79A7", "live": "#D55E00", "hand": "#009E73",
          "late": "#8a8a8a"}
@@ -62,9 +62,10 @@ def make_depth_grid(deepest: float, points: int = 201) -> np.ndarray:
     return np.linspace(0.0, deepest, points)
 
 
-def make_force_depth_data(grid: np.ndarray, *, measured: Measurement | None = None, model: Pair | None = None,
-                          compared: Pair | None = None, live: Pair | None = None, late: np.ndarray | None = None,
-                          now: tuple[float, float] | None = None) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
+def make_force_depth_columns_and_range(
+        grid: np.ndarray, *, measured: Measurement | None = None, model: Pair | None = None,
+        compared: Pair | None = None, live: Pair | None = None, late: np.ndarray | None = None,
+        now: tuple[float, float] | None = None) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
     """Return the data of the plot of force over depth.
 
     Args:
@@ -96,12 +97,12 @@ def make_force_depth_data(grid: np.ndarray, *, measured: Measurement | None = No
                        for column in columns]
             x, point = np.insert(grid, i, now[0]), np.insert(point, i, np.nan)
         point[i] = now[1]
-    return (x * 1e3, *columns, point), _find_finite_range([*columns, point])
+    return (x * 1e3, *columns, point), _find_finite_range_or_zeros([*columns, point])
 
 
 def make_force_depth_options(x_range: tuple[float, float], y_range: tuple[float, float], *,
                              dark: bool = False) -> dict[str, Any]:
-    """Return the keyword arguments of `add_uplot` for the data of `make_force_depth_data`.
+    """Return the keyword arguments of `add_uplot` for the data of `make_force_depth_columns_and_range`.
 
     Args:
         x_range: Range of the depth axis, mm.
@@ -125,8 +126,8 @@ def make_force_depth_options(x_range: tuple[float, float], y_range: tuple[float,
                               bands=({"series": (2, 1), "fill": _BAND}, {"series": (5, 4), "fill": _BAND}))
 
 
-def make_residual_depth_data(residual: ForceResidual | None, measured: Measurement | None,
-                             grid: np.ndarray) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
+def make_residual_depth_columns_and_range(residual: ForceResidualCurves | None, measured: Measurement | None,
+                                          grid: np.ndarray) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
     """Return the data of the plot of model minus measurement over depth.
 
     Args:
@@ -147,12 +148,12 @@ def make_residual_depth_data(residual: ForceResidual | None, measured: Measureme
     zero = np.zeros(grid.size)
     columns = [*_replace_nan_in_band_edges(low, high, zero), zero,
                *(_interpolate_curve_to_grid(grid, residual, each) for each in pair)]
-    return (grid * 1e3, *columns), _find_finite_range(columns)
+    return (grid * 1e3, *columns), _find_finite_range_or_zeros(columns)
 
 
 def make_residual_depth_options(x_range: tuple[float, float], y_range: tuple[float, float], *,
                                 dark: bool = False) -> dict[str, Any]:
-    """Return the keyword arguments of `add_uplot` for the data of `make_residual_depth_data`.
+    """Return the keyword arguments of `add_uplot` for the data of `make_residual_depth_columns_and_range`.
 
     Args:
         x_range: Range of the depth axis, mm.
@@ -167,9 +168,10 @@ def make_residual_depth_options(x_range: tuple[float, float], y_range: tuple[flo
                               bands=({"series": (2, 1), "fill": _BAND},))
 
 
-def make_force_time_data(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pair | None = None,
-                         hand: np.ndarray | None = None,
-                         seconds: float = PLOTS.time_span) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
+def make_force_time_columns_and_range(
+        time: np.ndarray, force: np.ndarray, now: float, *, measured: Pair | None = None,
+        hand: np.ndarray | None = None,
+        seconds: float = PLOTS.time_span) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
     """Return the data of the plot of force over time.
 
     Args:
@@ -182,8 +184,8 @@ def make_force_time_data(time: np.ndarray, force: np.ndarray, now: float, *, mea
 
     Returns:
         Columns in the order of `make_force_time_options`: time relative to now, s, and forces, N, each of shape
-        (2 `PlotSettings.intervals`,), with the smallest and the largest force of each interval; and the smallest and
-        largest force of all columns, N.
+        (2 `PlotSizesAndRanges.intervals`,), with the smallest and the largest force of each interval; and the smallest
+        and largest force of all columns, N.
     """
     x = np.linspace(-seconds, 0.0, 2 * PLOTS.intervals)
     live = _compute_interval_extremes(np.asarray(time) - now, np.asarray(force), seconds)
@@ -193,12 +195,12 @@ def make_force_time_data(time: np.ndarray, force: np.ndarray, now: float, *, mea
     replayed = np.full(x.size, np.nan)
     if measured is not None and len(measured[0]):
         replayed = np.interp(x + now, *measured, left=np.nan, right=np.nan)
-    return (x, replayed, live, on_hand), _find_finite_range([replayed, live, on_hand])
+    return (x, replayed, live, on_hand), _find_finite_range_or_zeros([replayed, live, on_hand])
 
 
 def make_force_time_options(y_range: tuple[float, float], *, seconds: float = PLOTS.time_span,
                             dark: bool = False) -> dict[str, Any]:
-    """Return the keyword arguments of `add_uplot` for the data of `make_force_time_data`.
+    """Return the keyword arguments of `add_uplot` for the data of `make_force_time_columns_and_range`.
 
     Args:
         y_range: Range of the force axis, N.
@@ -212,13 +214,13 @@ def make_force_time_options(y_range: tuple[float, float], *, seconds: float = PL
                               height=PLOTS.other_height)
 
 
-def make_plot_scales(x_range: tuple[float, float], y_range: tuple[float, float]) -> dict[str, Any]:
+def make_uplot_scales_option(x_range: tuple[float, float], y_range: tuple[float, float]) -> dict[str, Any]:
     """Return the option ``scales`` of a plot, the only option that changes after its creation."""
     return {"x": {"time": False, "range": tuple(map(float, x_range))}, "y": {"range": tuple(map(float, y_range))}}
 
 
-def make_sample_plot_options(label: str, x_range: tuple[float, float], y_range: tuple[float, float], *,
-                             dark: bool = False) -> dict[str, Any]:
+def make_unconnected_sample_plot_options(label: str, x_range: tuple[float, float], y_range: tuple[float, float], *,
+                                         dark: bool = False) -> dict[str, Any]:
     """Return the keyword arguments of `add_uplot` for force samples as points, without connecting lines.
 
     Args:
@@ -233,8 +235,8 @@ def make_sample_plot_options(label: str, x_range: tuple[float, float], y_range: 
     return _make_plot_options(series, x_range, y_range, label, "force [N]", height=PLOTS.force_height)
 
 
-def round_axis_range(extent: tuple[float, float], previous: tuple[float, float] | None = None, *,
-                     about_zero: bool = False) -> tuple[float, float]:
+def keep_or_round_axis_range_with_zero(extent: tuple[float, float], previous: tuple[float, float] | None = None, *,
+                                       about_zero: bool = False) -> tuple[float, float]:
     """Return a range of an axis with round ends that contains zero and the data.
 
     Args:
@@ -285,7 +287,7 @@ def plot_legend_html(*, measured: int = 0, model: bool = True, compared: str | N
             f'padding:0 0.6em">{spans}</div>')
 
 
-def _interpolate_curve_to_grid(grid: np.ndarray, source: Measurement | ForceResidual | None,
+def _interpolate_curve_to_grid(grid: np.ndarray, source: Measurement | ForceResidualCurves | None,
                                curve: np.ndarray | None) -> np.ndarray:
     """Interpolate a curve from the depths of its source to a grid; return NaN where the curve is missing."""
     if source is None or curve is None:
@@ -317,7 +319,7 @@ def _interpolate_column_at_depth(grid: np.ndarray, column: np.ndarray, i: int, d
     return float(np.interp(depth, grid[i - 1:i + 1], column[i - 1:i + 1]))
 
 
-def _find_finite_range(columns: list[np.ndarray]) -> tuple[float, float]:
+def _find_finite_range_or_zeros(columns: list[np.ndarray]) -> tuple[float, float]:
     """Return the smallest and largest finite value of all columns; (0, 0) if there is none."""
     values = np.concatenate(columns)
     values = values[np.isfinite(values)]
@@ -341,7 +343,7 @@ def _compute_interval_extremes(age: np.ndarray, force: np.ndarray, seconds: floa
         seconds: Time span, s.
 
     Returns:
-        Forces, N, shape (2 `PlotSettings.intervals`,), NaN before the first and after the last point.
+        Forces, N, shape (2 `PlotSizesAndRanges.intervals`,), NaN before the first and after the last point.
     """
     first = max(int(np.searchsorted(age, -seconds)) - 1, 0)
     age, force = age[first:], force[first:]
@@ -379,7 +381,7 @@ def _make_plot_options(series: list[dict[str, Any]], x_range: tuple[float, float
             "gap": 4, "labelGap": 0}
     return {
         "series": tuple(series), "bands": bands, "height": height, "padding": (8, 16, 0, 0),
-        "scales": make_plot_scales(x_range, y_range),
+        "scales": make_uplot_scales_option(x_range, y_range),
         "axes": ({**axis, "label": x_label, "labelSize": 18, "size": 28, "space": 45},
                  {**axis, "label": y_label, "labelSize": 18, "size": 44, "space": 28}),
         "legend": {"show": False}, "cursor": {"show": False},

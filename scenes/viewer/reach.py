@@ -11,8 +11,8 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.snapshot import Snapshot
 
 
-def limit_to_top_surface(experiment: Experiment, snapshot: Snapshot,
-                         across: tuple[float, float]) -> tuple[float, float]:
+def limit_lateral_position_to_top(experiment: Experiment, snapshot: Snapshot,
+                                  across: tuple[float, float]) -> tuple[float, float]:
     """Move a lateral position towards the middle of the specimen until the whole tool is above the top surface.
 
     Args:
@@ -46,13 +46,14 @@ def limit_to_top_surface(experiment: Experiment, snapshot: Snapshot,
     return x, y
 
 
-def limit_lateral_position(scene: Scene, snapshot: Snapshot, across: tuple[float, float]) -> tuple[float, float]:
-    """Limit a lateral position of the tool, x and y in m, to the top surface and to `Scene.lateral_range`.
+def limit_lateral_position_to_top_and_range(scene: Scene, snapshot: Snapshot,
+                                            across: tuple[float, float]) -> tuple[float, float]:
+    """Limit a lateral position of the tool, x and y in m, to the top surface and to `Scene.allowed_tool_xy_ranges`.
 
-    `limit_to_top_surface` computes the limits of the top surface.
+    `limit_lateral_position_to_top` computes the limits of the top surface.
     """
     x, y = (min(max(value, low), high) for value, (low, high) in zip(
-        limit_to_top_surface(scene.experiment, snapshot, across), scene.lateral_range, strict=True))
+        limit_lateral_position_to_top(scene.experiment, snapshot, across), scene.allowed_tool_xy_ranges, strict=True))
     return x, y
 
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
-from scenes.viewer.measurement import Measurement, build_measurement
+from scenes.viewer.measurement import Measurement, build_measurement_from_replicates
 from scenes.viewer.shell import LARGEST_UPLOAD
 from tissue_sim.bounded import run_in_sandbox
-from tissue_sim.decode import read_json
+from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_bytes
 from tissue_sim.recording.file import read_recording, write_recording
@@ -25,7 +25,7 @@ _OWN = re.compile(rb"^[^\n]*\b(displacement|force) \[")
 
 
 @dataclass(frozen=True, eq=False)
-class RecordingUpload:
+class UploadedRecordingOrSidecar:
     """Uploaded recording, or uploaded sidecar of a recording.
 
     Attributes:
@@ -50,7 +50,7 @@ class RecordingUpload:
         return Path(self.name).stem
 
 
-def read_recording_upload(name: str, content: bytes) -> tuple[RecordingUpload, ...]:
+def read_uploaded_recordings_or_sidecar(name: str, content: bytes) -> tuple[UploadedRecordingOrSidecar, ...]:
     """Read an uploaded file; any thread may call this function.
 
     Args:
@@ -74,33 +74,35 @@ def read_recording_upload(name: str, content: bytes) -> tuple[RecordingUpload, .
         try:
             match path.suffix.lower():
                 case ".json":
-                    return (_read_sidecar(path, content),)
+                    return (_make_sidecar_upload(path, content),)
                 case ".csv" if _OWN.match(content[:1000]):
                     recording = read_recording(path).with_metadata(source=name)
-                    return (RecordingUpload(name, content, build_measurement([recording])),)
+                    return (UploadedRecordingOrSidecar(name, content, build_measurement_from_replicates([recording])),)
                 case _:
-                    return _read_machine_file(path, {"file": name, "sha256": hashlib.sha256(content).hexdigest()})
+                    return _convert_machine_file_to_uploads(path,
+                                                            {"file": name,
+                                                             "sha256": hashlib.sha256(content).hexdigest()})
         except InputError as error:
             raise InputError(error.problem, file=name, line=error.line, field=error.field) from None
 
 
-def _read_sidecar(path: Path, content: bytes) -> RecordingUpload:
+def _make_sidecar_upload(path: Path, content: bytes) -> UploadedRecordingOrSidecar:
     """Return the upload of a sidecar; raise an `InputError` unless the file contains a JSON object."""
-    metadata = read_json(path, "the sidecar of a recording (JSON)")
+    metadata = read_json_value(path, "the sidecar of a recording (JSON)")
     if not isinstance(metadata, dict):
         raise InputError("must be a JSON object {...} with the metadata of a recording. Upload the file that was "
                          "written next to the recording.")
-    return RecordingUpload(path.name, content, sidecar=metadata)
+    return UploadedRecordingOrSidecar(path.name, content, sidecar=metadata)
 
 
-def _read_machine_file(path: Path, origin: Mapping[str, str]) -> tuple[RecordingUpload, ...]:
+def _convert_machine_file_to_uploads(path: Path, origin: Mapping[str, str]) -> tuple[UploadedRecordingOrSidecar, ...]:
     """Convert the recordings of a test-machine file to the format of tissue_sim; number them if there are several."""
     # Imported here so that the page starts without the file parsers.
     from tissue_sim.recording.formats.understanding import interpret_file
 
     found = run_in_sandbox(interpret_file, path, file=path)
     recordings = [(reading, recording) for reading in found.readings
-                  for recording in _select_usable_recordings(reading)]
+                  for recording in _require_channels_and_get_recordings(reading)]
     uploads = []
     for number, (reading, recording) in enumerate(recordings, start=1):
         stem = path.stem if len(recordings) == 1 else f"{path.stem}_{number}"
@@ -108,15 +110,16 @@ def _read_machine_file(path: Path, origin: Mapping[str, str]) -> tuple[Recording
         kept = Recording({name: recording.channel(name) for name in ("time", "displacement", "force")
                           if name in recording}, {}, {"name": stem})
         write_recording(kept, own)
-        uploads.append(RecordingUpload(f"{stem}.csv", read_bytes(own, "a recording"),
-                                       build_measurement([kept.with_metadata(source=path.name)]),
-                                       understood=(_describe_column_channels(reading, found.format), *reading.remarks,
-                                                   *found.warnings),
-                                       origin=origin))
+        uploads.append(UploadedRecordingOrSidecar(f"{stem}.csv", read_bytes(own, "a recording"),
+                                                  build_measurement_from_replicates(
+                                                      [kept.with_metadata(source=path.name)]),
+                                                  understood=(_describe_column_channels(reading, found.format),
+                                                              *reading.remarks, *found.warnings),
+                                                  origin=origin))
     return tuple(uploads)
 
 
-def _select_usable_recordings(reading: TableGroup) -> tuple[Recording, ...]:
+def _require_channels_and_get_recordings(reading: TableGroup) -> tuple[Recording, ...]:
     """Return all recordings of a reading that has displacement, force and their units.
 
     Raises:
@@ -126,19 +129,21 @@ def _select_usable_recordings(reading: TableGroup) -> tuple[Recording, ...]:
     if not {"displacement", "force"} <= channels:
         raise InputError(f"must contain displacement and force; got {' and '.join(sorted(channels - {'time'}))}. Use "
                          "tissue-sim calibrate for other quantities.")
-    if reading.missing_information:
-        raise InputError(f"does not state {', '.join(reading.missing_information)}. Write the unit into the header, as "
-                         "in 'Load (N)', or use tissue-sim import.")
+    if reading.missing_units_and_scales:
+        raise InputError(
+            f"does not state {', '.join(reading.missing_units_and_scales)}. Write the unit into the header, as "
+            "in 'Load (N)', or use tissue-sim import.")
     return reading.recordings
 
 
 def _describe_column_channels(reading: TableGroup, machine: str) -> str:
     """Return a sentence that states which column was read as which channel."""
-    columns = ", ".join(f"{column.channel} from {_describe_column(column)}" for column in reading.columns)
+    columns = ", ".join(f"{column.channel} from {_describe_column_header_unit_and_sign(column)}"
+                        for column in reading.columns)
     return f"{columns}{'' if machine == 'table' else f' (a file of {machine})'}"
 
 
-def _describe_column(column: ColumnGuess) -> str:
+def _describe_column_header_unit_and_sign(column: ColumnGuess) -> str:
     """Return header (or number), unit and a changed sign of a column as text."""
     sign = ", its sign changed" if column.sign < 0 else ""
     return f"{repr(column.header) if column.header else f'column {column.place}'} in {column.unit}{sign}"

@@ -27,18 +27,18 @@ def find_refusal_reason(hosts: list[str], origins: list[str], allowed: frozenset
     Returns:
         Reason to refuse the request, one sentence; None if the request is allowed.
     """
-    host = _parse_host_and_port(hosts[0]) if len(hosts) == 1 else None
+    host = _parse_host_and_port_or_none(hosts[0]) if len(hosts) == 1 else None
     if host is None or host[0] not in allowed or host[1] != port:
         return f"This server answers only requests to http://localhost:{port} and its own addresses."
     if not origins:
         return None
     scheme, _, address = origins[0].partition("://")
-    if len(origins) > 1 or scheme.lower() != "http" or _parse_host_and_port(address) != host:
+    if len(origins) > 1 or scheme.lower() != "http" or _parse_host_and_port_or_none(address) != host:
         return "This server answers only requests from this page, not from pages of other sites."
     return None
 
 
-def _parse_host_and_port(text: str) -> tuple[str, int] | None:
+def _parse_host_and_port_or_none(text: str) -> tuple[str, int] | None:
     """Return the normalised name and the port of ``name`` or ``name:port``; None for any other text."""
     match = _ADDRESS.fullmatch(text)
     return (normalise_host_name(match["name"].strip("[]")), int(match["port"] or _HTTP_PORT)) if match else None

@@ -18,11 +18,12 @@ class CommandQueue:
     def __init__(self) -> None:
         self._queue: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
 
-    def queue_command(self, command: str, reply: Callable[[str | None], None] | None, values: dict[str, Any]) -> None:
+    def append_command_thread_safely(self, command: str, reply: Callable[[str | None], None] | None,
+                                     values: dict[str, Any]) -> None:
         """Queue a command; any thread may call this method."""
         self._queue.put((command, reply, values))
 
-    def execute_queued_commands(self, run: Callable[[str, dict[str, Any]], None]) -> None:
+    def execute_commands_except_superseded(self, run: Callable[[str, dict[str, Any]], None]) -> None:
         """Execute the queued commands in order, except superseded ones, and call their reply functions.
 
         Args:

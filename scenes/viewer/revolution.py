@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scenes.viewer.bands import split_triangles_by_band
+from scenes.viewer.bands import renumber_triangles_for_band_meshes
 from tissue_sim.errors import InputError
 
 #: Angle between neighbouring lines or triangles above which they are shaded as a sharp edge, rad.
@@ -94,7 +94,7 @@ class WedgeOpening:
                   for direction, normal in self.section_face_vectors]
         return np.array(mapped).reshape(len(mapped), *points.shape[:-1], 3)
 
-    def make_circle_lines(self, radius: float, z: float) -> np.ndarray:
+    def make_single_circle_lines(self, radius: float, z: float) -> np.ndarray:
         """Return the lines of a circle around the axis, without the part inside the wedge, shape (k, 2, 3)."""
         ring = np.column_stack([radius * self.half_plane_directions, np.full(len(self.half_plane_directions), z)])
         after = np.roll(ring, -1, axis=0)
@@ -102,8 +102,8 @@ class WedgeOpening:
         return lines if self.removes_nothing else lines[:-1]
 
 
-def make_section_surfaces(points: np.ndarray, triangles: np.ndarray, band: np.ndarray, bands: int,
-                          opening: WedgeOpening, offset: float = 0.0) -> list[TriangulatedSurface]:
+def make_section_surfaces_by_band(points: np.ndarray, triangles: np.ndarray, band: np.ndarray, bands: int,
+                                  opening: WedgeOpening, offset: float = 0.0) -> list[TriangulatedSurface]:
     """Return both section faces, split into one surface per band.
 
     Args:
@@ -116,7 +116,7 @@ def make_section_surfaces(points: np.ndarray, triangles: np.ndarray, band: np.nd
     """
     if opening.removes_nothing:
         return [_make_empty_surface()] * bands
-    kept, numbers, slices = split_triangles_by_band(triangles, band, len(points), bands)
+    kept, numbers, slices = renumber_triangles_for_band_meshes(triangles, band, len(points), bands)
     first, last = opening.map_to_section_faces(points[kept], offset).astype(np.float32)
     numbers = numbers.astype(np.uint32)
     back = numbers[:, ::-1]
@@ -125,8 +125,8 @@ def make_section_surfaces(points: np.ndarray, triangles: np.ndarray, band: np.nd
             for points_of, cut in slices]
 
 
-def revolve_polyline(points: np.ndarray, band: np.ndarray, bands: int,
-                     opening: WedgeOpening) -> list[TriangulatedSurface]:
+def revolve_polyline_by_band(points: np.ndarray, band: np.ndarray, bands: int,
+                             opening: WedgeOpening) -> list[TriangulatedSurface]:
     """Revolve a polyline around the axis; return one surface per band.
 
     Args:

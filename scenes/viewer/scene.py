@@ -10,7 +10,7 @@ from typing import Any
 
 import tissue_sim as ts
 from scenes.catalogue import SCENES
-from scenes.viewer.measurement import Measurement, build_measurement
+from scenes.viewer.measurement import Measurement, build_measurement_from_replicates
 from tissue_sim.experiment.kinds.kind import TestKind
 
 #: Source of the default material, which is not read from a file.
@@ -62,12 +62,12 @@ class Scene:
         return self.experiment.protocol.depth
 
     @property
-    def max_distance_from_axis(self) -> float:
+    def specimen_outer_radius(self) -> float:
         """Largest distance of the undeformed specimen from its axis, m."""
         return self.experiment.specimen.outer_radius
 
     @property
-    def lateral_range(self) -> tuple[tuple[float, float], tuple[float, float]]:
+    def allowed_tool_xy_ranges(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Range of x and range of y at which the tool's axis may cross the undeformed surface, m.
 
         Without a reduced model, the ranges end at the edges of the specimen's top. With a reduced model, the tool stays
@@ -88,10 +88,10 @@ class Scene:
     def _specimen_top_ranges(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Range of x and range of y of the specimen's top along the two axes, m."""
         specimen = self.experiment.specimen
-        return ((-_compute_distance_to_top_edge(specimen, -1.0, 0.0),
-                 _compute_distance_to_top_edge(specimen, 1.0, 0.0)),
-                (-_compute_distance_to_top_edge(specimen, 0.0, -1.0),
-                 _compute_distance_to_top_edge(specimen, 0.0, 1.0)))
+        return ((-_compute_top_edge_radius_in_direction(specimen, -1.0, 0.0),
+                 _compute_top_edge_radius_in_direction(specimen, 1.0, 0.0)),
+                (-_compute_top_edge_radius_in_direction(specimen, 0.0, -1.0),
+                 _compute_top_edge_radius_in_direction(specimen, 0.0, 1.0)))
 
     @property
     def min_tool_displacement(self) -> float:
@@ -122,7 +122,7 @@ class Scene:
         if not kind.allows_tool(tool):
             raise ts.InputError(f"must fit the scene {kind.title.lower()}; got a {tool.shape!r} tool. Choose another "
                                 "tool or scene.", field="tool")
-        changes: dict[str, Any] = kind.default_interfaces(tool)
+        changes: dict[str, Any] = kind.make_default_interfaces_by_field(tool)
         if kind is self.kind:
             changes = {key: getattr(before, key) for key in changes}
         if friction is not None:
@@ -152,10 +152,10 @@ def read_measurements_by_kind(paths: Sequence[str | Path], scene: str) -> dict[s
             raise ts.InputError(f"the kind of test of a recording must be one of {', '.join(SCENES)}; got {kind!r}. "
                                 f"{remedy}", file=path, field="kind")
         by_kind.setdefault(kind, []).append(recording)
-    return {kind: build_measurement(recordings) for kind, recordings in by_kind.items()}
+    return {kind: build_measurement_from_replicates(recordings) for kind, recordings in by_kind.items()}
 
 
-def _compute_distance_to_top_edge(specimen: ts.Specimen, x: float, y: float) -> float:
+def _compute_top_edge_radius_in_direction(specimen: ts.Specimen, x: float, y: float) -> float:
     """Return the distance of the top's edge from the axis in the direction of the unit vector (x, y), m."""
     low, high = 0.0, specimen.outer_radius
     if specimen.margin(high * x, high * y) >= 0.0:

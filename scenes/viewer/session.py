@@ -13,17 +13,22 @@ import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice, Motion
 from haptics.devices.motions import HandMotion
 from haptics.loop.loop import LoopSettings
-from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS, apply_finished_calibration
+from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS, use_finished_calibration_in_scene
 from scenes.viewer.calibration_run import CalibrationRun
 from scenes.viewer.frame import FRAMES, FrameViewer, Phase, PlotCurves, SessionFrame
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited_material
-from scenes.viewer.measurement import compute_force_residual_if_possible, make_motion_protocol
+from scenes.viewer.measurement import compute_force_residual_if_possible, make_first_cycle_motion_protocol
 from scenes.viewer.model_curve import ModelCurveWorker
-from scenes.viewer.reach import limit_lateral_position
+from scenes.viewer.reach import limit_lateral_position_to_top_and_range
 from scenes.viewer.requests import CommandQueue, differ_in_parameter_values_only
 from scenes.viewer.scene import Scene
-from scenes.viewer.tool_motions import HAND_SPEED, make_hand_motion, make_protocol_motion, make_replay_motion
+from scenes.viewer.tool_motions import (
+    HAND_SPEED,
+    make_hand_motion,
+    make_protocol_motion,
+    make_replay_motion_and_force_curve,
+)
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
 from tissue_sim.live_material import require_tissue_moduli
@@ -57,8 +62,8 @@ class Session:
         self._device_waits, self._refused = False, ""
         self._resolution, self._settings = resolution, settings
         self._requests = CommandQueue()
-        self._curve, self.calibration = ModelCurveWorker(curve_resolution, scene.solver,
-                                                         scene.reduced), CalibrationRun()
+        self._curve = ModelCurveWorker(curve_resolution, scene.solver, scene.reduced)
+        self.calibration = CalibrationRun()
         self._curves, self._trace, self._frames = PlotCurves(compared=scene.compared), Trace(), 0
         #: Time since the start of the replay, s, and force, N, of the repeated recording.
         self._replayed: tuple | None = None
@@ -69,7 +74,7 @@ class Session:
         self._has_hand_force = False
         #: Whether the material was changed during the start of the simulation, which still has the old material.
         self._material_pending = False
-        self._simulation = self._start_simulation()
+        self._simulation = self._reset_state_and_make_simulation()
 
     @property
     def simulation(self) -> LiveSimulation:
@@ -89,18 +94,18 @@ class Session:
         """
         if command not in COMMANDS:
             raise ValueError(f"command must be one of {', '.join(COMMANDS)}; got {command!r}.")
-        self._requests.queue_command(command, reply, values)
+        self._requests.append_command_thread_safely(command, reply, values)
 
     def frame(self) -> SessionFrame:
         """Execute the queued commands, poll all processes, and return the new state for display."""
-        self._requests.execute_queued_commands(lambda command, values: COMMANDS[command](self, **values))
-        apply_finished_calibration(self)
+        self._requests.execute_commands_except_superseded(lambda command, values: COMMANDS[command](self, **values))
+        use_finished_calibration_in_scene(self)
         simulation = self._simulation
         records = simulation.poll_loop_process()
         if self._material_pending and simulation.phase is Phase.RUNNING:
             self._material_pending = False
             try:
-                simulation.send_command("set_parameters", **parameter_values(self.scene.material))
+                simulation.send_command_and_wait("set_parameters", **parameter_values(self.scene.material))
             except InputError:
                 # A new simulation starts with the new material, or reports the reason.
                 self.restart_simulation()
@@ -109,20 +114,19 @@ class Session:
             self._connect_initial_device()
             records = None
         if records is not None and len(records):
-            self._trace_version += self._trace.append_ticks(records)
+            self._trace_version += self._trace.append_ticks_and_count_points(records)
         self._curve.store_result_and_start_next()
         if self._frames % FRAMES.frames_per_plot == 0:
             self._update_plot_curves()
         self._frames += 1
-        message = simulation.message
+        text = simulation.message
         if simulation.phase is Phase.DIED:
-            message = f"The simulation has stopped: {message.removesuffix('.')}. Press Restart to begin again."
+            text = f"The simulation has stopped: {text.removesuffix('.')}. Press Restart to begin again."
         elif self._refused:
-            message = self._refused
+            text = self._refused
         elif self._curve.problem:
-            message = self._curve.problem
-        return SessionFrame(simulation.phase, message, self.scene, simulation.snapshot, simulation.readouts,
-                            self._curves,
+            text = self._curve.problem
+        return SessionFrame(simulation.phase, text, self.scene, simulation.snapshot, simulation.readouts, self._curves,
                             self._motion, self._target, simulation.surface, self.calibration.state, self._across)
 
     def run(self, viewer: FrameViewer, stop: threading.Event, seconds: float | None = None) -> None:
@@ -156,18 +160,18 @@ class Session:
             raise InputError("The tool cannot move while the motion is paused. Press Play to continue, or Reset.")
         if self._motion != "hand":
             # HandMotion(None) starts at the tool's present position; the position known here is one frame old.
-            simulation.send_command("switch_device", device=HandMotion(None, HAND_SPEED))
+            simulation.send_command_and_wait("switch_device", device=HandMotion(None, HAND_SPEED))
             self._motion, self._target, self._has_hand_force = "hand", simulation.tool_depth, False
-            self._across = simulation.tool_lateral_position or self._across
+            self._across = simulation.tool_axis_surface_crossing_or_none or self._across
         depth = max(self._target if depth is None else depth, self.scene.min_tool_displacement)
         depth = min(depth, self.scene.max_tool_displacement)
         target: dict[str, Any] = {"depth": depth}
         if across is not None and simulation.snapshot is not None and simulation.snapshot.is_three_dimensional:
-            target["across"] = limit_lateral_position(self.scene, simulation.snapshot, across)
-        simulation.send_command("aim", **target)
+            target["across"] = limit_lateral_position_to_top_and_range(self.scene, simulation.snapshot, across)
+        simulation.send_command_and_wait("aim", **target)
         self._target, self._across = depth, target.get("across", self._across)
 
-    def play_protocol(self, text: str, speed: float = 5e-3, repeat: bool = False) -> None:
+    def play_protocol_on_reset_tissue(self, text: str, speed: float = 5e-3, repeat: bool = False) -> None:
         """Play a protocol from its beginning on undeformed tissue.
 
         Args:
@@ -178,44 +182,41 @@ class Session:
         Raises:
             InputError: The protocol is invalid, or deeper than the scene.
         """
-        self._restart_with_device("protocol", make_protocol_motion(self.scene, text, speed, repeat))
+        self._reset_tissue_and_switch_device("protocol", make_protocol_motion(self.scene, text, speed, repeat))
 
-    def replay_measured_motion(self, speed: float = 1.0) -> None:
-        """Repeat the measured motion on undeformed tissue.
-
-        Args:
-            speed: Speed relative to the measurement.
+    def replay_measured_motion_on_reset_tissue(self, speed: float = 1.0) -> None:
+        """Repeat the measured motion on undeformed tissue; `speed` is relative to the speed of the measurement.
 
         Raises:
             InputError: The scene has no measurement, or the measured motion is deeper than the scene.
         """
-        measured_motion, force = make_replay_motion(self.scene, speed)
-        self._restart_with_device("recording", measured_motion)
+        measured_motion, force = make_replay_motion_and_force_curve(self.scene, speed)
+        self._reset_tissue_and_switch_device("recording", measured_motion)
         self._replayed = force
 
-    def move_with_device(self, device: HapticDevice) -> None:
+    def move_with_device_on_reset_tissue(self, device: HapticDevice) -> None:
         """Move the tool with a haptic device or a motion, on undeformed tissue."""
         device.set_approach(self.scene.experiment.approach)
-        self._restart_with_device("device", device)
+        self._reset_tissue_and_switch_device("device", device)
 
     def pause_motion(self) -> None:
         """Pause the motion of the tool."""
-        self._simulation.send_command("pause")
+        self._simulation.send_command_and_wait("pause")
 
     def resume_motion(self) -> None:
         """Continue a paused motion."""
-        self._simulation.send_command("resume")
+        self._simulation.send_command_and_wait("resume")
 
-    def step_paused_motion(self) -> None:
+    def pause_and_advance_one_frame_time(self) -> None:
         """Pause the motion, and advance it by the time of one frame."""
         if self._simulation.phase is not Phase.PAUSED:
             self.pause_motion()
-        self._simulation.send_command("advance", seconds=STEP_TIME)
+        self._simulation.send_command_and_wait("advance", seconds=STEP_TIME)
 
     def reset_tool_and_tissue(self) -> None:
         """Move the tool to the undeformed surface, and reset the tissue to its undeformed state."""
-        self._restart_with_device("hand", make_hand_motion(self.scene))
-        self._target, self._across = 0.0, self._first_contact_position
+        self._reset_tissue_and_switch_device("hand", make_hand_motion(self.scene))
+        self._target, self._across = 0.0, self._first_contact_xy
 
     def set_material_parameters(self, values: dict[str, float]) -> None:
         """Change parameters of the material in the running simulation.
@@ -228,7 +229,7 @@ class Session:
         """
         self._apply_material(with_values(self.scene.material, values), self.scene.source)
 
-    def replace_material(self, material: ts.Material, source: str) -> None:
+    def replace_material_restart_if_needed(self, material: ts.Material, source: str) -> None:
         """Replace the material of the scene.
 
         New parameter values of the same law are set in the running simulation; otherwise, a new simulation starts.
@@ -248,16 +249,16 @@ class Session:
             reduced.require_material(material)
         scene = replace(self.scene, material=material, source=source)
         if not differ_in_parameter_values_only(self.scene.material, material):
-            self._restart_with_scene(scene)
+            self._set_scene_and_restart(scene)
             return
         if self._simulation.phase in (Phase.RUNNING, Phase.PAUSED):
-            self._simulation.send_command("set_parameters", **parameter_values(material))
+            self._simulation.send_command_and_wait("set_parameters", **parameter_values(material))
         # A starting simulation has the old material; `frame` sets the new one when the simulation runs.
         self._material_pending = self._simulation.phase is Phase.STARTING
         self.scene = scene
-        self._curve.request_curve(self._make_whole_test_model())
+        self._curve.store_curve_request(self._make_whole_test_model())
 
-    def save_material_file(self, folder: Path, name: str) -> None:
+    def save_new_material_file_in_folder(self, folder: Path, name: str) -> None:
         """Write the present material into a new file, which becomes its source.
 
         Args:
@@ -276,21 +277,17 @@ class Session:
         Raises:
             InputError: The scene does not exist, or the tool does not fit it.
         """
-        self._restart_with_scene(self.scene.with_test_and_tool(name, tool=tool, friction=friction))
+        self._set_scene_and_restart(self.scene.with_test_and_tool(name, tool=tool, friction=friction))
 
-    def keep_model_curve(self, name: str = "") -> None:
-        """Keep the present model curve for comparison.
-
-        Args:
-            name: Name of the curve in the legend; empty: remove the curve that was kept.
-        """
+    def keep_or_remove_comparison_curve(self, name: str = "") -> None:
+        """Keep the present model curve for comparison, `name` in the legend; empty: remove the curve that was kept."""
         kept = (name, self._curve.recording) if name and self._curve.recording is not None else None
         self._curves = replace(self._curves, compared=kept)
 
     def restart_simulation(self) -> None:
         """End the simulation process and start a new one with the present scene."""
         self._simulation.close()
-        self._simulation = self._start_simulation()
+        self._simulation = self._reset_state_and_make_simulation()
 
     @property
     def is_waiting_for_curve(self) -> bool:
@@ -304,7 +301,7 @@ class Session:
         self._curve.close()
         self.calibration.close()
 
-    def _restart_with_scene(self, scene: Scene) -> None:
+    def _set_scene_and_restart(self, scene: Scene) -> None:
         """Make a valid scene the present one, and restart the simulation with it."""
         kind_changed = scene.kind is not self.scene.kind
         self.scene = scene
@@ -313,32 +310,31 @@ class Session:
             self._curve.discard_curve_and_requests()
         self.restart_simulation()
 
-
-    def _start_simulation(self) -> LiveSimulation:
+    def _reset_state_and_make_simulation(self) -> LiveSimulation:
         """Return a new simulation with the tool at the undeformed surface; clear the trace, request its model curve."""
         self._motion, self._has_hand_force = "hand", False
-        self._target, self._across = 0.0, self._first_contact_position
+        self._target, self._across = 0.0, self._first_contact_xy
         self._clear_trace()
         self._material_pending = False
         self._device_waits = self._device is not None
         simulation = LiveSimulation(self.scene.model, make_hand_motion(self.scene), solver=self.scene.solver,
                                     resolution=self._resolution, settings=self._settings, reduced=self.scene.reduced)
-        self._curve.request_curve(self._make_whole_test_model())
+        self._curve.store_curve_request(self._make_whole_test_model())
         return simulation
 
     @property
-    def _first_contact_position(self) -> tuple[float, float]:
+    def _first_contact_xy(self) -> tuple[float, float]:
         """Position (x, y) at which the tool first touches the undeformed surface, m."""
         x, y, _ = self.scene.experiment.tool_pose(0.0).position
         return x, y
 
-    def _restart_with_device(self, kind: str, device: HapticDevice) -> None:
+    def _reset_tissue_and_switch_device(self, kind: str, device: HapticDevice) -> None:
         """Reset the tissue and move the tool with a device or motion; `kind` is the value of `SessionFrame.motion`."""
         simulation = self._simulation
         if simulation.phase is Phase.PAUSED:
-            simulation.send_command("resume")
+            simulation.send_command_and_wait("resume")
         # Reset and new device in one command: with two, the tool would pull at tissue to which it is bonded.
-        simulation.send_command("switch_device", device=device, restart=True)
+        simulation.send_command_and_wait("switch_device", device=device, restart=True)
         simulation.skip_unread_ticks()
         self._clear_trace()
         self._motion, self._has_hand_force = kind, not isinstance(device, Motion)
@@ -347,7 +343,7 @@ class Session:
         self._device_waits, self._refused = False, ""
         if self._device is not None:
             try:
-                self.move_with_device(self._device)
+                self.move_with_device_on_reset_tissue(self._device)
             except InputError as error:
                 self._refused = f"{str(error).removesuffix('.')}. Press Restart to try again."
 
@@ -361,7 +357,8 @@ class Session:
         model, measurement = replace(self.scene.model, rig=self.scene.rig), self.scene.measurement
         if measurement is None:
             return model
-        return replace(model, experiment=replace(model.experiment, protocol=make_motion_protocol(measurement)))
+        protocol = make_first_cycle_motion_protocol(measurement)
+        return replace(model, experiment=replace(model.experiment, protocol=protocol))
 
     def _update_plot_curves(self) -> None:
         curves, trace, measurement = self._curves, self._trace, self.scene.measurement
@@ -383,18 +380,18 @@ class Session:
 #: Commands of a session by name.
 COMMANDS: dict[str, Callable[..., None]] = {
     "aim": Session.set_hand_target,
-    "play": Session.play_protocol,
-    "replay": Session.replay_measured_motion,
-    "follow": Session.move_with_device,
+    "play": Session.play_protocol_on_reset_tissue,
+    "replay": Session.replay_measured_motion_on_reset_tissue,
+    "follow": Session.move_with_device_on_reset_tissue,
     "pause": Session.pause_motion,
     "resume": Session.resume_motion,
-    "step": Session.step_paused_motion,
+    "step": Session.pause_and_advance_one_frame_time,
     "reset": Session.reset_tool_and_tissue,
     "set_parameters": Session.set_material_parameters,
-    "use_material": Session.replace_material,
-    "save_material": Session.save_material_file,
+    "use_material": Session.replace_material_restart_if_needed,
+    "save_material": Session.save_new_material_file_in_folder,
     "use_scene": Session.change_test_and_tool,
-    "keep_curve": Session.keep_model_curve,
+    "keep_curve": Session.keep_or_remove_comparison_curve,
     "restart": Session.restart_simulation,
     **CALIBRATION_COMMANDS,
 }

@@ -10,18 +10,18 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from scenes.viewer.bands import TriangleConnectivity, split_triangles_by_band
+from scenes.viewer.bands import TriangleConnectivity, renumber_triangles_for_band_meshes
 from scenes.viewer.revolution import EDGE_ANGLE, TriangulatedSurface
 from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.fem.fields import extrapolate_to_nodes
+from tissue_sim.fem.fields import extrapolate_to_nodes_and_average
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.mesh.sections import cut_tetrahedra, cut_triangles, intersect_triangles
-from tissue_sim.mesh.subdivision import find_face_edges, subdivide_into_tetrahedra, triangulate_surface_faces
+from tissue_sim.mesh.sections import cut_tetrahedra, intersect_triangles, split_triangles_below_and_above
+from tissue_sim.mesh.subdivision import find_outline_edges_of_face, subdivide_into_tetrahedra, triangulate_surface_faces
 
 
 @dataclass(frozen=True)
-class SolidBodySettings:
+class SolidPictureAccuracySettings:
     """Accuracy of the picture of a solid.
 
     Attributes:
@@ -42,11 +42,11 @@ class SolidBodySettings:
 
 
 #: Settings of the viewer.
-SETTINGS = SolidBodySettings()
+SETTINGS = SolidPictureAccuracySettings()
 
 
 @dataclass(frozen=True, eq=False)
-class SolidBody:
+class ThreeDimensionalMeshBody:
     """Surface, edges and element data of a mesh in 3D that stay the same from frame to frame.
 
     A point of the surface is a node on one smooth piece of the surface; a node on a sharp edge has several points.
@@ -75,16 +75,16 @@ class SolidBody:
     _means: dict[int, tuple[np.ndarray, SolidFields]] = field(default_factory=dict)
 
     @classmethod
-    def from_mesh(cls, mesh: Any) -> SolidBody:
+    def from_mesh(cls, mesh: Any) -> ThreeDimensionalMeshBody:
         """Extract the surface and its edges from a mesh in 3D, and divide its elements into tetrahedra."""
         element, sides = mesh.element, np.concatenate(list(mesh.faces.values()))
         triangles = triangulate_surface_faces(element, sides)
-        nodes, numbers, sharp = _split_at_sharp_edges(mesh.nodes, triangles)
+        nodes, numbers, sharp = _split_surface_at_sharp_edges(mesh.nodes, triangles)
         per_side = len(triangles) // len(sides)
         # (side, node) -> point.
         point_of = dict(zip(zip(np.repeat(np.arange(len(sides)), 3 * per_side).tolist(), triangles.ravel().tolist(),
                                 strict=True), numbers.ravel().tolist(), strict=True))
-        edges_of_sides = sides[:, find_face_edges(element)]
+        edges_of_sides = sides[:, find_outline_edges_of_face(element)]
         lines = np.array([[point_of[side, node] for node in pair] for side, pairs in enumerate(edges_of_sides.tolist())
                           for pair in pairs])
         _, first = np.unique(np.sort(nodes[lines], axis=1), axis=0, return_index=True)
@@ -102,8 +102,8 @@ class SolidBody:
         """Longest extent of the undeformed body, m."""
         return float(np.ptp(self.mesh.nodes, axis=0).max())
 
-    def evaluate_field(self, fields: SolidFields, name: str, positions: np.ndarray,
-                       wedge: Wedge) -> tuple[np.ndarray, np.ndarray, SolidFields]:
+    def evaluate_field_at_nodes_and_samples(self, fields: SolidFields, name: str, positions: np.ndarray,
+                                            wedge: Wedge) -> tuple[np.ndarray, np.ndarray, SolidFields]:
         """Evaluate a field at the visible nodes and at points that represent the body.
 
         Args:
@@ -117,29 +117,29 @@ class SolidBody:
             the whole body, shape (elements, q); and the fields to which these points belong.
         """
         small = fields.weights.size <= SETTINGS.max_points
-        means = fields if small else self._get_element_means(fields)
-        sample = fields if small else means.select_elements(self.for_range)
+        means = fields if small else self._get_fields_of_element_means(fields)
+        sample = fields if small else means.with_selected_elements(self.for_range)
         at_points = sample.at_points(name)
         if name == "displacement":
             return fields.at_nodes(name), at_points, sample
         if small:
-            return extrapolate_to_nodes(self.mesh, at_points), at_points, sample
+            return extrapolate_to_nodes_and_average(self.mesh, at_points), at_points, sample
         visible = np.zeros(len(self.mesh.connectivity), dtype=bool)
         visible[self.at_surface] = True
         at_cut = np.zeros(len(self.mesh.nodes), dtype=bool)
-        for _, _, elements in self._find_cut_elements(positions, wedge):
+        for _, _, elements in self._find_section_face_crossings(positions, wedge):
             at_cut[self.mesh.connectivity[elements]] = True
         # The value of a node is the mean over its elements, so all elements at these nodes are needed.
         visible |= _find_elements_with_flagged_node(at_cut, self.corners)
-        return means.select_elements(np.flatnonzero(visible)).at_nodes(name), at_points, sample
+        return means.with_selected_elements(np.flatnonzero(visible)).at_nodes(name), at_points, sample
 
-    def _get_element_means(self, fields: SolidFields) -> SolidFields:
+    def _get_fields_of_element_means(self, fields: SolidFields) -> SolidFields:
         """Return the fields averaged over each element; the parts that stay the same from frame to frame are cached."""
         cached = self._means.get(0)
         if cached is None or cached[0] is not fields.gradients:
-            cached = self._means[0] = fields.gradients, fields.average_over_elements()
+            cached = self._means[0] = fields.gradients, fields.with_one_mean_point_per_element()
         if fields.stresses is not None:
-            return fields.average_over_elements()
+            return fields.with_one_mean_point_per_element()
         mean = cached[1]
         return replace(fields, gradients=mean.gradients, pressure_modes=mean.pressure_modes, weights=mean.weights)
 
@@ -162,7 +162,7 @@ class SolidBody:
                                                                         values[self.nodes])
         all_points, all_triangles, all_values = [points], [triangles], [at_points]
         before = len(points)
-        for face_points, face_triangles, face_values in self._compute_section_faces(positions, values, wedge):
+        for face_points, face_triangles, face_values in self._iterate_section_face_triangles(positions, values, wedge):
             all_points.append(face_points)
             all_triangles.append(face_triangles + before)
             all_values.append(face_values)
@@ -170,11 +170,12 @@ class SolidBody:
         bands = len(levels) - 1
         pieces = TriangleConnectivity(np.concatenate(all_triangles)).cut_at_levels(
             np.concatenate(all_points), np.concatenate(all_values), levels)
-        kept, numbers, slices = split_triangles_by_band(pieces.triangles, pieces.band, len(pieces.points), bands)
+        kept, numbers, slices = renumber_triangles_for_band_meshes(pieces.triangles, pieces.band, len(pieces.points),
+                                                                   bands)
         space, numbers = pieces.points[kept].astype(np.float32), numbers.astype(np.uint32)
         return [TriangulatedSurface(space[points_of], numbers[cut]) for points_of, cut in slices]
 
-    def compute_edge_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
+    def compute_element_edge_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
         """Return the element edges on the surface and on the section faces, m, shape (lines, 2, 3).
 
         Args:
@@ -187,9 +188,11 @@ class SolidBody:
         on_surface = wedge.transform_scene_to_tool(points)[self.lines]
         lines = [wedge.clip_lines_at_wedge(on_surface, raised[self.lines])]
         element, local = self.mesh.element, wedge.transform_scene_to_tool(positions)
-        cuts = self._find_cut_elements(positions, wedge)
+        cuts = self._find_section_face_crossings(positions, wedge)
         for (heights, along, elements), (_, normal) in zip(cuts, wedge.opening.section_face_vectors, strict=True):
-            sides = self.mesh.connectivity[elements][:, element.face_nodes].reshape(-1, element.face_nodes.shape[1])
+            sides = self.mesh.connectivity[elements][:,
+                                                     element.local_face_node_indices].reshape(
+                                                         -1, element.local_face_node_indices.shape[1])
             ends = intersect_triangles(triangulate_surface_faces(element, sides), heights)
             kept = (ends.interpolate_nodal_values(along).reshape(-1, 2) >= 0.0).all(axis=1)
             on_face = ends.interpolate_nodal_values(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
@@ -210,7 +213,7 @@ class SolidBody:
             dashes.append(start + at[..., None] * (end - start))
         return np.concatenate(dashes) if dashes else np.empty((0, 2, 3))
 
-    def find_contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
+    def find_contact_lines_or_none(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
         """Return lines around the tissue in contact with the tool and along its sections, m, shape (lines, 2, 3).
 
         Args:
@@ -237,7 +240,7 @@ class SolidBody:
         raised = rim * np.concatenate([np.repeat(1.0 + offset / np.maximum(radius, offset), 2, axis=-1),
                                        np.ones_like(radius)], axis=-1)
         lines = [wedge.transform_tool_to_scene(wedge.clip_lines_at_wedge(rim, raised))]
-        for (heights, along), (_, normal) in zip(wedge.compute_face_coordinates(local),
+        for (heights, along), (_, normal) in zip(wedge.compute_height_and_distance_per_face(local),
                                                  wedge.opening.section_face_vectors, strict=True):
             ends = intersect_triangles(touching, heights)
             kept = (ends.interpolate_nodal_values(along).reshape(-1, 2) >= 0.0).all(axis=1)
@@ -245,8 +248,8 @@ class SolidBody:
             lines.append(wedge.transform_tool_to_scene(on_face))
         return np.concatenate(lines)
 
-    def _find_cut_elements(self, positions: np.ndarray,
-                           wedge: Wedge) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _find_section_face_crossings(self, positions: np.ndarray,
+                                     wedge: Wedge) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Find the elements that each section face cuts.
 
         Returns:
@@ -256,7 +259,7 @@ class SolidBody:
         cached = wedge.cache.get(id(positions))
         if cached is None:
             cached = []
-            for heights, along in wedge.compute_face_coordinates(wedge.transform_scene_to_tool(positions)):
+            for heights, along in wedge.compute_height_and_distance_per_face(wedge.transform_scene_to_tool(positions)):
                 above = heights > 0.0
                 crossed = (_find_elements_with_flagged_node(above, self.corners)
                            & _find_elements_with_flagged_node(~above, self.corners)
@@ -265,12 +268,12 @@ class SolidBody:
             wedge.cache[id(positions)] = cached
         return cached
 
-    def _compute_section_faces(self, positions: np.ndarray, values: np.ndarray,
-                               wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _iterate_section_face_triangles(self, positions: np.ndarray, values: np.ndarray,
+                                        wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield points, triangles and values of each section face."""
-        for heights, along, elements in self._find_cut_elements(positions, wedge):
+        for heights, along, elements in self._find_section_face_crossings(positions, wedge):
             crossings, triangles = cut_tetrahedra(self.cells[elements].reshape(-1, 4), heights)
-            edge, _, kept = cut_triangles(triangles, crossings.interpolate_nodal_values(along))
+            edge, _, kept = split_triangles_below_and_above(triangles, crossings.interpolate_nodal_values(along))
             points, at_points = (edge.append_interpolated_values(crossings.interpolate_nodal_values(each))
                                  for each in (positions, values))
             yield points, kept, at_points
@@ -284,8 +287,8 @@ def _find_elements_with_flagged_node(of_nodes: np.ndarray, corners: np.ndarray) 
     return found
 
 
-def _split_at_sharp_edges(positions: np.ndarray,
-                          triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _split_surface_at_sharp_edges(positions: np.ndarray,
+                                  triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Split a surface into smooth pieces along edges whose triangles meet at more than `EDGE_ANGLE`.
 
     Args:

@@ -19,7 +19,7 @@ _EXPOSURE = 1.0 / 0.6
 
 
 @dataclass(frozen=True)
-class ToneCurve:
+class ToneCurveCoefficients:
     """Coefficients of the rational tone curve (v (v + a) - b) / (v (c v + d) + e), from ACES.hlsl.
 
     Attributes:
@@ -33,7 +33,7 @@ class ToneCurve:
     e: float = 0.238081
 
 
-_CURVE = ToneCurve()
+_CURVE = ToneCurveCoefficients()
 
 
 def compute_displayed_srgb(surface: tuple[int, int, int]) -> tuple[int, int, int]:
@@ -42,9 +42,9 @@ def compute_displayed_srgb(surface: tuple[int, int, int]) -> tuple[int, int, int
     Args:
         surface: Colour of the surface, sRGB, 0 to 255.
     """
-    v = _IN @ (_decode_srgb(surface) * _EXPOSURE)
+    v = _IN @ (_decode_srgb_bytes(surface) * _EXPOSURE)
     curve = (v * (v + _CURVE.a) - _CURVE.b) / (v * (_CURVE.c * v + _CURVE.d) + _CURVE.e)
-    return _encode_srgb(_OUT @ curve)
+    return _encode_srgb_bytes(_OUT @ curve)
 
 
 def find_surface_srgb(seen: tuple[int, int, int]) -> tuple[int, int, int]:
@@ -53,10 +53,10 @@ def find_surface_srgb(seen: tuple[int, int, int]) -> tuple[int, int, int]:
     Args:
         seen: Desired colour on the screen, sRGB, 0 to 255.
     """
-    y = np.linalg.solve(_OUT, _decode_srgb(seen))
+    y = np.linalg.solve(_OUT, _decode_srgb_bytes(seen))
     a, b, c = 1.0 - _CURVE.c * y, _CURVE.a - _CURVE.d * y, -_CURVE.b - _CURVE.e * y
     v = (-b + np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))) / (2.0 * a)
-    rounded = _encode_srgb(np.linalg.solve(_IN, v) / _EXPOSURE)
+    rounded = _encode_srgb_bytes(np.linalg.solve(_IN, v) / _EXPOSURE)
     # The channels are coupled: near black, rounding one channel of the surface changes another one on the screen by
     # several steps. Therefore all neighbours of the rounded colour are compared.
     reds, greens, blues = (range(max(part - 1, 0), min(part + 1, 255) + 1) for part in rounded)
@@ -64,13 +64,13 @@ def find_surface_srgb(seen: tuple[int, int, int]) -> tuple[int, int, int]:
     return min(neighbours, key=lambda surface: float(np.sum(np.subtract(compute_displayed_srgb(surface), seen) ** 2)))
 
 
-def _decode_srgb(colour: tuple[int, int, int]) -> np.ndarray:
+def _decode_srgb_bytes(colour: tuple[int, int, int]) -> np.ndarray:
     """Convert sRGB, 0 to 255, to linear RGB, 0 to 1 (IEC 61966-2-1)."""
     encoded = np.asarray(colour) / 255.0
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
-def _encode_srgb(linear: np.ndarray) -> tuple[int, int, int]:
+def _encode_srgb_bytes(linear: np.ndarray) -> tuple[int, int, int]:
     """Convert linear RGB, clipped to 0 to 1, to rounded sRGB, 0 to 255 (IEC 61966-2-1)."""
     linear = np.clip(linear, 0.0, 1.0)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -6,7 +6,7 @@ import numpy as np
 
 import tissue_sim as ts
 from haptics.devices.motions import HandMotion, ProtocolMotion
-from scenes.viewer.measurement import find_typical_replicate, make_motion_protocol
+from scenes.viewer.measurement import find_typical_replicate_with_branches, make_first_cycle_motion_protocol
 from scenes.viewer.reach import require_depths_within_scene
 from scenes.viewer.scene import Scene
 from tissue_sim.errors import InputError
@@ -23,13 +23,14 @@ def make_hand_motion(scene: Scene) -> HandMotion:
 
 
 def make_protocol_motion(scene: Scene, text: str, speed: float, repeat: bool) -> ProtocolMotion:
-    """Return the motion of a protocol; arguments and errors as `Session.play_protocol`."""
+    """Return the motion of a protocol; arguments and errors as `Session.play_protocol_on_reset_tissue`."""
     protocol = ts.Protocol.parse(text, _POINTS, speed)
     require_depths_within_scene(scene, protocol, "protocol")
     return ProtocolMotion(protocol, repeat, scene.experiment.approach)
 
 
-def make_replay_motion(scene: Scene, speed: float) -> tuple[ProtocolMotion, tuple[np.ndarray, np.ndarray] | None]:
+def make_replay_motion_and_force_curve(scene: Scene,
+                                       speed: float) -> tuple[ProtocolMotion, tuple[np.ndarray, np.ndarray] | None]:
     """Return the measured motion of a scene.
 
     Args:
@@ -44,7 +45,9 @@ def make_replay_motion(scene: Scene, speed: float) -> tuple[ProtocolMotion, tupl
     """
     if scene.measurement is None:
         raise InputError("This scene has no measurement. Start the viewer with --measured FILE.")
-    measured, (recording, _) = make_motion_protocol(scene.measurement), find_typical_replicate(scene.measurement)
+    measured, (recording,
+               _) = make_first_cycle_motion_protocol(scene.measurement), find_typical_replicate_with_branches(
+                   scene.measurement)
     require_depths_within_scene(scene, measured, "recording")
     displacement = measured.displacement
     if scene.min_tool_displacement == 0.0:

@@ -7,13 +7,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from scenes.viewer.cut_away import ContactBoundary
+from scenes.viewer.cut_away import PossibleContactBoundary
 from scenes.viewer.revolution import (
     TriangulatedSurface,
     WedgeOpening,
     concatenate_surfaces,
-    make_section_surfaces,
-    revolve_polyline,
+    make_section_surfaces_by_band,
+    revolve_polyline_by_band,
 )
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.specimen import Specimen
@@ -78,7 +78,7 @@ class ForceArrow:
 
 
 @dataclass(frozen=True, eq=False)
-class ToolContact:
+class ToolContactLinesAndArea:
     """Contact between an axisymmetric specimen and the tool.
 
     Attributes:
@@ -110,7 +110,7 @@ def make_tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
         top = max(SETTINGS.shaft_height * specimen.height,
                   profile.vertices[-2, 1] + SETTINGS.shaft_above_shoulder * radius) if tool.has_shaft \
             else profile.vertices[-2, 1] + profile.rounding
-        outline = profile.sample_outline(top)
+        outline = profile.sample_outline_up_to_height(top)
         inset = SETTINGS.inset * radius
     shrunk = outline * [1.0 - inset / outline[:, 0].max(), 1.0] + [0.0, inset]
     shrunk[:, 1] = np.minimum(shrunk[:, 1], top)
@@ -134,7 +134,8 @@ def make_tool_mesh(tool: Tool, specimen: Specimen, opening: WedgeOpening) -> Tri
     Returns:
         Closed surface, m; the origin is the deepest point of the tool.
     """
-    return _revolve_outline(make_tool_outline(tool, specimen), opening, SETTINGS.recess * specimen.outer_radius)
+    return _revolve_outline_outside_wedge(make_tool_outline(tool, specimen), opening,
+                                          SETTINGS.recess * specimen.outer_radius)
 
 
 def make_base_plate(specimen: Specimen, opening: WedgeOpening) -> TriangulatedSurface:
@@ -148,15 +149,15 @@ def make_base_plate(specimen: Specimen, opening: WedgeOpening) -> TriangulatedSu
     top = -specimen.height - SETTINGS.inset * specimen.outer_radius
     bottom = top - compute_plate_thickness(specimen)
     outline = np.array([[0.0, bottom], [radius, bottom], [radius, top], [0.0, top]])
-    return _revolve_outline(outline, replace(opening, cut=0.0))
+    return _revolve_outline_outside_wedge(outline, replace(opening, cut=0.0))
 
 
-def compute_picture_height(tool: Tool, specimen: Specimen) -> float:
+def compute_tool_and_arrow_height(tool: Tool, specimen: Specimen) -> float:
     """Return the height of tool and full-scale arrow above the deepest point of the tool, m."""
     return float(make_tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.arrow_length * specimen.height
 
 
-def make_scale_bar(specimen: Specimen) -> tuple[np.ndarray, float]:
+def make_scale_bar_lines_and_length(specimen: Specimen) -> tuple[np.ndarray, float]:
     """Return a scale bar of a round length on the base in front of the specimen.
 
     Returns:
@@ -171,7 +172,7 @@ def make_scale_bar(specimen: Specimen) -> tuple[np.ndarray, float]:
     return np.stack([ends, *(np.stack([end - across, end + across]) for end in ends)]), length
 
 
-def make_force_arrow(force: float, full_scale: float, tool: Tool, specimen: Specimen) -> ForceArrow | None:
+def make_force_arrow_or_none(force: float, full_scale: float, tool: Tool, specimen: Specimen) -> ForceArrow | None:
     """Return the arrow above the tool that shows the force on the tool.
 
     The arrow points upwards if the tissue pushes the tool back, and downwards if the tissue pulls the tool.
@@ -189,7 +190,7 @@ def make_force_arrow(force: float, full_scale: float, tool: Tool, specimen: Spec
     if not fraction >= SETTINGS.smallest_force:
         return None
     size = specimen.height
-    bottom = compute_arrow_foot_height(tool, specimen)
+    bottom = compute_arrow_foot_above_tool_tip(tool, specimen)
     length = fraction * SETTINGS.arrow_length * size
     # A short arrow has a smaller head of the same proportions.
     head = min(SETTINGS.head_length * size, SETTINGS.largest_head * length)
@@ -199,10 +200,11 @@ def make_force_arrow(force: float, full_scale: float, tool: Tool, specimen: Spec
     if force < 0:
         outline = (outline * [1.0, -1.0] + [0.0, length])[::-1]
         ends = ends[::-1]
-    return ForceArrow(_revolve_outline(outline + ends[:, 1:].min(axis=0), WedgeOpening(0.0, segments=24)), *ends)
+    return ForceArrow(_revolve_outline_outside_wedge(outline + ends[:, 1:].min(axis=0), WedgeOpening(0.0, segments=24)),
+                      *ends)
 
 
-def compute_arrow_foot_height(tool: Tool, specimen: Specimen) -> float:
+def compute_arrow_foot_above_tool_tip(tool: Tool, specimen: Specimen) -> float:
     """Return the height of the lower end of the force arrow above the deepest point of the tool, m."""
     return float(make_tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.inset * specimen.height
 
@@ -213,7 +215,7 @@ def rotate_force_arrow(arrow: ForceArrow, lateral: tuple[float, float]) -> Force
     The sign of the z component of the direction stays.
 
     Args:
-        arrow: Arrow of `make_force_arrow`.
+        arrow: Arrow of `make_force_arrow_or_none`.
         lateral: x and y components of the unit vector of the new direction.
     """
     foot = min(arrow.start, arrow.tip, key=lambda end: end[2])
@@ -233,7 +235,8 @@ def rotate_force_arrow(arrow: ForceArrow, lateral: tuple[float, float]) -> Force
                       rotate_points_about_foot(arrow.tip))
 
 
-def find_tool_contact(surface: ContactBoundary, tool: Tool, depth: float, opening: WedgeOpening) -> ToolContact | None:
+def find_tool_contact(surface: PossibleContactBoundary, tool: Tool, depth: float,
+                      opening: WedgeOpening) -> ToolContactLinesAndArea | None:
     """Find the part of an axisymmetric surface that touches the tool.
 
     A line between two nodes touches if its Gauss point touches: the solver enforces contact at the Gauss points, while
@@ -258,11 +261,13 @@ def find_tool_contact(surface: ContactBoundary, tool: Tool, depth: float, openin
     area = float(np.pi * lines[..., 0].sum(axis=1) @ length)
     rim = lines.reshape(-1, 2)[np.argmax(lines[..., 0])]
     offset = SETTINGS.line_offset * width
-    return ToolContact(np.concatenate([opening.map_to_section_faces(lines, offset).reshape(-1, 2, 3),
-                                       opening.make_circle_lines(rim[0] + offset, rim[1])]), float(rim[0]), area)
+    return ToolContactLinesAndArea(np.concatenate([opening.map_to_section_faces(lines, offset).reshape(-1, 2, 3),
+                                                   opening.make_single_circle_lines(rim[0] + offset, rim[1])]),
+                                   float(rim[0]), area)
 
 
-def _revolve_outline(outline: np.ndarray, opening: WedgeOpening, recess: float = 0.0) -> TriangulatedSurface:
+def _revolve_outline_outside_wedge(outline: np.ndarray, opening: WedgeOpening,
+                                   recess: float = 0.0) -> TriangulatedSurface:
     """Return the closed surface of a body of revolution.
 
     Args:
@@ -270,8 +275,8 @@ def _revolve_outline(outline: np.ndarray, opening: WedgeOpening, recess: float =
         opening: Wedge that is removed.
         recess: Distance of the section faces behind the cut, in the unit of the outline.
     """
-    # `revolve_polyline` expects the body on the right-hand side, hence the outline from top to bottom.
-    outside, = revolve_polyline(outline[::-1], np.zeros(len(outline) - 1, dtype=int), 1, opening)
+    # `revolve_polyline_by_band` expects the body on the right-hand side, hence the outline from top to bottom.
+    outside, = revolve_polyline_by_band(outline[::-1], np.zeros(len(outline) - 1, dtype=int), 1, opening)
     if opening.removes_nothing:
         return outside
     count = len(outline)
@@ -282,7 +287,8 @@ def _revolve_outline(outline: np.ndarray, opening: WedgeOpening, recess: float =
     a, b, c = np.moveaxis(points[triangles], 1, 0)
     area = np.cross(np.c_[b - a, np.zeros(len(a))], np.c_[c - a, np.zeros(len(a))])[:, 2]
     triangles = triangles[area > 1e-12 * outline.max() ** 2]
-    sections, = make_section_surfaces(points, triangles, np.zeros(len(triangles), dtype=int), 1, opening, -recess)
+    sections, = make_section_surfaces_by_band(points, triangles, np.zeros(len(triangles), dtype=int), 1, opening,
+                                              -recess)
     return concatenate_surfaces(sections, outside)
 
 

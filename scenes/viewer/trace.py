@@ -18,9 +18,9 @@ from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segmentation import (
     MOTION_SETTINGS,
     ReversalDetector,
-    label_motion,
+    find_strictly_monotone_sample_indices,
     label_reloads_and_cycles,
-    select_monotone_samples,
+    label_samples_ramp_hold_unload,
 )
 from tissue_sim.tool_force import ForceStatus
 
@@ -105,7 +105,7 @@ def interpolate_branch_force(depth: np.ndarray, force: np.ndarray, direction: in
     """
     if not len(depth):
         return np.full(grid.size, np.nan)
-    kept = select_monotone_samples(depth, direction)[::direction]
+    kept = find_strictly_monotone_sample_indices(depth, direction)[::direction]
     x = depth[kept]
     force = np.interp(grid, x, force[kept])
     return np.where((grid >= x[0] - _ROUNDING) & (grid <= x[-1] + _ROUNDING), force, np.nan)
@@ -141,7 +141,7 @@ class Trace:
     def __len__(self) -> int:
         return self._end - self._first
 
-    def append_ticks(self, records: np.ndarray) -> int:
+    def append_ticks_and_count_points(self, records: np.ndarray) -> int:
         """Append ticks, dtype `haptics.loop.ring.TICK`, in the order of time; return the number of new points."""
         drawn = ((records["flags"] & PAUSED) == 0) & np.any([records["status"] == status for status in DRAWN_STATUSES],
                                                             axis=0)
@@ -162,7 +162,7 @@ class Trace:
                 "time", "tool_depth", "tissue_force", "tool_pose", "tissue_wrench", "force", "status",
                 "inertial")]).tolist():
             if self._differs_from_last_point(*point[:3]):
-                self._append_point(point)
+                self._append_point_and_drop_oldest(point)
         return self._dropped + self._end - before
 
     def _differs_from_last_point(self, time: float, depth: float, force: float) -> bool:
@@ -172,7 +172,7 @@ class Trace:
         return (time - last_time >= SETTINGS.longest or abs(depth - last_depth) >= SETTINGS.depth_step
                 or abs(force - last_force) > SETTINGS.force_step * self._largest)
 
-    def _append_point(self, point: list[float]) -> None:
+    def _append_point_and_drop_oldest(self, point: list[float]) -> None:
         """Append a point; drop the oldest point if there are more than `max_points`."""
         if self._end == self._points.shape[1]:
             self._points[:, :len(self)] = self._points[:, self._first:self._end].copy()
@@ -230,13 +230,14 @@ class Trace:
     def branches(self) -> tuple[TraceBranch | None, TraceBranch | None]:
         """Return the newest loading and the newest unloading; None instead of a branch that does not exist."""
         newest: dict[int, TraceBranch] = {}
-        for direction, first, last in reversed(self._list_branch_limits()):
-            newest.setdefault(direction, self._make_trace_branch(first, last))
+        for direction, first, last in reversed(self._list_branch_directions_and_limits()):
+            newest.setdefault(direction, self._slice_trace_branch_in_time_order(first, last))
             if len(newest) == 2:
                 break
         return newest.get(1), newest.get(-1)
 
-    def interpolate_newest_passes(self, grid: np.ndarray, max_branches: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    def interpolate_newest_force_at_each_depth(self, grid: np.ndarray,
+                                               max_branches: int = 40) -> tuple[np.ndarray, np.ndarray]:
         """Return the force of the last loading and of the last unloading at each depth of a grid.
 
         Each depth has its own last branch, so a short reversal replaces only the part of the curve that it covers.
@@ -249,12 +250,12 @@ class Trace:
             Load and unload, N, each of shape (n,), NaN where the tool did not pass.
         """
         passes = {1: np.full(grid.size, np.nan), -1: np.full(grid.size, np.nan)}
-        for direction, first, last in reversed(self._list_branch_limits()[-max_branches:]):
+        for direction, first, last in reversed(self._list_branch_directions_and_limits()[-max_branches:]):
             # A branch has its smallest and largest depth at its ends.
             low, high = sorted((self.depth[first], self.depth[last]))
             missing = np.isnan(passes[direction]) & (grid >= low - _ROUNDING) & (grid <= high + _ROUNDING)
             if missing.any():
-                branch = self._make_trace_branch(first, last)
+                branch = self._slice_trace_branch_in_time_order(first, last)
                 passes[direction][missing] = interpolate_branch_force(branch.depth, branch.force, direction,
                                                                       grid[missing])
         return passes[1], passes[-1]
@@ -277,27 +278,29 @@ class Trace:
             raise InputError("must have at least two equilibrium points. Push the tool into the tissue first, and "
                              "slowly if many ticks are late.", field="trace")
         time, depth, wrench = self.time[in_equilibrium], self.depth[in_equilibrium], self.wrench[in_equilibrium]
-        labels = label_motion(time, depth, 0.5 * MOTION_SETTINGS.hysteresis, shortest_hold=MOTION_SETTINGS.hold_time)
+        labels = label_samples_ramp_hold_unload(time, depth, 0.5 * MOTION_SETTINGS.hysteresis,
+                                                shortest_hold=MOTION_SETTINGS.hold_time)
         segment, cycle = label_reloads_and_cycles(labels)
         channels = {"time": time - time[0], "displacement": depth, "force": self.force[in_equilibrium]}
         if wrench[:, [0, 1, 3, 4, 5]].any():
             channels |= zip(_CHANNELS, wrench.T, strict=True)
         return Recording(channels, {"segment": segment, "cycle": cycle}, dict(metadata))
 
-    def _list_branch_limits(self) -> list[tuple[int, int, int]]:
+    def _list_branch_directions_and_limits(self) -> list[tuple[int, int, int]]:
         """Return direction (1 or -1), first index and last index of each branch in the arrays of the trace."""
         dropped = self._dropped + self._first
         return [(direction, first - dropped, last - dropped)
-                for direction, first, last in self._reversals.list_branches(dropped + len(self) - 1)]
+                for direction, first,
+                last in self._reversals.list_branch_directions_and_ranges(dropped + len(self) - 1)]
 
-    def _make_trace_branch(self, first: int, last: int) -> TraceBranch:
+    def _slice_trace_branch_in_time_order(self, first: int, last: int) -> TraceBranch:
         """Return the points from index `first` to index `last`, both included, in the order of time."""
         part = slice(first, last + 1)
         return TraceBranch(self.time[part], self.depth[part], self.force[part], self.is_late[part],
                            self.includes_inertia[part])
 
 
-def make_csv_and_sidecar(recording: Recording, stem: str) -> dict[str, bytes]:
+def make_csv_and_sidecar_bytes_by_name(recording: Recording, stem: str) -> dict[str, bytes]:
     """Return the files of a recording: ``STEM.csv`` with all digits, and its sidecar ``STEM.json``.
 
     Args:

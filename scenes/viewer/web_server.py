@@ -44,7 +44,7 @@ LOOPBACK = "127.0.0.1"
 
 
 @dataclass(frozen=True)
-class WebServerSettings:
+class ServerPortAndLimits:
     """Port and limits of the web server.
 
     Attributes:
@@ -59,7 +59,7 @@ class WebServerSettings:
 
 
 #: Settings of every page.
-SERVER = WebServerSettings()
+SERVER = ServerPortAndLimits()
 #: Names of this computer on the loopback interface.
 _LOCAL_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 #: Lock for changes of module state of viser and rich while a server starts or stops.
@@ -83,7 +83,7 @@ def open_viewer_server(host: str = LOOPBACK, port: int = SERVER.port, *, exposed
         MissingBackendError: The installed version of viser is not `VISER_VERSION`.
     """
     host = LOOPBACK if host == "localhost" else host
-    if not _is_loopback(host) and not exposed:
+    if not _is_loopback_ip_or_raise(host) and not exposed:
         raise InputError(f"{describe_network_access(host, port)}. Use --expose to allow this, or omit --host for "
                          f"{LOOPBACK}.",
                          field="host")
@@ -99,7 +99,7 @@ def describe_network_access(host: str, port: int) -> str:
     Raises:
         InputError: `host` is neither an address nor ``localhost``.
     """
-    if _is_loopback(host):
+    if _is_loopback_ip_or_raise(host):
         return f"only programs of this computer can reach {host}"
     address = "any address of this computer" if ipaddress.ip_address(host).is_unspecified else host
     at_port = f"port {port}" if port else "the chosen port"
@@ -115,7 +115,7 @@ class ViewerServer(viser.ViserServer):
 
     def __init__(self, host: str, port: int, title: str, token: str):
         self._token, listener = token, _CheckedListener(host, port, title, token)
-        with _suppress_viser_output(), listener.replace_viser_serve():
+        with _suppressed_viser_output(), listener.replace_viser_serve():
             super().__init__(host=host, port=port, label=title, verbose=False)
         try:
             if listener.failure is not None:
@@ -125,7 +125,7 @@ class ViewerServer(viser.ViserServer):
             self.set_page_theme()
             # Safe to replace here: no task waits for the event before the server listens.
             self._websock_server.get_message_buffer().message_event = _MessageEvent()
-            listener.start_listening()
+            listener.start_listening_or_raise()
         except OSError as error:
             self.stop()
             raise _make_address_error(host, port, error) from None
@@ -152,7 +152,7 @@ class ViewerServer(viser.ViserServer):
 
     def stop(self) -> None:
         """Stop the server and close all connections; a second call does nothing."""
-        with _suppress_viser_output():
+        with _suppressed_viser_output():
             super().stop()
 
     def __enter__(self) -> ViewerServer:
@@ -207,7 +207,7 @@ class _MessageEvent(asyncio.Event):
 class _CheckedListener:
     """Replacement for `websockets.asyncio.server.serve` that checks the requests.
 
-    The server listens from the call of `start_listening` on.
+    The server listens from the call of `start_listening_or_raise` on.
     """
 
     def __init__(self, host: str, port: int, title: str, token: str):
@@ -242,7 +242,7 @@ class _CheckedListener:
             options.update(logger=_logger, start_serving=False)
             self._server = await websockets.asyncio.server.serve(
                 _add_version_check(handler), self.host, self.port,
-                process_request=self._add_access_checks(process_request), **options)
+                process_request=self._wrap_request_function_with_checks(process_request), **options)
         except Exception as error:
             self.failure = error
             yield SimpleNamespace(server=SimpleNamespace(sockets=()))
@@ -255,7 +255,7 @@ class _CheckedListener:
             self._server.close()
             await self._server.wait_closed()
 
-    def start_listening(self) -> None:
+    def start_listening_or_raise(self) -> None:
         """Start to listen.
 
         Raises:
@@ -264,7 +264,7 @@ class _CheckedListener:
         loop = self._server.get_loop()
         asyncio.run_coroutine_threadsafe(self._server.start_serving(), loop).result(SERVER.start_timeout)
 
-    def _add_access_checks(self, answer: Callable) -> Callable:
+    def _wrap_request_function_with_checks(self, answer: Callable) -> Callable:
         """Return viser's function for HTTP requests with the access checks before it."""
         def check_and_process_request(connection, request):
             allowed = self._list_allowed_names(connection)
@@ -284,7 +284,7 @@ class _CheckedListener:
 
     def _list_allowed_names(self, connection) -> frozenset[str]:
         """Return the host names and addresses by which a request may address this server."""
-        if _is_loopback(self.host):
+        if _is_loopback_ip_or_raise(self.host):
             return _LOCAL_NAMES | {normalise_host_name(self.host)}
         name = platform.node().lower()
         reached = normalise_host_name(str(connection.local_address[0]))
@@ -315,7 +315,7 @@ def _delete_header(headers, name: str) -> None:
         del headers[name]
 
 
-def _is_loopback(host: str) -> bool:
+def _is_loopback_ip_or_raise(host: str) -> bool:
     """Return whether only this computer can reach an IP address or ``localhost``; other text is an `InputError`."""
     if host == "localhost":
         return True
@@ -364,7 +364,7 @@ def _make_address_error(host: str, port: int, error: OSError) -> InputError:
 
 
 @contextmanager
-def _suppress_viser_output() -> Iterator[None]:
+def _suppressed_viser_output() -> Iterator[None]:
     """Suppress the messages that viser prints at start and stop through the global console of rich."""
     console = rich.get_console()
     with _module_state:

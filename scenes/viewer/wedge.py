@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from scenes.viewer.revolution import WedgeOpening
-from tissue_sim.mesh.sections import cut_triangles
+from tissue_sim.mesh.sections import split_triangles_below_and_above
 from tissue_sim.pose import Pose
 
 #: Distance from a cutting plane below which a point counts as on the plane, in sizes of the body.
@@ -33,7 +33,7 @@ class Wedge:
     cache: dict[int, Any] = field(default_factory=dict)
 
     @cached_property
-    def _rotation_matrix(self) -> np.ndarray:
+    def _tool_to_scene_rotation(self) -> np.ndarray:
         """Rotation from the frame of the tool to the frame of the scene, shape (3, 3)."""
         return np.array(self.pose.rotation)
 
@@ -41,13 +41,13 @@ class Wedge:
         """Transform points from the frame of the scene to the frame of the tool, m, shape (n, 3)."""
         x, y, z = (points - np.array(self.pose.position)).T
         # A matrix product would start the threads of BLAS on other cores.
-        return np.stack([x * u + y * v + z * w for u, v, w in self._rotation_matrix.T], axis=-1)
+        return np.stack([x * u + y * v + z * w for u, v, w in self._tool_to_scene_rotation.T], axis=-1)
 
     def transform_tool_to_scene(self, points: np.ndarray) -> np.ndarray:
         """Transform points from the frame of the tool to the frame of the scene, m, shape (..., 3)."""
-        return np.array(self.pose.position) + points @ self._rotation_matrix.T
+        return np.array(self.pose.position) + points @ self._tool_to_scene_rotation.T
 
-    def compute_face_coordinates(self, local: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    def compute_height_and_distance_per_face(self, local: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return the positions of points relative to each section face.
 
         Args:
@@ -67,10 +67,10 @@ class Wedge:
                           local[:, :2] @ direction - edge @ direction))
         return faces
 
-    def find_points_inside(self, local: np.ndarray) -> np.ndarray:
+    def are_tool_frame_points_inside(self, local: np.ndarray) -> np.ndarray:
         """Return whether each point, shape (n, 3), m, in the frame of the tool, lies inside the wedge; shape (n,)."""
         inside = np.full(len(local), not self.opening.removes_nothing)
-        for heights, _ in self.compute_face_coordinates(local):
+        for heights, _ in self.compute_height_and_distance_per_face(local):
             inside &= heights > 0.0
         return inside
 
@@ -85,7 +85,7 @@ class Wedge:
             The remaining parts of `drawn`, shape (m, 2, 3).
         """
         for number in range(len(self.opening.section_face_vectors)):
-            heights, _ = self.compute_face_coordinates(lines.reshape(-1, 3))[number]
+            heights, _ = self.compute_height_and_distance_per_face(lines.reshape(-1, 3))[number]
             start, end = heights.reshape(-1, 2).T
             cut = (start > 0.0) != (end > 0.0)
             fraction = (start[cut] / (start[cut] - end[cut]))[:, None]
@@ -95,7 +95,7 @@ class Wedge:
                 parts.append(np.concatenate([each[~cut], np.stack([each[cut, 0], crossing], axis=1),
                                              np.stack([crossing, each[cut, 1]], axis=1)]))
             lines, drawn = parts
-        return drawn[~self.find_points_inside(lines.mean(axis=1)) & (lines[:, 0] != lines[:, 1]).any(axis=1)]
+        return drawn[~self.are_tool_frame_points_inside(lines.mean(axis=1)) & (lines[:, 0] != lines[:, 1]).any(axis=1)]
 
     def clip_triangles_at_wedge(self, points: np.ndarray, triangles: np.ndarray,
                                 *values: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
@@ -114,8 +114,8 @@ class Wedge:
         parts, rest = [], triangles
         at_points = [points, *values]
         for number in range(len(self.opening.section_face_vectors)):
-            heights, _ = self.compute_face_coordinates(self.transform_scene_to_tool(at_points[0]))[number]
-            crossings, below, rest = cut_triangles(rest, heights)
+            heights, _ = self.compute_height_and_distance_per_face(self.transform_scene_to_tool(at_points[0]))[number]
+            crossings, below, rest = split_triangles_below_and_above(rest, heights)
             at_points = [crossings.append_interpolated_values(each) for each in at_points]
             parts.append(below)
         return at_points[0], np.concatenate(parts), at_points[1:]

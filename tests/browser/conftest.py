@@ -187,21 +187,21 @@ class Shown:
 def shown(browser, tmp_path_factory):
     """Viewer with a needle scene, shared by all tests of the page."""
     import tissue_sim as ts
-    from scenes.commands.shared.tissue_flags import load_material_or_default
-    from scenes.viewer.measurement import build_measurement
+    from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
+    from scenes.viewer.measurement import build_measurement_from_replicates
     from scenes.viewer.scene import Scene
     from tissue_sim.experiment.kinds.indentation import NEEDLE
     from tissue_sim.material.file import MaterialFile
     from tissue_sim.parameters import with_values
 
     experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(5e-3, 21))
-    scene = Scene(NEEDLE, experiment, load_material_or_default(None))
+    scene = Scene(NEEDLE, experiment, load_material_or_study_silicone(None))
     true = ts.simulate(scene.model, resolution="fast")
     replicates = [ts.Rig(force_noise=NOISE, seed=seed).measure(true) for seed in range(3)]
     folder = tmp_path_factory.mktemp("materials")
     softer = MaterialFile.of(with_values(scene.material, {"C10": 1200.0}), provenance={"method": "written by hand"})
     ts.write_material_file(softer, folder / "softer.material.json")
-    shown = Shown(replace(scene, measurements={NEEDLE.name: build_measurement(replicates)}), folder)
+    shown = Shown(replace(scene, measurements={NEEDLE.name: build_measurement_from_replicates(replicates)}), folder)
     SHARED.callback(shown.close)
     return shown
 
@@ -214,7 +214,7 @@ def shown_solid(browser, tmp_path_factory):
     from coarse_solid import make_coarse_solid
 
     import tissue_sim as ts
-    from scenes.commands.shared.tissue_flags import load_material_or_default
+    from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
     from scenes.viewer.scene import Scene
     from tissue_sim.experiment.kinds.indentation import NEEDLE
     from tissue_sim.fem.solver import SOLVERS
@@ -223,7 +223,7 @@ def shown_solid(browser, tmp_path_factory):
         specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(2e-3, 3), tool=ts.Tool("round", radius=8e-3),
         friction=0.3, approach=ts.Approach(8e-3, math.radians(10.0)))
     SOLVERS.register(make_coarse_solid, "coarse_solid")
-    scene = Scene(NEEDLE, experiment, load_material_or_default(None), solver="coarse_solid")
+    scene = Scene(NEEDLE, experiment, load_material_or_study_silicone(None), solver="coarse_solid")
     shown = Shown(scene, tmp_path_factory.mktemp("materials"), patience=1e4)
     try:
         yield shown

@@ -31,7 +31,7 @@ def test_a_running_recorder_is_displayed(watched, open_page):
     page.get_by_text("No run in").wait_for()
     folder = RunFolder(path, "digest")
     live = LiveProgressFile(path)
-    with folder, live.run_writing_thread():
+    with folder, live.running_writing_thread():
         folder.update_state(state="running")
         live.set_progress(RunProgress("needle", "ramp", 1, 5e-3, 3e-3, 0.437, 0.25))
         partial = folder.open_partial("needle_1", ["time [s]", "displacement [mm]", "force [N]", "segment"])

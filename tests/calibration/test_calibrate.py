@@ -117,7 +117,7 @@ def test_overwrite_and_resume(campaign, tmp_path, monkeypatch):
         raise AssertionError("a finished campaign was fitted again")
 
     with monkeypatch.context() as patch:
-        patch.setattr(ordinary, "fit_law_analytically", fail)
+        patch.setattr(ordinary, "fit_law_to_descents_and_estimate", fail)
         again, = calibration.calibrate([campaign], out, figures=False)
     assert again.resumed
     assert again.fits == first.fits

@@ -229,6 +229,7 @@ def test_missing_file_and_folder(tmp_path):
         calibration.load_campaign(tmp_path)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(position=st.integers(0, len(GOOD) - 1), text=st.text(max_size=6))
 def test_any_slip_is_an_input_error_or_still_a_campaign(folder, position, text):

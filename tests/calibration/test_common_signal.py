@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.statistics.common_signal import compute_variance_ratio, find_common_signal
+from calibration.statistics.common_signal import compute_f_ratio_and_freedoms, get_most_significant_common_signal
 
 SEGMENTS = [slice(0, 160), slice(160, 400), slice(400, 560)]
 TIME = np.arange(560) / 4.0
@@ -22,7 +22,7 @@ def drawn(random, memory=0.0):
 def test_noise_of_any_size_and_colour_has_nothing_in_common(memory, scale):
     """The probability is no smaller than it should be: at most 1 of 20 below 5 %, with 3 deviations of 400 draws."""
     random = np.random.default_rng(8)
-    p = np.array([find_common_signal(scale * drawn(random, memory), SEGMENTS).p for _ in range(400)])
+    p = np.array([get_most_significant_common_signal(scale * drawn(random, memory), SEGMENTS).p for _ in range(400)])
     assert np.mean(p < 0.05) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 400)
     assert p.min() > 1e-5
 
@@ -31,10 +31,10 @@ def test_a_wave_is_found_with_its_period():
     """Half a deviation high, which neither its place nor all of it tells."""
     random = np.random.default_rng(3)
     left = drawn(random) + 0.5 * np.sin(2 * np.pi * TIME / 17.5)
-    found = find_common_signal(left, SEGMENTS)
+    found = get_most_significant_common_signal(left, SEGMENTS)
     assert found.p < 1e-6 and (found.first, found.last) == (0, 559)
     assert (TIME[-1] - TIME[0]) / found.waves == pytest.approx(17.5, rel=0.05)
-    ratio, *_ = compute_variance_ratio(left)
+    ratio, *_ = compute_f_ratio_and_freedoms(left)
     assert ratio < 1.6
 
 
@@ -42,7 +42,7 @@ def test_a_bump_is_found_at_its_place():
     random = np.random.default_rng(3)
     left = drawn(random)
     left[:, 300:316] += 1.5
-    found = find_common_signal(left, SEGMENTS)
+    found = get_most_significant_common_signal(left, SEGMENTS)
     assert found.p < 1e-6 and not found.waves
     assert found.first > 290 and found.last < 326
 
@@ -52,4 +52,4 @@ def test_one_recording_that_differs_is_nothing_in_common():
     left = drawn(random)
     left[1] += 2.0 * np.sin(2 * np.pi * TIME / 17.5)
     left[2, 300:316] += 3.0
-    assert find_common_signal(left, SEGMENTS).p > 0.01
+    assert get_most_significant_common_signal(left, SEGMENTS).p > 0.01

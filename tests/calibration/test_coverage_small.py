@@ -84,7 +84,7 @@ def test_a_carried_mesh_error_does_not_pull_the_moduli_down(benchmarks):
     recordings = starts.make_recordings(campaign, lambda _, reached: curve(reached), np.random.default_rng(SEED))
     problem = build_generalised_problem(starts.LAW, campaign, recordings, SimulationCache())
     problem.mesh_error = (0.01,)
-    problem.rebuild_nuisance_columns()
+    problem.assign_nuisance_columns_and_drop_cache()
     found = minimise_from_start(problem, starts.START)
     assert found.converged
     assert found.theta[0] == pytest.approx(starts.TRUTH[0], rel=0.005)

@@ -9,14 +9,14 @@ from msgspec.structs import replace
 
 import calibration
 import tissue_sim as ts
-from calibration.campaign_diagnosis import diagnose_campaign, read_campaign_for_diagnosis
+from calibration.campaign_diagnosis import diagnose_campaign, read_campaign_and_curves_for_diagnosis
 from calibration.diagnosis.diagnosis import CandidateStatement, EffectParameter, NextExperiment
 from calibration.diagnosis.words import summarise_diagnosis
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.run_context import RunContext
 from calibration.report.diagnosis_page import build_diagnosis_page
-from calibration.report.diagnosis_tables import format_detectable_sizes, format_fitted_parameter
+from calibration.report.diagnosis_tables import format_detectable_sizes, format_fitted_parameter_as_html
 from calibration.report.drawing import FigureEmbedder
 from calibration.report.units import DisplayUnit, ReportUnits
 from calibration.tasks.executors import Workers, open_tasks
@@ -79,7 +79,7 @@ def campaign(tmp_path_factory):
 @pytest.fixture(scope="module")
 def diagnosed(campaign, two_effects):
     """The parts of a diagnosis of it, and its recordings."""
-    asked, measured = read_campaign_for_diagnosis(campaign)
+    asked, measured = read_campaign_and_curves_for_diagnosis(campaign)
     with open_tasks(Workers()) as tasks:
         return diagnose_campaign(asked, measured, RunContext(asked.name, tasks)), measured
 
@@ -117,7 +117,7 @@ method = "inverse_fem"
 laws = ["neo_hooke"]
 bulk_ratio = 1000.0
 """, encoding="utf-8")
-    campaign, measured = read_campaign_for_diagnosis(path)
+    campaign, measured = read_campaign_and_curves_for_diagnosis(path)
     with open_tasks(Workers()) as tasks:
         found = diagnose_campaign(campaign, measured, RunContext("preload", tasks)).diagnosis
     assert found.verdict == "NONE" and all(region.adequate_before for region in found.regions)
@@ -266,4 +266,4 @@ def test_sizes_are_in_units_that_people_use(path, unit, absent, value, words):
 
 def test_numbers_do_not_break():
     number = EffectParameter(path="rig.compliance", symbol="c", unit="m/N", value=2.04e-5, standard_error=3.1e-7)
-    assert format_fitted_parameter(number, UNITS) == "c\u00a0=\u00a00.02040\u00a0±\u00a00.00031\u00a0mm/N"
+    assert format_fitted_parameter_as_html(number, UNITS) == "c\u00a0=\u00a00.02040\u00a0±\u00a00.00031\u00a0mm/N"

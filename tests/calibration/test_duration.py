@@ -9,13 +9,13 @@ from scipy.interpolate import CubicSpline
 import calibration
 import tissue_sim as ts
 from calibration.diagnosis import duration
-from calibration.diagnosis.duration import describe_expected_duration, estimate_simulation_seconds
-from calibration.diagnosis.evidence import make_whole_recording_campaign
+from calibration.diagnosis.duration import describe_expected_duration_or_empty, measure_solid_simulation_cpu_seconds
+from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.campaign_problem import build_generalised_problem
 from calibration.fit.run_context import RunContext
-from calibration.forward.meshes import MESHES, SolverMeshes
+from calibration.forward.meshes import MESHES, SolverFitResolutions
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.tasks.executors import TaskExecutor
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution
@@ -50,7 +50,8 @@ def glued(tmp_path, monkeypatch):
     """A glued cube on two orders of one mesh of 64 elements, with a load train that takes up a sixth of the way."""
     monkeypatch.setitem(RESOLUTIONS, "coarse", Resolution(HEX8P0, 0.6, 2.5, 3.8, 2))
     monkeypatch.setitem(RESOLUTIONS, "coarse, second order", Resolution(HEX27P1, 0.6, 2.5, 3.8, 2))
-    monkeypatch.setitem(MESHES, "solid", SolverMeshes("coarse", "coarse, second order", error_factor=3.0, slow=True))
+    monkeypatch.setitem(MESHES, "solid",
+                        SolverFitResolutions("coarse", "coarse, second order", error_factor=3.0, slow=True))
     monkeypatch.setattr("calibration.diagnosis.proposals.CATALOGUE", {
         "viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance})
     experiment = ts.KINDS["bonded_compression"].experiment(
@@ -87,20 +88,20 @@ def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypat
 
 @pytest.mark.slow
 def test_on_the_axis_there_is_nothing_to_wait_for(glued):
-    campaign = make_whole_recording_campaign(calibration.load_campaign(glued))
+    campaign = make_one_law_whole_recording_campaign(calibration.load_campaign(glued))
     problem = build_generalised_problem("neo_hooke", campaign, calibration.read_measured_curves(campaign),
                                         SimulationCache())
-    seconds = estimate_simulation_seconds(problem)
+    seconds = measure_solid_simulation_cpu_seconds(problem)
     assert list(seconds) == ["glued"] and seconds["glued"] > 0.0
     problem.tests = tuple(replace(test, solver="axisymmetric") for test in problem.tests)
-    assert estimate_simulation_seconds(problem) == {}
+    assert measure_solid_simulation_cpu_seconds(problem) == {}
 
 
 @pytest.mark.parametrize(("seconds", "words"), [
     ({}, ""), ({"plates": 0.1}, ""), ({"plates": 0.2, "glued": 1.0}, "expect up to 6 minutes on one processor"),
     ({"plates": 3.0}, "expect 2 to 15 minutes on one processor")])
 def test_what_to_expect_in_words(seconds, words):
-    said = describe_expected_duration(seconds)
+    said = describe_expected_duration_or_empty(seconds)
     assert said.startswith(words) and bool(said) == bool(words)
 
 

@@ -118,6 +118,7 @@ def test_a_worker_that_dies_once_loses_nothing(task, tmp_path):
     assert results == [0, 1, 2, 3, 4] and told == dict(enumerate(results))
 
 
+@pytest.mark.slow
 def test_tasks_that_kill_their_worker_leave_the_others_their_results(task, tmp_path):
     log, told = tmp_path / "log", {}
     fatal = (0, 3)

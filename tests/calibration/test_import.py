@@ -13,7 +13,7 @@ import pytest
 import calibration
 import tissue_sim as ts
 from calibration import ColumnHints, ImportOptions
-from calibration.importing.imported import convert_import_to_json
+from calibration.importing.imported import make_json_dictionary_of_import
 from scenes.cli import main
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -140,8 +140,8 @@ def test_everything_that_is_missing_is_said_at_once_and_has_a_line(tmp_path, cap
 def test_units_and_scales_of_a_headerless_file(tmp_path, unit, scale, newtons):
     path = text(tmp_path, "run.txt", numbers(WAY, WAY, WAY, delimiter=" "))
     stated = ColumnHints({"time": "1", "displacement": "B", "force": 3},
-                    {"time": "s", "displacement": "mm", "force": unit}, {} if scale is None else {"force": scale},
-                    kind="lubricated_compression")
+                         {"time": "s", "displacement": "mm", "force": unit}, {} if scale is None else {"force": scale},
+                         kind="lubricated_compression")
     imported = calibration.import_files([path], tmp_path / "c.toml", ImportOptions(
         stated, {"radius_mm": 10.0, "height_mm": 12.0}))
     assert imported.is_complete, (imported.missing, imported.problem)
@@ -199,7 +199,7 @@ def test_cycles_are_counted(tmp_path):
     way = np.concatenate([np.linspace(0, 3, 21), np.linspace(3, 0, 21)[1:]] * 3)
     path = text(tmp_path, "c.csv", "Time (s),Compression (mm),Load (N)\n"
                 + numbers(0.1 * np.arange(way.size), way, way))
-    assert convert_import_to_json(calibration.import_files([path]))["files"][0]["cycles"] == 3
+    assert make_json_dictionary_of_import(calibration.import_files([path]))["files"][0]["cycles"] == 3
 
 
 @pytest.mark.parametrize(("content", "words"), [
@@ -320,7 +320,7 @@ def test_air_before_the_contact_is_found_and_left_out(tmp_path, capsys):
     paths = sorted(tmp_path.glob("gel_*.csv"))
     imported = calibration.import_files(paths, tmp_path / "c.toml", wishes())
     assert imported.text.count('contact = "find"') == 1
-    for file, air in zip(convert_import_to_json(imported)["files"], (0.4, 0.55, 0.7), strict=True):
+    for file, air in zip(make_json_dictionary_of_import(imported)["files"], (0.4, 0.55, 0.7), strict=True):
         low, high = file["contact_interval_mm"]
         assert low < air < high and high - low < 0.04
         assert [each["name"] for each in file["segments"]] == ["approach", "ramp"]
@@ -342,7 +342,7 @@ def test_a_rupture_ends_what_is_fitted(tmp_path):
     path = text(tmp_path, "strip.csv", "Time (s),Stretch,Nominal stress (kPa)\n"
                 + numbers(10 * strain, 1 + strain, stress))
     imported = calibration.import_files([path], tmp_path / "c.toml", ImportOptions(laws=("neo_hooke",)))
-    file, = convert_import_to_json(imported)["files"]
+    file, = make_json_dictionary_of_import(imported)["files"]
     assert file["failure"]["mode"] == "rupture" and file["failure"]["at_strain"] == pytest.approx(0.8, abs=0.006)
     assert 'failure = "cut"' in imported.text and "ruptures" in imported.warnings[0]
     result, = calibration.calibrate([imported.output], tmp_path / "out", figures=False)
@@ -421,6 +421,7 @@ def test_imported_sets_are_read_as_by_their_own_formats(data_folder):
             np.testing.assert_array_equal(mine.channel(channel), theirs.channel(channel))
 
 
+@pytest.mark.slow
 def test_afm_files_lack_the_specimen_and_the_tip(data_folder, tmp_path):
     folder = data_folder / "afm_formats"
     assert len(calibration.import_files([*folder.glob("fmt-jpk-sr*.jpk-force")]).missing) == 4

@@ -203,6 +203,7 @@ def test_one_lost_value_of_the_crosshead_does_not_decide_between_it_and_the_exte
     assert shear_modulus(imported, tmp_path) == pytest.approx(MU, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_of_two_loads_the_corrected_one_is_read_and_equal_names_are_a_question(tmp_path):
     way, force = LENGTH * (STRETCH - 1), STRESS * AREA
     path = write(tmp_path, "Extension (mm),Load (N),Corrected load (N)", way, 1.1 * force, force, above=SHEET)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import calibration
-from calibration.importing.imported import convert_import_to_json
+from calibration.importing.imported import make_json_dictionary_of_import
 from tissue_sim.errors import InputError
 
 HEAD = "Compression test\nDiameter,20,mm\nHeight,12,mm\n\nTime (s),Displacement (mm),Force (N)\n"
@@ -122,6 +122,7 @@ def test_a_campaign_by_hand_with_a_load_cell_that_was_not_zeroed_is_not_usable(t
     assert result.fits[0].unusable is not None
 
 
+@pytest.mark.slow
 def test_a_load_cell_that_was_not_zeroed(tmp_path):
     imported, fit = imported_and_fitted(tmp_path, write(tmp_path, WAY, force(WAY) + 0.65 + noise(TIME.size)))
     assert imported.is_complete and "offset = -0.6" in imported.text
@@ -137,6 +138,7 @@ def test_a_load_that_may_jump_from_zero_is_a_question(tmp_path):
     assert "the load cell was zeroed and the force jumps" in against[0]
 
 
+@pytest.mark.slow
 def test_a_load_at_zero_that_the_curve_does_not_explain_is_a_question(tmp_path):
     path = write(tmp_path, WAY, force(WAY + 0.4) + noise(TIME.size, 0.05))
     imported = calibration.import_files([path], tmp_path / "gel.toml", wishes())
@@ -200,7 +202,7 @@ def test_an_oscillation_out_of_phase_is_refused(tmp_path):
     way, load = 1.0 + 0.2 * np.sin(2 * np.pi * time), 2.0 + 0.4 * np.sin(2 * np.pi * time + 0.2)
     imported = calibration.import_files([write(tmp_path, way, load, time)], tmp_path / "gel.toml", wishes())
     assert not imported.is_complete and "oscillation" in imported.problem
-    assert "oscillation" in convert_import_to_json(imported)["problem"]
+    assert "oscillation" in make_json_dictionary_of_import(imported)["problem"]
 
 
 def test_a_wrong_first_displacement_before_a_sudden_load_leaves_the_zero_open(tmp_path):

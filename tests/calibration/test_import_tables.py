@@ -275,6 +275,7 @@ def test_each_table_has_its_row_in_a_list_of_sizes(tmp_path, list_below):
     assert fitted(tmp_path, path) == pytest.approx(MODULUS_PA, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_tables_of_equal_forces_contradict_a_list_of_different_sizes(tmp_path):
     noise = np.random.default_rng(2).normal(0.0, 200.0, (3, WAY_MM.size))
     path = put(tmp_path, listed([load_mN() + each for each in noise]))

@@ -13,16 +13,16 @@ import tissue_sim as ts
 from calibration.campaign.campaign import Noise
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.campaign_problem import build_generalised_problem
-from calibration.fit.checks import simulate_and_check_start
+from calibration.fit.checks import require_fittable_start
 from calibration.fit.estimate import iterate_mesh_correction_and_jitter
 from calibration.fit.profiles import compute_profile_side
-from calibration.fit.starts import generate_starting_values
+from calibration.fit.starts import list_starts_with_varied_exponents
 from calibration.fit.trust_region import minimise_from_start
 from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.motion import TimedMotion
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import ReplicateJitter
-from tissue_sim.recording.segmentation import label_motion, number_repeated_runs
+from calibration.statistics.jitter import ContactAndForceZeroJitter
+from tissue_sim.recording.segmentation import label_samples_ramp_hold_unload, number_repeated_runs
 
 TRUTH = {"C10": 1404.9, "C20": 699.4}
 SPECIMEN = ts.Specimen(0.040, 0.070)
@@ -131,16 +131,16 @@ class TestProblem:
         """The error is r' V^-1 r with the dense covariance of zero offset, mesh modes and correlated noise."""
         text = campaign_text("lubricated", "bonded").replace("correlation_time_s = 0", "correlation_time_s = 2.0")
         _, problem = problem_of(plates, text)
-        problem.jitter = ReplicateJitter(0.0, 0.015, None)
+        problem.jitter = ContactAndForceZeroJitter(0.0, 0.015, None)
         theta, errors = np.array([1390.0, 700.0]), (0.0, 0.002)
         problem.mesh_error = errors
-        problem.rebuild_nuisance_columns()
+        problem.assign_nuisance_columns_and_drop_cache()
         total = 0.0
         for test, error in zip(problem.tests, errors, strict=True):
             answer = test.solve(problem.space, theta, problem.solves)
             gaps, modes = [], []
             for r, m in enumerate(test.measured):
-                force = test.evaluate_force(answer, r, 0.0)[0]
+                force = test.evaluate_force_and_derivatives(answer, r, 0.0)[0]
                 gaps.append(force - m.force)
                 modes.append(error * np.stack([force, (2 * m.displacement / 0.010 - 1) * force]))
             count, time = len(gaps), test.measured[0].time
@@ -159,7 +159,7 @@ class TestProblem:
         _, problem = problem_of(plates, campaign_text("lubricated"))
         free = minimise_from_start(problem, np.array([1400.0, 600.0])).theta
         problem.mesh_error = (0.008,)
-        problem.rebuild_nuisance_columns()
+        problem.assign_nuisance_columns_and_drop_cache()
         held = minimise_from_start(problem, free, corrected=True).theta
         errors = compute_marginal_uncertainty(problem, problem.evaluate(held)).standard_errors
         # The carried error is in the standard error, and moves nothing.
@@ -189,8 +189,8 @@ class TestProblem:
         assert problem.evaluate(descent.theta).sum_of_squares < problem.evaluate(descent.theta * 1.001).sum_of_squares
         assert problem.evaluate(descent.theta).sum_of_squares < problem.evaluate(descent.theta * 0.999).sum_of_squares
         space = ParameterSpace.from_campaign("reduced_polynomial_2", campaign)
-        one, factor = space.normalise_moduli({"C10": 3.0, "C20": 1.5})
-        other, larger = space.normalise_moduli({"C10": 3e4, "C20": 1.5e4})
+        one, factor = space.scale_moduli_to_reference_sum({"C10": 3.0, "C20": 1.5})
+        other, larger = space.scale_moduli_to_reference_sum({"C10": 3e4, "C20": 1.5e4})
         assert one == other
         assert larger == pytest.approx(1e4 * factor)
 
@@ -213,7 +213,7 @@ class TestStarts:
     def test_starts_differ_and_keep_the_bounds(self, plates):
         text = campaign_text("lubricated") + "\n[fit.bounds]\nC20 = [0.0, 1000.0]\n"
         campaign, _ = problem_of(plates, text)
-        found = generate_starting_values(ParameterSpace.from_campaign("reduced_polynomial_2", campaign), 7)
+        found = list_starts_with_varied_exponents(ParameterSpace.from_campaign("reduced_polynomial_2", campaign), 7)
         assert len({tuple(theta) for theta in found}) == 7
         assert found[0].tolist() == [1400.0, 600.0]
         assert all(0.0 <= theta[1] <= 1000.0 for theta in found)
@@ -224,7 +224,7 @@ class TestStarts:
             "start = { C10 = 1400.0, C20 = 600.0 }", "")
         campaign, _ = problem_of(plates, text, law)
         space = ParameterSpace.from_campaign(law, campaign)
-        for theta in generate_starting_values(space, 5):
+        for theta in list_starts_with_varied_exponents(space, 5):
             assert space.build_material(space.values(theta)).mu0 > 0
 
 
@@ -245,7 +245,7 @@ class TestStudy:
         ends = []
         for start in ((1400.0, 600.0), (140.0, 6990.0), (14000.0, 70.0)):
             problem.solves = SimulationCache()
-            problem.rebuild_nuisance_columns()
+            problem.assign_nuisance_columns_and_drop_cache()
             descent = minimise_from_start(problem, np.array(start))
             assert descent.converged
             assert max(descent.simulations.values()) <= 9
@@ -286,7 +286,7 @@ def test_motion_of_a_ramp_hold_and_return():
     motion = TimedMotion.from_recording(time, displacement)
     assert len(motion.legs) == 3
     assert np.interp(time, motion.time, motion.displacement) == pytest.approx(displacement, abs=2e-5)
-    labels = label_motion(time, displacement)
+    labels = label_samples_ramp_hold_unload(time, displacement)
     assert dict.fromkeys(labels.tolist()).keys() == {"ramp", "hold", "unload"}
     assert labels[0] == "ramp"
     assert labels[-1] == "unload"
@@ -464,6 +464,7 @@ class TestWhole:
         assert again.resumed
         assert again.fits == result.fits
 
+    @pytest.mark.slow
     def test_what_is_not_told_and_what_would(self, plates):
         """Mooney-Rivlin on a short lubricated compression: a flat valley, and a test that ends it."""
         text = campaign_text("lubricated", extra="max_strain = 0.05\n").replace(
@@ -668,4 +669,4 @@ class TestRefused:
         campaign, problem = problem_of(plates, campaign_text("lubricated"))
         problem.samples = 2
         with pytest.raises(ts.InputError, match=r"fit\.laws\[0\]: .* more samples than the 2 unknown .*got 2"):
-            simulate_and_check_start(problem, campaign, 0)
+            require_fittable_start(problem, campaign, 0)

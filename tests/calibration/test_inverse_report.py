@@ -13,7 +13,7 @@ from calibration.campaign.campaign import Test as CampaignTest
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves as CurvesOfTest
 from calibration.fit.fit import (
-    DescentIteration,
+    DescentEvaluation,
     Fit,
     MeshCorrectionSummary,
     Nuisance,
@@ -29,7 +29,7 @@ from calibration.fit.population_records import ParameterCovariance
 from calibration.fit.result import CalibrationResult
 from calibration.report import curve_figures, estimate_figures, figures
 from calibration.report.drawing import FigureEmbedder
-from calibration.report.methods import write_methods_text
+from calibration.report.methods import make_plain_methods_text
 from calibration.report.png import render_png
 from calibration.report.report import build_report_page
 from calibration.report.units import ReportUnits
@@ -144,7 +144,7 @@ def history_of(parameters, starts, rng):
         for run in range(1, int(rng.integers(4, 8)) + 1):
             left = {name: far * 0.25 ** (run - 1) for name, far in away.items()}
             error = 3610.0 * (1 + sum(far**2 for far in left.values()) * 30) + 0.1 * start
-            steps.append(DescentIteration(start=start, run=run, parameters={
+            steps.append(DescentEvaluation(start=start, run=run, parameters={
                 name: value * np.exp(left[name]) if value else 900.0 * max(left[name], 0.0)
                 for name, value in parameters.items()}, error=error,
                 RMSE_N=0.02 * np.sqrt(error / 3610), corrected=run > 3 and start == 1))
@@ -246,7 +246,7 @@ def closes(page):
 def written(campaign, tmp_path, figures=True):
     result, curves = campaign
     measured = {c.test.name: c.measured for c in next(iter(curves.values()))}
-    methods = write_methods_text(result, measured, ReportUnits.choose_for_calibration(result))
+    methods = make_plain_methods_text(result, measured, ReportUnits.choose_for_best_fit(result))
     return build_report_page(result, curves, methods, FigureEmbedder(tmp_path, "svg") if figures else None)
 
 
@@ -257,7 +257,7 @@ def texts_of(axes):
 def one_test(campaign, test):
     result, curves = campaign
     return result.fits, {law: several[TESTS.index(test)] for law,
-                         several in curves.items()}, ReportUnits.choose_for_calibration(result)
+                         several in curves.items()}, ReportUnits.choose_for_best_fit(result)
 
 
 @pytest.mark.slow
@@ -315,6 +315,7 @@ def test_the_report_of_a_single_test_states_that_there_is_no_prediction(campaign
     assert page.count("data:image/png;base64,") == 3
 
 
+@pytest.mark.slow
 def test_pictures_are_sharp_at_1200_pixels_and_thin_large_recordings(campaign):
     fits, curves, units = one_test(campaign, PLATES)
     png = render_png(curve_figures.draw_test_figure(fits, curves, units))
@@ -378,7 +379,7 @@ def test_a_test_without_specimen_is_drawn_as_stress_and_strain(campaign):
 @pytest.mark.parametrize("correlation_time", [0.0, 0.3, 2.0])
 def test_noise_of_a_mean_is_that_of_the_dense_covariance(correlation_time):
     step, counts = 0.1, np.array([1, 2, 7, 40])
-    found = curve_figures.compute_standard_deviation_of_mean(counts, step, correlation_time)
+    found = curve_figures.compute_unit_variance_mean_deviations(counts, step, correlation_time)
     for n, deviation in zip(counts, found, strict=True):
         lag = step * np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
         dense = np.exp(-lag / correlation_time) if correlation_time else np.eye(n)
@@ -387,7 +388,7 @@ def test_noise_of_a_mean_is_that_of_the_dense_covariance(correlation_time):
 
 def test_regions_turn_orange_where_the_misfit_is_significant(campaign):
     result, _ = campaign
-    axes = figures.draw_region_misfits(result.fits, TESTS, ReportUnits.choose_for_calibration(result)).axes[0]
+    axes = figures.draw_region_misfit_map(result.fits, TESTS, ReportUnits.choose_for_best_fit(result)).axes[0]
     assert "0.0021 N,  p = 0.62" in texts_of(axes) and "0.091 kPa,  p = 1e-5" in texts_of(axes)
     assert {"plates", "needle", "strip", "hold at 10 mm", "ramp from 3.3 to 6.7 mm"} <= set(texts_of(axes))
     red, _, blue, _ = np.array([patch.get_facecolor()[0] for patch in axes.collections]).T
@@ -400,20 +401,20 @@ def test_predictions_are_as_long_as_their_error_and_marked_where_chance_ends(cam
     lost = Prediction(test="bonded", law="neo_hooke", RMSE_N=None, RMSE_Pa=None, percent=None,
                       note="stopped at 7 mm")
     axes = figures.draw_prediction_errors([*result.predictions, lost], TESTS,
-                                          ReportUnits.choose_for_calibration(result)).axes[0]
+                                          ReportUnits.choose_for_best_fit(result)).axes[0]
     assert [bar.get_width() for bar in axes.patches] == pytest.approx([p.percent for p in result.predictions])
     assert axes.lines[0].get_xdata()[0] == pytest.approx(0.9 * 0.031 / 0.068)
     assert any("none (stopped at 7 mm)" in words for words in texts_of(axes))
     far = msgspec.structs.replace(result.predictions[-1], percent=900.0)
     axes = figures.draw_prediction_errors([*result.predictions[:-1], far], TESTS,
-                                          ReportUnits.choose_for_calibration(result)).axes[0]
+                                          ReportUnits.choose_for_best_fit(result)).axes[0]
     assert axes.get_xlim()[1] < 20 and any(words.startswith("▸ 900\u00a0%") for words in texts_of(axes))
 
 
 def test_profiles_show_interval_quadratic_and_bound(campaign):
     result, _ = campaign
     free, bound = estimate_figures.draw_profiles(result.fits[1], result.campaign.fit.bounds,
-                                                 ReportUnits.choose_for_calibration(result)).axes
+                                                 ReportUnits.choose_for_best_fit(result)).axes
     lines = {line.get_label(): line for line in free.lines}
     x, y = lines["quadratic"].get_data()
     assert np.interp(1.467 + 1.959964 * 0.003, x, y) == pytest.approx(LEVEL, rel=1e-3)
@@ -430,17 +431,17 @@ def test_profiles_show_interval_quadratic_and_bound(campaign):
 
 
 def test_correlation_of_two_has_an_ellipse_and_of_three_its_weak_directions(campaign):
-    (best, second), units = campaign[0].fits, ReportUnits.choose_for_calibration(campaign[0])
-    matrix, region, _ = estimate_figures.draw_parameter_correlation(best, units).axes
+    (best, second), units = campaign[0].fits, ReportUnits.choose_for_best_fit(campaign[0])
+    matrix, region, _ = estimate_figures.draw_parameter_correlation_or_none(best, units).axes
     assert texts_of(matrix) == ["1", "−0.82", "−0.82", "1"]
     outer = region.patches[0].get_xy()
     reach = np.sqrt(5.991465)  # 95 % quantile of chi-square with two degrees of freedom
     assert outer.max(axis=0) == pytest.approx([1.4062 + reach * 4.1e-3, 0.688 + reach * 24e-3], rel=1e-4)
-    assert estimate_figures.draw_parameter_correlation(second, units) is None
+    assert estimate_figures.draw_parameter_correlation_or_none(second, units) is None
     three = make_fit("reduced_polynomial_3", {"C10": 1.0, "C20": 2.0, "C30": 3.0},
                      {name: tuple(row) for name, row in zip(("C10", "C20", "C30"), np.eye(3), strict=True)},
                      directions=[WeakDirection(shares={"C10": 0.1, "C20": -0.7, "C30": 0.7}, relative_error=0.6)])
-    weak = estimate_figures.draw_parameter_correlation(three, units)
+    weak = estimate_figures.draw_parameter_correlation_or_none(three, units)
     bars = weak.axes[1]
     assert [bar.get_width() for bar in bars.patches] == pytest.approx([0.1, -0.7, 0.7])
     assert weak.legends[0].get_texts()[0].get_text() == "known to ± 60 %"
@@ -448,10 +449,10 @@ def test_correlation_of_two_has_an_ellipse_and_of_three_its_weak_directions(camp
 
 def test_history_has_every_start_and_the_chosen_one_is_bold(campaign):
     result, _ = campaign
-    assert figures.find_best_start_number(result.best) == 1
+    assert figures.find_best_start_preferring_corrected(result.best) == 1
     lower = msgspec.structs.replace(result.best.history[-1], start=21, run=1, error=1.0)
     uncorrected = msgspec.structs.replace(result.best, history=[*result.best.history, lower])
-    assert figures.find_best_start_number(uncorrected) == 1
+    assert figures.find_best_start_preferring_corrected(uncorrected) == 1
     shown = figures.draw_descent_history(result.fits)
     above = next(ax for ax in shown.axes if ax.get_title() == "Reduced polynomial N = 2")
     assert above.get_yscale() == "log"

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.statistics.jitter import ReplicateJitter, WhitenedReplicate, estimate_jitter
+from calibration.statistics.jitter import ContactAndForceZeroJitter, WhitenedReplicate, estimate_jitter
 from calibration.statistics.sensor_noise import SensorNoise, whiten_columns
 from tissue_sim.rig.noise import generate_sensor_noise
 
@@ -117,7 +117,7 @@ def test_it_is_the_maximum_of_the_dense_likelihood(seed):
 
 def test_what_is_stated_is_held():
     tests = campaign(1)
-    assert estimate_jitter(tests, contact=1e-5, zero=0.0) == ReplicateJitter(1e-5, 0.0, None)
+    assert estimate_jitter(tests, contact=1e-5, zero=0.0) == ContactAndForceZeroJitter(1e-5, 0.0, None)
     held = estimate_jitter(tests, zero=ZERO)
     assert held.zero == ZERO
     assert held.freedom == 6
@@ -128,9 +128,9 @@ def test_what_is_stated_is_held():
 
 def test_no_replicates_say_nothing():
     single = [[test[0]] for test in campaign(2)]
-    assert estimate_jitter(single) == ReplicateJitter(0.0, 0.0, 0)
-    assert estimate_jitter(single, contact=3e-5) == ReplicateJitter(3e-5, 0.0, 0)
-    assert estimate_jitter([]) == ReplicateJitter(0.0, 0.0, 0)
+    assert estimate_jitter(single) == ContactAndForceZeroJitter(0.0, 0.0, 0)
+    assert estimate_jitter(single, contact=3e-5) == ContactAndForceZeroJitter(3e-5, 0.0, 0)
+    assert estimate_jitter([]) == ContactAndForceZeroJitter(0.0, 0.0, 0)
 
 
 def test_a_misfit_that_all_replicates_share_is_not_jitter():

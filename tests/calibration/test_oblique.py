@@ -7,7 +7,7 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from calibration.forward.meshes import MESHES, SolverMeshes
+from calibration.forward.meshes import MESHES, SolverFitResolutions
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution
 from tissue_sim.mesh.hexahedra import HEX8P0
 
@@ -42,7 +42,7 @@ OBLIQUE = 'solver = "solid"\noffset_mm = 5.0\ntilt_deg = 20.0'
 def coarse(monkeypatch):
     """One mesh of 600 freedoms for everything."""
     monkeypatch.setitem(RESOLUTIONS, "coarse", Resolution(HEX8P0, 0.5, 2.5, 3.8, 2))
-    monkeypatch.setitem(MESHES, "solid", SolverMeshes("coarse", "coarse"))
+    monkeypatch.setitem(MESHES, "solid", SolverFitResolutions("coarse", "coarse"))
 
 
 def load(folder, way):

@@ -8,7 +8,7 @@ from virtual_campaign import diagnosed_plates
 
 import tissue_sim as ts
 from calibration.diagnosis.decision_limits import DecisionLimits
-from calibration.diagnosis.pairs import _are_both_required
+from calibration.diagnosis.pairs import _are_both_required_and_dissimilar
 from calibration.effects.displacement_gain import DisplacementGain
 from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.step_loss import StepLoss
@@ -52,7 +52,7 @@ def test_two_that_act_in_different_places_are_both_named(tmp_path):
     assert values["viscoelastic.terms[0].g"] == pytest.approx(0.12, rel=0.1)
     assert values["rig.step_loss"] == pytest.approx(0.08e-3, rel=0.2)
     assert values["rig.step_loss_depth"] == pytest.approx(1.28e-3, abs=0.1e-3)
-    assert found.after.has_adequate_residuals and not found.before.has_adequate_residuals
+    assert found.after.has_adequate_region_residuals and not found.before.has_adequate_region_residuals
 
 
 def fitted(name, axis, strength, gain=50.0):
@@ -73,6 +73,7 @@ def fitted(name, axis, strength, gain=50.0):
 def test_two_need_each_other(axis, alone, second_alone, rival, needed, monkeypatch):
     first, second = fitted("first", [1, 0, 0], 8.0), fitted("second", axis, second_alone)
     plain = fitted("second", axis, alone).proposal
-    monkeypatch.setattr("calibration.diagnosis.pairs.recompute_candidate_score", lambda proposal, evidence: plain)
+    monkeypatch.setattr("calibration.diagnosis.pairs.recompute_candidate_score_in_other_fit", lambda proposal,
+                        evidence: plain)
     good = [first] if rival is None else [first, fitted("second", axis, alone, gain=rival)]
-    assert _are_both_required(first, second, good, SimpleNamespace(limits=DecisionLimits())) is needed
+    assert _are_both_required_and_dissimilar(first, second, good, SimpleNamespace(limits=DecisionLimits())) is needed

@@ -8,7 +8,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from calibration.report.drawing import STYLE, add_legend_above, create_panel_figure
+from calibration.report.drawing import STYLE, add_figure_legend_above_panels, create_figure_with_panel_rows
 from calibration.report.png import render_png
 
 DEPTH = np.linspace(0.0, 10.0, 60)
@@ -16,18 +16,18 @@ DEPTH = np.linspace(0.0, 10.0, 60)
 
 def shared():
     """Wide and narrow numbers, a legend above, residuals that share an axis, aligned labels."""
-    figure, axes = create_panel_figure([3, 2], 3.0)
+    figure, axes = create_figure_with_panel_rows([3, 2], 3.0)
     for number, each in enumerate(axes):
         each.plot(DEPTH, 10.0 ** (number - 2) * DEPTH**2, label=f"law {number}")
         each.set(xlabel="displacement [mm]", ylabel="model − data [N]", title=f"panel {number}")
     axes[3].sharex(axes[4])
     figure.align_labels()
-    add_legend_above(figure)
+    add_figure_legend_above_panels(figure)
     return figure
 
 
 def logarithmic():
-    figure, axes = create_panel_figure([2], 3.0)
+    figure, axes = create_figure_with_panel_rows([2], 3.0)
     axes[0].loglog(1.0 + DEPTH, np.exp(DEPTH))
     axes[1].semilogx(1.0 + DEPTH, 1e-5 * DEPTH)
     figure.suptitle("both ways")
@@ -107,6 +107,7 @@ def test_a_figure_that_was_drawn_can_be_changed_and_drawn_again():
     assert (abs(ours - theirs).max(axis=2) > 0.1).mean() < 0.01
 
 
+@pytest.mark.slow
 def test_steps_of_a_drawing_are_not_repeated(monkeypatch):
     from matplotlib.text import Text
 

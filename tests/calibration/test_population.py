@@ -239,6 +239,7 @@ def test_an_error_that_all_specimens_share_is_no_scatter_and_no_rest():
     assert (found.errors == pytest.approx(np.hypot(10.0, 100.0)))
 
 
+@pytest.mark.slow
 def test_a_shared_exponent_is_no_scatter(tmp_path):
     """mu1 of each of four specimens, alpha1 of all: the mean's error is that of the fit's own covariance."""
     rng, law = np.random.default_rng(4), ts.find_law("ogden_1")

@@ -135,6 +135,7 @@ def test_a_recording_that_disagrees_is_named_and_windows_are_fitted(tmp_path):
     assert rest.windows[-1].parameters == pytest.approx(rest.parameters)
 
 
+@pytest.mark.slow
 def test_methods_that_disagree_on_the_same_recordings_are_compared(tmp_path):
     """Each recording begins 0.2 mm above the tissue: only one of the methods may move the contact."""
     for number in range(3):

@@ -5,13 +5,13 @@ from types import SimpleNamespace
 import pytest
 
 from calibration.report.page import (
-    compute_shear_modulus_error,
-    format_initial_moduli,
+    compute_shear_modulus_error_or_none,
+    format_young_and_shear_modulus_values,
     format_young_modulus,
-    group_fits_by_remarks,
+    iterate_fit_groups_with_remarks,
     use_minus_signs,
 )
-from calibration.report.rounding import format_error, format_interval, format_odds_ratio, format_value_and_error
+from calibration.report.rounding import format_error, format_interval, format_odds_number, format_value_and_error
 from calibration.report.symbols import format_html_symbol, format_mathtext_symbol, format_plain_symbol
 from calibration.report.units import ReportUnits
 
@@ -48,13 +48,14 @@ def test_the_error_of_a_modulus_follows_from_the_covariance():
         standard_errors=dict.fromkeys(("mu1", "alpha1", "mu2", "alpha2"), 1.0), covariance=SimpleNamespace(
             order=["mu1", "alpha1", "mu2", "alpha2"],
             matrix=[[100.0, 3.0, -90.0, 0.0], [3.0, 1.0, 0.0, 0.0], [-90.0, 0.0, 144.0, 0.0], [0.0, 0.0, 0.0, 1.0]]))
-    assert compute_shear_modulus_error(ogden) == pytest.approx((100 + 144 - 180)**0.5)
-    units = ReportUnits.choose_for_calibration(SimpleNamespace(best=SimpleNamespace(mu0=800.0, RMSE_N=None,
-                                                                                    regions=[])))
+    assert compute_shear_modulus_error_or_none(ogden) == pytest.approx((100 + 144 - 180)**0.5)
+    units = ReportUnits.choose_for_best_fit(SimpleNamespace(best=SimpleNamespace(mu0=800.0, RMSE_N=None,
+                                                                                 regions=[])))
     assert format_young_modulus(ogden, units) == "2400 ± 24 Pa"
-    assert format_initial_moduli(ogden, units) == ("2400", "800")
+    assert format_young_and_shear_modulus_values(ogden, units) == ("2400", "800")
     ogden.standard_errors["mu2"] = None
-    assert compute_shear_modulus_error(ogden) is None and format_initial_moduli(ogden, units) == ("2400", "800")
+    assert compute_shear_modulus_error_or_none(ogden) is None and format_young_and_shear_modulus_values(ogden, units) \
+        == ("2400", "800")
 
 
 def test_symbols():
@@ -72,9 +73,10 @@ def test_minus_signs_are_those_of_numbers():
     (800.0, 4e-9, 2e-3, ("Pa", "µN", "µm")), (2.1e6, 2e-4, 0.4, ("MPa", "mN", "mm"))])
 def test_one_unit_of_each_quantity(mu0, RMSE, end, names):
     best = SimpleNamespace(mu0=mu0, RMSE_N=RMSE, regions=[SimpleNamespace(end=end)])
-    units = ReportUnits.choose_for_calibration(SimpleNamespace(best=best))
+    units = ReportUnits.choose_for_best_fit(SimpleNamespace(best=best))
     assert (units.pressure.name, units.force.name, units.length.name) == names
-    assert units.choose_parameter_unit("Pa") is units.pressure and units.choose_parameter_unit("1").name == ""
+    assert units.choose_display_unit_of_si_unit("Pa") is units.pressure \
+        and units.choose_display_unit_of_si_unit("1").name == ""
     assert units.force.format_axis_label("force") == f"force [{names[1]}]"
 
 
@@ -82,11 +84,11 @@ def test_what_laws_share_is_said_once():
     fits = [SimpleNamespace(law=law, warnings=warnings) for law, warnings in (
         ("a", ["assumed", "far off"]), ("b", ["assumed", "on a bound"]), ("c", ["assumed", "far off"]))]
     told = [([fit.law for fit in having], words) for having,
-            words in group_fits_by_remarks(fits, lambda fit: fit.warnings)]
+            words in iterate_fit_groups_with_remarks(fits, lambda fit: fit.warnings)]
     assert told == [(["a", "b", "c"], "assumed"), (["a", "c"], "far off"), (["b"], "on a bound")]
 
 
 @pytest.mark.parametrize(("ratio", "text"), [(1.26, "1.3"), (12.93, "13"), (338.2, "338"), (48644.0, "48\u202f600"),
                                              (3e7, "> 10⁶")])
 def test_odds_have_few_digits(ratio, text):
-    assert format_odds_ratio(ratio) == text
+    assert format_odds_number(ratio) == text

@@ -8,8 +8,8 @@ import pytest
 import tissue_sim as ts
 from calibration import calibrate
 from calibration.report.curve_figures import draw_test_figure
-from calibration.report.drawing import compute_panels_per_row
-from calibration.report.views import compute_local_slopes
+from calibration.report.drawing import distribute_panels_over_rows
+from calibration.report.views import compute_positions_and_local_slopes
 from tissue_sim.errors import InputError
 
 #: Radius, m.
@@ -51,16 +51,17 @@ def campaign(tmp_path_factory):
 
 def test_local_slopes_are_those_of_the_curve():
     x = np.linspace(0.0, 1.0, 401)
-    places, slopes = compute_local_slopes(x, x**2, 0.05)
+    places, slopes = compute_positions_and_local_slopes(x, x**2, 0.05)
     np.testing.assert_allclose(slopes, 2 * places, atol=1e-12)
     # Few and unevenly spaced: lines through the nearest five.
-    places, slopes = compute_local_slopes(np.geomspace(0.1, 10.0, 9), 3 * np.geomspace(0.1, 10.0, 9), 0.01)
+    places, slopes = compute_positions_and_local_slopes(np.geomspace(0.1, 10.0, 9), 3 * np.geomspace(0.1, 10.0, 9),
+                                                        0.01)
     np.testing.assert_allclose(slopes, 3.0)
 
 
 @pytest.mark.parametrize(("count", "rows"), [(1, [1]), (3, [3]), (4, [2, 2]), (5, [3, 2]), (7, [3, 2, 2])])
 def test_panels_are_spread_evenly(count, rows):
-    assert compute_panels_per_row(count) == rows
+    assert distribute_panels_over_rows(count) == rows
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 import calibration
 import tissue_sim as ts
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.diagnosis.evidence import make_whole_recording_campaign
+from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
 from calibration.fit.campaign_problem import build_generalised_problem
 from calibration.fit.problem import GeneralisedProblem
 from calibration.fit.trust_region import minimise_from_start
@@ -18,7 +18,7 @@ from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS
 from calibration.forward.motion import MonotonicLoading
 from calibration.forward.rig_motion import AlignedCurve, ForcePositionCurve
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.jitter import ContactAndForceZeroJitter
 
 #: Specimen.
 SPECIMEN = ts.Specimen(0.020, 0.030)
@@ -66,7 +66,7 @@ def study(folder, kind="lubricated_compression", tool="", start="", fixed="", de
                        folder / "test_1.csv")
     path = folder / "study.toml"
     path.write_text(CAMPAIGN.format(kind=kind, tool=tool, start=start, fixed=fixed), encoding="utf-8")
-    campaign = make_whole_recording_campaign(calibration.load_campaign(path))
+    campaign = make_one_law_whole_recording_campaign(calibration.load_campaign(path))
     solves = SimulationCache()
     problem = build_generalised_problem("neo_hooke", campaign, calibration.read_measured_curves(campaign), solves)
     return problem.tests[0], problem.space, solves
@@ -74,7 +74,7 @@ def study(folder, kind="lubricated_compression", tool="", start="", fixed="", de
 
 def evaluated(test, space, solves, values, offset=0.0):
     theta = np.array([{"C10": C10, **values}[name] for name in space.free])
-    return test.evaluate_force(test.solve(space, theta, solves), 0, offset)
+    return test.evaluate_force_and_derivatives(test.solve(space, theta, solves), 0, offset)
 
 
 @pytest.mark.parametrize(("kind", "tool"), [("lubricated_compression", ""), ("bonded_compression", ""), (
@@ -86,7 +86,8 @@ def test_position_curve_agrees_with_simulation_of_the_whole_motion(tmp_path, kin
     """
     test, space, solves = study(tmp_path, kind, tool)
     along = replace(test, full_motion=True)
-    assert test.uses_position_curve(space, np.array([C10])) and not along.uses_position_curve(space, np.array([C10]))
+    assert test.can_use_position_curve_at_parameters(space, np.array([C10])) \
+        and not along.can_use_position_curve_at_parameters(space, np.array([C10]))
     for offset in (0.0, 2e-5, -2e-5):
         force, rates, rate = evaluated(test, space, solves, {}, offset)
         other = evaluated(along, space, solves, {}, offset)
@@ -170,12 +171,13 @@ def test_adhesion_is_not_proportional_to_the_modulus(tmp_path):
     assert np.abs(force - clinging)[retracting].max() < 0.003
 
 
+@pytest.mark.slow
 def test_descent_does_not_simulate_its_start_again(tmp_path):
     """The conversion of unknowns to scaled variables and back changes the last digit."""
     test, space, solves = study(tmp_path, start=', "experiment.friction" = 0.05')
-    problem = GeneralisedProblem(space, (test,), solves, ReplicateJitter(0.0, 0.005, None), (0.0,))
+    problem = GeneralisedProblem(space, (test,), solves, ContactAndForceZeroJitter(0.0, 0.005, None), (0.0,))
     start = np.array([{"C10": C10}.get(name, 0.06131956364938239) for name in space.free])
-    variables = problem.make_descent_variables(start)
+    variables = problem.make_scaled_or_long_term_variables(start)
     assert not np.array_equal(variables.to_unknowns(variables.from_unknowns(start)), start)
     problem.evaluate(start)
     counted = solves.counts.total()
@@ -187,7 +189,7 @@ def test_descent_does_not_simulate_its_start_again(tmp_path):
 def test_stalled_descent_ends_at_its_best_point(tmp_path):
     """A descent ends after a given number of solves without a sufficient decrease."""
     test, space, solves = study(tmp_path, start=', "experiment.friction" = 0.05')
-    problem = GeneralisedProblem(space, (test,), solves, ReplicateJitter(0.0, 0.005, None), (0.0,))
+    problem = GeneralisedProblem(space, (test,), solves, ContactAndForceZeroJitter(0.0, 0.005, None), (0.0,))
     start = np.array([{"C10": 0.9 * C10}.get(name, 0.06) for name in space.free])
     whole = minimise_from_start(problem, start, corrected=True, enough=0.0)
     assert len(whole.history) > 6
@@ -214,13 +216,14 @@ def test_force_of_a_tilted_face_is_averaged_over_strips(tmp_path):
 
 def test_viscoelastic_material_requires_the_whole_motion(tmp_path):
     test, space, _ = study(tmp_path, start=', "viscoelastic.terms[0].g" = 0.1, "viscoelastic.terms[0].tau_s" = 5.0')
-    assert isinstance(space, ParameterSpace) and not test.uses_position_curve(space, np.array([C10, 0.1, 5.0]))
+    assert isinstance(space, ParameterSpace) \
+        and not test.can_use_position_curve_at_parameters(space, np.array([C10, 0.1, 5.0]))
 
 
 def test_snapping_load_train_is_infeasible():
     """A force that falls faster than the load train unloads has no equilibrium."""
     depth = np.linspace(0.0, 1e-3, 21)
-    falls = ForcePositionCurve.make_interpolant(depth, (1e3 * depth * np.cos(3e3 * depth))[:, None], holds=False)
+    falls = ForcePositionCurve.from_knot_values(depth, (1e3 * depth * np.cos(3e3 * depth))[:, None], holds=False)
     with pytest.raises(InfeasibleError, match="no equilibrium position"):
         AlignedCurve(falls, np.linspace(0, 1e-3, 30), 0.05).compute_tool_positions(0.0)
 
@@ -238,13 +241,13 @@ def test_mesh_correction_depends_on_tool_position(tmp_path, corners):
     depth = 1e-3 * np.interp(time, *corners)
     test, space, solves = study(tmp_path, "bonded_compression", depth=depth, time=time)
     before = evaluated(test, space, solves, {})[0]
-    test.update_mesh_correction(space, np.array([C10]), solves)
+    test.update_mesh_force_difference_and_get_ratio(space, np.array([C10]), solves)
     knots, more = test.position_correction
     inside = depth > 0
     expected = np.where(inside, np.interp(np.maximum(depth, 0), knots, more), 0.0)
     gained = evaluated(test, space, solves, {})[0] - before
     assert np.abs(gained - expected)[inside].max() < 0.02 * np.abs(more).max() + 1e-12
-    test.remove_mesh_correction()
+    test.remove_mesh_force_difference()
     assert evaluated(test, space, solves, {})[0] == pytest.approx(before)
 
 
@@ -262,11 +265,13 @@ def test_pull_at_a_bonded_face_requires_the_whole_motion(tmp_path):
     """The tensile response of a bonded face cannot be extrapolated from compression."""
     depth = np.interp(TIME, [0, 15, 25, 40], [0, DEEPEST, DEEPEST, -0.5 * DEEPEST])
     test, space, _ = study(tmp_path, "bonded_compression", depth=depth)
-    assert not test.uses_position_curve(space, np.array([C10]))
+    assert not test.can_use_position_curve_at_parameters(space, np.array([C10]))
     test, space, _ = study(tmp_path, depth=depth)
-    assert test.uses_position_curve(space, np.array([C10])), "lubricated plates separate from the tissue"
+    assert test.can_use_position_curve_at_parameters(space,
+                                                     np.array([C10])), "lubricated plates separate from the tissue"
 
 
+@pytest.mark.slow
 def test_separation_depends_on_the_true_tool_position(tmp_path):
     """With a contact offset of -0.3 mm the tool presses in unloading until its true position is zero."""
     depth = np.interp(TIME, [0, 15, 25, 40], [0, DEEPEST, DEEPEST, -0.2e-3])
@@ -280,7 +285,7 @@ def test_separation_depends_on_the_true_tool_position(tmp_path):
 
 def test_descent_that_reaches_a_bound_ends_on_it(tmp_path):
     test, space, solves = study(tmp_path, start=', "rig.compliance" = 0.01', fixed="[fit.bounds]\nC10 = [1e2, 1402.0]")
-    problem = GeneralisedProblem(space, (test,), solves, ReplicateJitter(0.0, 0.005, None), (0.0,))
+    problem = GeneralisedProblem(space, (test,), solves, ContactAndForceZeroJitter(0.0, 0.005, None), (0.0,))
     end = minimise_from_start(problem, np.array([{"C10": 1350.0}.get(name, 1e-6) for name in space.free]),
                               corrected=True, enough=0.1, tolerance=2e-5)
     assert end.theta[list(space.free).index("C10")] == 1402.0
@@ -292,47 +297,48 @@ def test_descent_that_reaches_a_bound_ends_on_it(tmp_path):
 def test_finest_mesh_reduces_the_error_of_the_accurate_mesh(tmp_path, kind, tool):
     """The error of the accurate mesh is computed once and corrected afterwards, which reduces the uncertainty."""
     test, space, solves = study(tmp_path, kind, tool)
-    test.update_mesh_correction(space, np.array([C10]), solves)
+    test.update_mesh_force_difference_and_get_ratio(space, np.array([C10]), solves)
     assert solves.counts["test", "finest"] == 1
     knots, more = test.position_correction
     loading = MonotonicLoading(knots, 1e-3)
-    finest, *_ = test._simulate_or_load_motion(space, {"C10": C10}, solves, loading, "finest", rigid=True)
-    fast, *_ = test._simulate_or_load_motion(space, {"C10": C10}, solves, loading, "fast", rigid=True)
+    finest, *_ = test._simulate_or_load_force_and_derivatives(space, {"C10": C10}, solves, loading, "finest",
+                                                              rigid=True)
+    fast, *_ = test._simulate_or_load_force_and_derivatives(space, {"C10": C10}, solves, loading, "fast", rigid=True)
     assert more == pytest.approx(finest - fast, abs=2e-5 * finest.max())
     shape = "plate" if not tool else "flat"
     uncertainty = compute_mesh_uncertainty(test, ACCURATE_MESH_ERRORS)
     assert FINEST_MESH_ERRORS[shape] <= uncertainty < ACCURATE_MESH_ERRORS[shape]
     # The relative correction is the same at other parameters.
     solves.counts.clear()
-    test.update_mesh_correction(space, np.array([1.1 * C10]), solves)
+    test.update_mesh_force_difference_and_get_ratio(space, np.array([1.1 * C10]), solves)
     assert not solves.counts["test", "finest"]
     assert test.position_correction[1] == pytest.approx(1.1 * more, abs=1e-6 * finest.max())
 
 
 def test_failed_finest_mesh_leaves_the_uncertainty_of_the_accurate_mesh(tmp_path, monkeypatch):
     test, space, solves = study(tmp_path, "bonded_compression")
-    simulate = test._simulate_or_load_motion
+    simulate = test._simulate_or_load_force_and_derivatives
 
     def failing(space, values, solves, motion, resolution, *others, **named):
         if resolution == "finest":
             raise InfeasibleError("no")
         return simulate(space, values, solves, motion, resolution, *others, **named)
 
-    monkeypatch.setattr(test, "_simulate_or_load_motion", failing)
-    test.update_mesh_correction(space, np.array([C10]), solves)
+    monkeypatch.setattr(test, "_simulate_or_load_force_and_derivatives", failing)
+    test.update_mesh_force_difference_and_get_ratio(space, np.array([C10]), solves)
     assert compute_mesh_uncertainty(test, ACCURATE_MESH_ERRORS) == ACCURATE_MESH_ERRORS["plate"]
     assert test.mesh_error.compute_correction_factor(DEPTH) == pytest.approx(1.0)
 
 
 def test_puncture_occurs_at_a_true_depth(tmp_path):
-    """A contact offset moves the drop to other samples, also in `compute_forces_at_offsets`."""
+    """A contact offset moves the drop to other samples, also in `compute_force_column_per_offset`."""
     test, space, solves = study(tmp_path, "needle_indentation", 'tool = "flat"\ntool_radius_mm = 4.0',
                                 fixed='fixed = { "puncture.drop" = 0.2, "puncture.depth_mm" = 2.0 }')
     answer = test.solve(space, np.array([C10]), solves)
     offsets = np.array([-0.1e-3, 0.0, 0.1e-3])
-    scanned = test.compute_forces_at_offsets(answer, 0, offsets)
+    scanned = test.compute_force_column_per_offset(answer, 0, offsets)
     for column, offset in zip(scanned.T, offsets, strict=True):
-        assert column == pytest.approx(test.evaluate_force(answer, 0, offset)[0], abs=1e-9)
+        assert column == pytest.approx(test.evaluate_force_and_derivatives(answer, 0, offset)[0], abs=1e-9)
         falls = np.flatnonzero(np.diff(column[TIME <= 15]) < 0)
         assert falls.tolist() == [np.flatnonzero(DEPTH - offset > 2e-3)[0] - 1]
 

@@ -31,8 +31,8 @@ def test_a_score_is_in_deviations_and_has_the_sign_of_the_effect():
     one = direction(column, fitted)
     # Data that have four trial sizes of it: model minus data is -4 times the change, plus what the fit takes up.
     residual = -4.0 * column + fitted @ [1.0, -2.0, 0.5]
-    assert one.compute_score(residual)[0] / one.reach == pytest.approx(4.0)
-    many = np.array([one.compute_score(noise)[0] for noise in rng.normal(size=(4000, N))])
+    assert one.compute_score_components(residual)[0] / one.reach == pytest.approx(4.0)
+    many = np.array([one.compute_score_components(noise)[0] for noise in rng.normal(size=(4000, N))])
     assert many.mean() == pytest.approx(0.0, abs=0.06) and many.std() == pytest.approx(1.0, abs=0.05)
 
 

@@ -10,7 +10,7 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.column import ColumnTest
-from calibration.forward.forms import build_analytical_test
+from calibration.forward.forms import build_closed_form_or_column_test
 from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.closed_form.column import Column
 
@@ -60,7 +60,7 @@ def test_with_gravity_the_parameters_come_back(tmp_path, shape, height_is):
     assert fit.parameters == pytest.approx(PHANTOM, rel=1e-6)
     assert fit.sag_mm == {"specimen": pytest.approx(2.780, abs=5e-4)}
     # The base is compressed more than the displacement over the height says.
-    base = float(Column(STUDY).base_stretch(LAW, 9.8e-3, PHANTOM))
+    base = float(Column(STUDY).base_stretch_at_displacement(LAW, 9.8e-3, PHANTOM))
     assert fit.stretch_range == pytest.approx((base, base**-0.5), rel=1e-5)
     assert base < 1 - 9.8 / 70
 
@@ -154,17 +154,20 @@ def test_slopes_of_the_forward_model(tmp_path, weighs):
     (test,), (curves,) = campaign.tests, calibration.read_measured_curves(campaign).values()
     # Before the touch, on the way, and the deepest point, which stays: the curve is sampled alike.
     places = STUDY.height * np.array([-0.05, 0.02, 0.07, 0.14])
-    form = build_analytical_test(test, [replace(curves[0], displacement=places, force=np.zeros(4))], campaign.fit)
+    form = build_closed_form_or_column_test(test, [replace(curves[0], displacement=places, force=np.zeros(4))],
+                                            campaign.fit)
     assert isinstance(form, ColumnTest) == weighs
     space, width = ParameterSpace.from_campaign("reduced_polynomial_2", campaign), 1e-6 * STUDY.height
     answer = form.solve(space, np.array(list(PHANTOM.values())), SimulationCache())
-    force, rates, contact = form.evaluate_force(answer, 0, 0.0)
+    force, rates, contact = form.evaluate_force_and_derivatives(answer, 0, 0.0)
     assert force[0] == contact[0] == 0 and not rates[0].any()
-    numeric = (form.evaluate_force(answer, 0, width)[0] - form.evaluate_force(answer, 0, -width)[0]) / (2 * width)
+    numeric = (form.evaluate_force_and_derivatives(answer, 0, width)[0]
+               - form.evaluate_force_and_derivatives(answer, 0, -width)[0]) / (2 * width)
     np.testing.assert_allclose(contact[:3], numeric[:3], rtol=1e-6)
     for i, step in enumerate(1e-6 * np.eye(2) * list(PHANTOM.values())):
         truth = np.array(list(PHANTOM.values()))
-        ends = [form.evaluate_force(form.solve(space, truth + sign * step, SimulationCache()), 0, 0.0)[0]
+        ends = [form.evaluate_force_and_derivatives(form.solve(space, truth + sign * step, SimulationCache()), 0,
+                                                    0.0)[0]
                 for sign in (1, -1)]
         np.testing.assert_allclose(rates[:, i], (ends[0] - ends[1]) / (2 * step[i]), rtol=1e-5)
 

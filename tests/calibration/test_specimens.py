@@ -11,7 +11,7 @@ from scipy import stats
 import calibration
 import tissue_sim as ts
 from calibration.fit.self_weight import describe_self_weight
-from calibration.report.page import compute_shear_modulus_error
+from calibration.report.page import compute_shear_modulus_error_or_none
 from scenes.cli import main
 from tissue_sim.closed_form.column import Column
 from tissue_sim.errors import InputError
@@ -202,6 +202,7 @@ def test_a_bound_is_no_answer_of_the_others(tmp_path):
     np.testing.assert_allclose(prediction.RMSE_N, wrong, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_an_exponent_that_all_share_moves_the_mean(tmp_path):
     """The mean of mu1 and the shared alpha1 err together, in the population, the file and the prediction."""
     law = ts.find_law("ogden_1")
@@ -218,7 +219,7 @@ def test_an_exponent_that_all_share_moves_the_mean(tmp_path):
     file = ts.read_material_file(tmp_path / "out" / fit.material_file)
     np.testing.assert_allclose(file.covariance_SI[1], population.covariance.matrix)
     # mu0 is mu1 of Ogden's law: E0 has the error of the mean.
-    assert compute_shear_modulus_error(fit) == pytest.approx(population.mean_errors[0], rel=1e-6)
+    assert compute_shear_modulus_error_or_none(fit) == pytest.approx(population.mean_errors[0], rel=1e-6)
     # The error of the exponent takes back part of that of the mean: apart they would make more than they do.
     held, = (p for p in result.predictions if p.test == "plates_5")
     stretch, mean = 1 - np.linspace(0.0, 2e-3, 61) / HEIGHT, np.array([population.mean[0], fit.parameters["alpha1"]])
@@ -239,6 +240,7 @@ def test_a_fitted_contact_is_no_scatter_between_specimens(tmp_path):
     assert all(low == 0.0 for low, _ in population.spread_intervals)
 
 
+@pytest.mark.slow
 def test_specimens_that_weigh_sag_by_their_own_numbers(tmp_path):
     soft = FIVE[:3] / 4
     calibrated(campaign(tmp_path, soft, weighs=True))
@@ -251,10 +253,11 @@ def test_specimens_that_weigh_sag_by_their_own_numbers(tmp_path):
     assert "animal_1, animal_2, animal_3: 1040 kg/m3" in content["self_weight"]
 
 
+@pytest.mark.slow
 def test_the_error_of_the_youngs_modulus_is_that_of_the_mean(tmp_path):
     fit = calibrated(campaign(tmp_path, FIVE)).best
     # mu0 = 2 C10; the scatter of five specimens makes the error.
-    assert compute_shear_modulus_error(fit) == pytest.approx(2 * np.std(FIVE[:, 0], ddof=1) / 5**0.5, rel=0.02)
+    assert compute_shear_modulus_error_or_none(fit) == pytest.approx(2 * np.std(FIVE[:, 0], ddof=1) / 5**0.5, rel=0.02)
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "E<sub>0</sub> = 8.5 ± 0.4 kPa" in report
     # Without weight the sentence says how far each would sag.

@@ -5,15 +5,15 @@ import pytest
 from scipy.sparse import csr_array
 
 from calibration.statistics.statistics import (
-    compute_chi_square,
+    compute_aic_and_bic,
+    compute_chi_square_and_sample_count,
     compute_correlation_matrix,
-    compute_effective_samples,
-    compute_information_criteria,
     compute_r_squared,
     estimate_white_noise,
     find_quantisation_step,
+    get_effective_samples_and_variance_ratio,
 )
-from calibration.statistics.uncertainty import compute_sandwich_covariance
+from calibration.statistics.uncertainty import compute_cluster_robust_uncertainty
 
 
 def linear_problem(rng, replicates=5, points=40, jitter=0.0, noise=1.0):
@@ -33,7 +33,7 @@ def coverage(jitter, stated, trials=400, replicates=5):
     for _ in range(trials):
         answer, residual, jacobian, index = linear_problem(rng, replicates, jitter=jitter)
         columns = np.full((residual.size, 1), jitter) if stated else None
-        spread = compute_sandwich_covariance(jacobian, residual, index, 1.0, np.zeros(2), columns)
+        spread = compute_cluster_robust_uncertainty(jacobian, residual, index, 1.0, np.zeros(2), columns)
         hits.append(np.abs(answer - [2.0, 3.0]) <= spread.quantile * spread.standard_errors)
     return np.mean(hits, axis=0)
 
@@ -57,7 +57,7 @@ def test_white_noise_alone_hardly_widens_the_scatter_of_replicates():
     for _ in range(300):
         answer, residual, jacobian, index = linear_problem(rng, replicates=5)
         answers.append(answer)
-        errors.append(compute_sandwich_covariance(jacobian, residual, index, 1.0, np.zeros(2)).standard_errors)
+        errors.append(compute_cluster_robust_uncertainty(jacobian, residual, index, 1.0, np.zeros(2)).standard_errors)
     ratio = np.mean(errors, axis=0) / np.std(answers, axis=0)
     assert (ratio > 0.93).all() and (ratio < 1.3).all()
 
@@ -74,8 +74,8 @@ def test_every_replicate_counts_with_its_own_noise():
         answer = np.linalg.lstsq(jacobian, data, rcond=None)[0]
         residual = jacobian @ answer - data
         answers.append(answer)
-        errors.append(compute_sandwich_covariance(jacobian, residual, index, noise, np.zeros(2)).standard_errors)
-        squares.append(compute_chi_square(data - jacobian @ [2.0, 3.0], index, noise)[0])
+        errors.append(compute_cluster_robust_uncertainty(jacobian, residual, index, noise, np.zeros(2)).standard_errors)
+        squares.append(compute_chi_square_and_sample_count(data - jacobian @ [2.0, 3.0], index, noise)[0])
     # The median: a few of the trials take their residuals for the noise.
     assert np.median(errors, axis=0) == pytest.approx(np.std(answers, axis=0), rel=0.15)
     assert np.mean(squares) == pytest.approx(x.size, rel=0.03)
@@ -89,9 +89,9 @@ def test_interpolated_points_are_worth_their_samples():
     rows = np.arange(grid.size)
     places = np.tile(rows, 2), np.concatenate([left, left + 1])
     interpolation = csr_array((np.concatenate([1 - share, share]), places), shape=(grid.size, samples))
-    count, kept = compute_effective_samples(interpolation, grid.size)
+    count, kept = get_effective_samples_and_variance_ratio(interpolation, grid.size)
     assert 0.7 * samples < count < samples and kept == pytest.approx(2 / 3, rel=0.01)
-    assert compute_effective_samples(None, 7) == (7.0, 1.0)
+    assert get_effective_samples_and_variance_ratio(None, 7) == (7.0, 1.0)
     jacobian = np.column_stack([np.ones_like(grid), grid / samples])
     index = np.zeros(grid.size, int)
     rng, answers, errors, squares = np.random.default_rng(8), [], [], []
@@ -99,10 +99,10 @@ def test_interpolated_points_are_worth_their_samples():
         error = interpolation @ rng.normal(size=samples)
         answer = np.linalg.lstsq(jacobian, error, rcond=None)[0]
         answers.append(answer)
-        spread = compute_sandwich_covariance(jacobian, jacobian @ answer - error, index, 1.0, np.zeros(2), None,
-                                             [interpolation])
+        spread = compute_cluster_robust_uncertainty(jacobian, jacobian @ answer - error, index, 1.0, np.zeros(2), None,
+                                                    [interpolation])
         errors.append(spread.standard_errors)
-        squares.append(compute_chi_square(error, index, np.ones(1), [interpolation]))
+        squares.append(compute_chi_square_and_sample_count(error, index, np.ones(1), [interpolation]))
     assert np.median(errors, axis=0) == pytest.approx(np.std(answers, axis=0), rel=0.12)
     total, number = np.mean(squares, axis=0)
     assert total == pytest.approx(number, rel=0.05)
@@ -118,7 +118,7 @@ def test_a_prior_that_holds_a_parameter_keeps_its_error_small():
     precision = np.array([1e6, 0.0])
     # Prior mean 0, two thousand standard deviations from the truth.
     answer = np.linalg.solve(jacobian.T @ jacobian + np.diag(precision), jacobian.T @ data)
-    spread = compute_sandwich_covariance(jacobian, jacobian @ answer - data, index, 1.0, precision)
+    spread = compute_cluster_robust_uncertainty(jacobian, jacobian @ answer - data, index, 1.0, precision)
     assert spread.basis == "replicates"
     assert spread.standard_errors[0] == pytest.approx(1e-3, rel=0.1)
 
@@ -128,7 +128,7 @@ def test_scatter_of_replicates_is_seen_when_the_model_error_dominates():
     hits = []
     for _ in range(300):
         answer, residual, jacobian, index = linear_problem(rng, replicates=8, jitter=10.0)
-        spread = compute_sandwich_covariance(jacobian, residual, index, 1.0, np.zeros(2))
+        spread = compute_cluster_robust_uncertainty(jacobian, residual, index, 1.0, np.zeros(2))
         assert spread.basis == "replicates"
         hits.append(abs(answer[0] - 2.0) <= spread.quantile * spread.standard_errors[0])
     assert np.mean(hits) > 0.9
@@ -136,8 +136,8 @@ def test_scatter_of_replicates_is_seen_when_the_model_error_dominates():
 
 def test_residuals_above_the_noise_widen_the_errors():
     answer, residual, jacobian, index = linear_problem(np.random.default_rng(3), replicates=1)
-    believed = compute_sandwich_covariance(jacobian, residual, index, 1.0, np.zeros(2))
-    doubted = compute_sandwich_covariance(jacobian, residual, index, 0.1, np.zeros(2))
+    believed = compute_cluster_robust_uncertainty(jacobian, residual, index, 1.0, np.zeros(2))
+    doubted = compute_cluster_robust_uncertainty(jacobian, residual, index, 0.1, np.zeros(2))
     assert doubted.basis == "residuals"
     assert doubted.standard_errors == pytest.approx(believed.standard_errors, rel=0.3)
     assert answer.shape == (2,)
@@ -148,10 +148,10 @@ def test_prior_and_singular_direction():
     jacobian = np.column_stack([x, x, np.ones_like(x)])
     residual = np.random.default_rng(4).normal(0.0, 0.1, x.size)
     index = np.zeros(x.size, int)
-    spread = compute_sandwich_covariance(jacobian, residual, index, 0.1, np.zeros(3))
+    spread = compute_cluster_robust_uncertainty(jacobian, residual, index, 0.1, np.zeros(3))
     assert np.isinf(spread.standard_errors).tolist() == [True, True, False]
     assert np.isinf(spread.standard_errors[:2]).all()
-    held = compute_sandwich_covariance(jacobian, residual, index, 0.1, np.array([1.0, 0.0, 0.0]))
+    held = compute_cluster_robust_uncertainty(jacobian, residual, index, 0.1, np.array([1.0, 0.0, 0.0]))
     assert not np.isinf(held.standard_errors).any()
     assert held.standard_errors[0] == pytest.approx(1.0, rel=0.05)
 
@@ -198,9 +198,9 @@ def test_resolution_of_a_quantised_signal():
 
 def test_criteria_and_correlation():
     residual = np.array([1.0, -1.0, 2.0, 0.0])
-    squares, samples = compute_chi_square(residual, np.zeros(4, int), np.array([2.0]))
+    squares, samples = compute_chi_square_and_sample_count(residual, np.zeros(4, int), np.array([2.0]))
     assert (squares, samples) == (6.0 / 4.0, 4.0)
-    aic, bic = compute_information_criteria(squares, samples, 3)
+    aic, bic = compute_aic_and_bic(squares, samples, 3)
     assert aic == pytest.approx(6.0 / 4.0 + 6.0)
     assert bic == pytest.approx(6.0 / 4.0 + 3.0 * np.log(4.0))
     assert compute_r_squared(np.array([0.0, 1.0, 2.0, 3.0]), residual) == pytest.approx(1.0 - 6.0 / 5.0)

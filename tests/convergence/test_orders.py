@@ -36,7 +36,8 @@ def exact_stress(points: np.ndarray, material: ts.Material) -> np.ndarray:
     """
     def deviator(distance):
         hoop = np.cbrt(distance**3 + AMOUNT) / distance
-        return material.energy_law.principal_response(np.stack([hoop**-2, hoop, hoop], axis=-1), material.parameters)[1]
+        return material.energy_law.compute_energy_and_kirchhoff_stresses(np.stack([hoop**-2, hoop, hoop], axis=-1),
+                                                                         material.parameters)[1]
 
     grid = np.linspace(0.9 * NEAR, 1.1 * np.hypot(RADIUS, FAR), 4001)
     rho, tau = np.cbrt(grid**3 + AMOUNT), deviator(grid)

@@ -141,6 +141,7 @@ def test_tangent_is_the_derivative_of_the_residual(branch, element):
     assert abs(tangent - numeric).max() < 1e-7 * abs(tangent).max()
 
 
+@pytest.mark.slow
 def test_newton_converges_quadratically(branch):
     m = model(material(branch))
     solver = build_solver(m, build_mesh(m.experiment))
@@ -183,6 +184,7 @@ def test_its_parameters_are_those_of_the_model(branch, tmp_path):
     assert sim.step(1e-3, 0.0).force == pytest.approx((1 - G) * force, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_sensitivities_are_differences_and_say_so(branch):
     plugin = ts.sensitivities(model(material(branch)), ["effects.maxwell_branch.tau"])
     own = ts.sensitivities(model(built_in()), ["viscoelastic.terms[0].tau"])

@@ -99,6 +99,7 @@ def test_pose_and_wrench_come_unchanged_into_the_trace(spring, scene, shown):
     assert np.hypot(*expected[:, :2].T).max() == pytest.approx(spring.LIMIT), "the slider has given way"
 
 
+@pytest.mark.slow
 def test_the_path_is_that_of_the_motion(shown, plugin):
     """Along an oblique line, turning about it, as far as the way along it says."""
     axis, trace = np.array(plugin("spiral_motion").AXIS), shown[1].curves.trace
@@ -111,12 +112,14 @@ def test_the_path_is_that_of_the_motion(shown, plugin):
     assert np.ptp(trace.pose, axis=0).min() > 1e-3
 
 
+@pytest.mark.slow
 def test_what_was_felt_is_saved_with_its_wrench(shown):
     trace = shown[1].curves.trace
     recording = trace.recording({"name": "spiral"})
     np.testing.assert_array_equal(np.stack([recording.channel(name) for name in CHANNELS], axis=1), trace.wrench)
 
 
+@pytest.mark.slow
 def test_what_is_drawn(spring, shown):
     """The tool at its full pose, the triangles of the surface as they are, and the force along z in the read-outs."""
     _, frame, _ = shown
@@ -131,6 +134,7 @@ def test_what_is_drawn(spring, shown):
     assert "device" in status_html(frame)
 
 
+@pytest.mark.slow
 def test_the_curve_of_the_whole_test_is_of_that_solver(spring, shown):
     """Computed in another process, which must know the name."""
     session, *_ = shown
@@ -138,6 +142,7 @@ def test_the_curve_of_the_whole_test_is_of_that_solver(spring, shown):
     np.testing.assert_allclose(model.force, spring.STIFFNESS[2, 2] * model.displacement, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_page_draws_it(shown, tmp_path):
     """Without a browser: what the nodes of the page's picture hold."""
     session, frame, _ = shown

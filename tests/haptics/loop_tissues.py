@@ -20,7 +20,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
-from tissue_sim.tool_force import ForceStatus, ToolForce, get_depth_of_pose
+from tissue_sim.tool_force import ForceStatus, ToolForce, get_depth_of_pose_or_number
 
 
 class Spring:
@@ -33,11 +33,11 @@ class Spring:
         self.warm = True
 
     def step(self, pose, dt):
-        depth = get_depth_of_pose(pose)
+        depth = get_depth_of_pose_or_number(pose)
         self.steps.append((depth, dt))
         inside = depth > 0
         return ToolForce.axial(self.stiffness * depth if inside else 0.0, self.stiffness if inside else 0.0,
-                         ForceStatus.CONVERGED, iterations=1, residual=1e-9, inertial=True)
+                               ForceStatus.CONVERGED, iterations=1, residual=1e-9, inertial=True)
 
     def reset(self):
         self.steps.clear()

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 from haptics.safety.force_release import RELEASE, ForceRelease
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
-from tissue_sim.tool_force import ForceStatus, PredictedForce, ToolForce, make_axial_stiffness_matrix, make_axial_wrench
+from tissue_sim.tool_force import (
+    ForceStatus,
+    PredictedForceOfNextStep,
+    ToolForce,
+    make_axial_stiffness_matrix,
+    make_axial_wrench,
+)
 
 TICK = 1e-3
 STATUSES = [ForceStatus.CONVERGED, ForceStatus.LATE, ForceStatus.STOPPED, ForceStatus.REFUSED]
@@ -21,8 +27,8 @@ def answer(status=ForceStatus.CONVERGED, force=5.0, age=None):
         age = 0.0 if status is ForceStatus.CONVERGED else TICK
     return ToolForce(make_axial_wrench(force), make_axial_stiffness_matrix(800.0), status, 3, 1e-7, inertial=True,
                      age=age,
-                     pose=Pose.at_depth(0.006), ahead=PredictedForce(make_axial_wrench(4.0),
-                                                                     make_axial_stiffness_matrix(3000.0)),
+                     pose=Pose.at_depth(0.006), ahead=PredictedForceOfNextStep(make_axial_wrench(4.0),
+                                                                               make_axial_stiffness_matrix(3000.0)),
                      step_stiffness_matrix=make_axial_stiffness_matrix(3100.0))
 
 

@@ -64,13 +64,13 @@ def test_the_curvature_is_that_of_the_tip_where_the_contact_is_smaller():
 
 def test_a_force_of_zero_is_wrong_by_at_most_a_flat_punch_on_undeformed_tissue():
     estimate, base, punch = learned(), 0.02, 8.0 * MODULUS * RADIUS
-    assert estimate.estimate_error_without_contact(2e-3, 0.0, 1e-6, 0.0) == pytest.approx(base + punch * 1e-6)
+    assert estimate.estimate_error_of_zero_force(2e-3, 0.0, 1e-6, 0.0) == pytest.approx(base + punch * 1e-6)
     # Above the undeformed surface the force is zero; the error of the newest model remains.
-    assert estimate.estimate_error_without_contact(2e-3, 0.0, -1e-3, 0.0) == pytest.approx(base)
+    assert estimate.estimate_error_of_zero_force(2e-3, 0.0, -1e-3, 0.0) == pytest.approx(base)
     # Near the pose of the model the error by linearisation is smaller.
-    near = estimate.estimate_error_without_contact(1e-4, 0.0, 5e-4, 0.0)
+    near = estimate.estimate_error_of_zero_force(1e-4, 0.0, 5e-4, 0.0)
     assert near == pytest.approx(estimate.estimate_force_error(1e-4, depth=5e-4))
-    assert math.isinf(LinearisationError(RADIUS, MODULUS).estimate_error_without_contact(0.0, 0.0, 1e-3, 0.0))
+    assert math.isinf(LinearisationError(RADIUS, MODULUS).estimate_error_of_zero_force(0.0, 0.0, 1e-3, 0.0))
 
 
 def test_a_tangent_of_an_earlier_pose_adds_an_error_that_is_linear_in_the_distance():
@@ -87,9 +87,9 @@ def test_a_tangent_of_an_earlier_pose_adds_an_error_that_is_linear_in_the_distan
 
 def test_a_stiffer_material_raises_what_was_learned():
     estimate, before = learned(), learned().estimate_force_error(1e-3)
-    estimate.rescale_for_shear_modulus(2 * MODULUS)
+    estimate.scale_up_for_stiffer_material(2 * MODULUS)
     assert estimate.estimate_force_error(1e-3) == pytest.approx(2 * before)
-    estimate.rescale_for_shear_modulus(MODULUS)
+    estimate.scale_up_for_stiffer_material(MODULUS)
     assert estimate.estimate_force_error(1e-3) == pytest.approx(2 * before), "a softer one does not lower it"
 
 

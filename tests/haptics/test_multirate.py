@@ -272,6 +272,7 @@ def test_a_slow_bulk_is_never_wrong_and_converged(history, delay, deep):
     assert answer.status is ForceStatus.CONVERGED and answer.force == pytest.approx(deep, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_step_that_waits_is_right_at_any_speed(deep):
     """The bulk takes half a second, the tool comes down in two steps."""
     tested = model()
@@ -290,7 +291,7 @@ def test_waiting_for_a_process_that_has_ended_comes_to_an_end():
     class Ended(DelayedBulk):
         is_alive = False
 
-        def exchange_state_for_model(self, state):
+        def send_state_and_wait_for_model(self, state):
             return None
 
     tested = model()
@@ -423,6 +424,7 @@ def test_a_bulk_that_is_killed_is_late_and_can_be_closed():
         tissue.close()
 
 
+@pytest.mark.slow
 def test_a_step_that_waits_gets_its_answers_from_the_process(deep):
     """Changes of the material too, in the very step."""
     tested = model()

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from haptics.safety.coupling import VirtualCoupling
-from haptics.safety.passivity import EnergyLimit, PassivityController, PassivityObserver
+from haptics.safety.passivity import PassivityController, PassivityObserver, ReturnedEnergyCutoff
 from tissue_sim import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce
@@ -230,12 +230,12 @@ def test_invalid_settings_are_refused():
 
 class TestEnergyLimit:
     def test_stored_energy_may_be_returned(self):
-        limit = EnergyLimit(1.0)
+        limit = ReturnedEnergyCutoff(1.0)
         press = np.linspace(0.0, 0.9, 100)
         assert all(limit.step(energy, TICK) for energy in [*press, *press[::-1]] * 5)
 
     def test_more_than_the_limit_is_not_returned(self):
-        limit = EnergyLimit(1.0)
+        limit = ReturnedEnergyCutoff(1.0)
         energies = np.linspace(0.0, -1.5, 151)
         given = [limit.step(energy, TICK) for energy in energies]
         assert given == [bool(energy > -1.0 - TICK) for energy in energies]
@@ -244,7 +244,7 @@ class TestEnergyLimit:
         assert limit.step(0.0, TICK) and not limit.exceeded
 
     def test_a_small_rate_of_energy_is_forgiven(self):
-        limit = EnergyLimit(1.0)
+        limit = ReturnedEnergyCutoff(1.0)
         assert all(limit.step(-0.9 * second / limit.FORGIVEN, 1.0) for second in range(3600))
         limit.reset()
         assert not all(limit.step(-1.1 * second / limit.FORGIVEN, 1.0) for second in range(3600))
@@ -252,5 +252,5 @@ class TestEnergyLimit:
     @pytest.mark.parametrize("energy", [0.0, -1.0, math.nan])
     def test_an_invalid_limit_is_refused(self, energy):
         with pytest.raises(InputError, match="energy: the largest returned energy must be positive"):
-            EnergyLimit(energy)
-        assert EnergyLimit(math.inf).step(-1e9, TICK)
+            ReturnedEnergyCutoff(energy)
+        assert ReturnedEnergyCutoff(math.inf).step(-1e9, TICK)

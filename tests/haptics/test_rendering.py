@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from haptics.loop.local_model import LocalModel, LocalModelBlend
 from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
-from haptics.safety.passivity import EnergyLimit
+from haptics.safety.passivity import ReturnedEnergyCutoff
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from haptics.safety.watchdog import Watchdog, WatchdogState
 from tissue_sim.pose import Pose
@@ -155,7 +155,7 @@ def test_flags_name_the_events_of_a_tick():
     assert RenderFlag(second.flags) == RenderFlag.LIMITED
     rendering.pose_for(at(4e-3), DT)
     bad = rendering.render(tissue.step(at(4e-3), DT), math.nan)
-    assert bad.has_invalid_input and bad.force == pytest.approx(0.4)
+    assert bad.has_invalid_force_or_time_step and bad.force == pytest.approx(0.4)
 
 
 def test_the_flag_active_refers_to_the_held_force():
@@ -223,7 +223,7 @@ def test_torque_reaches_the_hand_and_the_tool_turns_with_the_device(coupled):
 def test_tissue_that_drives_a_hand_is_let_go_for_good():
     """Wrong sign: 500 N/m over 0.1 m would return 2.5 J; with a limit of 0.2 J little more than 0.2 J is returned."""
     for energy, most in ((math.inf, 2.0), (0.2, 0.3)):
-        rendering = ForceRendering(ForceLimits(100.0, 5.0), energy_limit=EnergyLimit(energy))
+        rendering = ForceRendering(ForceLimits(100.0, 5.0), energy_limit=ReturnedEnergyCutoff(energy))
         rendered = run(rendering, Spring(-500.0), [1e-4 * k for k in range(1001)])
         assert rendered[-1].out_of_energy == (energy < math.inf)
         assert (rendered[-1].force == 0.0) == (energy < math.inf)

@@ -107,7 +107,7 @@ def test_every_slot_is_read_or_counted_as_lost(batches, capacity, tmp_path_facto
             for _ in range(batch):
                 total += 1
                 writer.write(total.to_bytes(8, "little"))
-            contents, number, missing = reader.read_contents_after(number)
+            contents, number, missing = reader.read_contents_and_lost_count_after(number)
             if not seen and total:  # what went by before the first reading is not lost
                 missing = max(total - capacity, 0)
             seen += [int.from_bytes(content, "little") for content in contents]
@@ -120,9 +120,9 @@ def test_a_reader_that_begins_late_has_lost_nothing(path):
     with SlotWriter(path, KIND, 4, 8) as writer, SlotReader(path, KIND) as reader:
         for n in range(10):
             writer.write(bytes([n]))
-        assert reader.read_contents_after(0) == ([b"\6", b"\7", b"\10", b"\11"], 10, 0)
-        assert reader.read_contents_after(3) == ([b"\6", b"\7", b"\10", b"\11"], 10, 3)
-        assert reader.read_contents_after(10) == ([], 10, 0)
+        assert reader.read_contents_and_lost_count_after(0) == ([b"\6", b"\7", b"\10", b"\11"], 10, 0)
+        assert reader.read_contents_and_lost_count_after(3) == ([b"\6", b"\7", b"\10", b"\11"], 10, 3)
+        assert reader.read_contents_and_lost_count_after(10) == ([], 10, 0)
 
 
 @pytest.mark.parametrize("part", range(0, 24, 3))
@@ -142,8 +142,8 @@ def test_a_half_written_slot_is_not_believed(path, part):
             stream.write(new[:part] + whole[SLOTS.head_size + part:SLOTS.head_size + stride])
         assert reader.read(3) is None
         assert reader.read(1) == (b"11111111" if part == 0 else None)
-        assert reader.read_newest_content() == (2, b"22222222")
-        assert reader.read_contents_after(1) == ([b"22222222"], 2, 0)
+        assert reader.read_newest_number_and_content() == (2, b"22222222")
+        assert reader.read_contents_and_lost_count_after(1) == ([b"22222222"], 2, 0)
 
 
 def test_a_slot_that_has_not_arrived_is_left_for_the_next_time(path):
@@ -151,9 +151,9 @@ def test_a_slot_that_has_not_arrived_is_left_for_the_next_time(path):
     with SlotWriter(path, KIND, 4, 8) as writer, SlotReader(path, KIND) as reader:
         writer.write(b"1")
         writer._numbers[0] = 2
-        assert reader.read_contents_after(0) == ([b"1"], 1, 0)
+        assert reader.read_contents_and_lost_count_after(0) == ([b"1"], 1, 0)
         writer.write(b"2")
-        assert reader.read_contents_after(1) == ([b"2"], 2, 0)
+        assert reader.read_contents_and_lost_count_after(1) == ([b"2"], 2, 0)
 
 
 @pytest.mark.slow

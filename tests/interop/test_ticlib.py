@@ -12,7 +12,7 @@ from haptics.devices.virtual.stage import VirtualStage
 from haptics.emulators.emulator import open_emulator
 
 ticlib = pytest.importorskip("ticlib", reason="compares with the independent client ticlib, not installed: "
-                                              "pip install -e .[test]")
+                             "pip install -e .[test]")
 
 COMMAND_TIMEOUT = 1 << 6
 SAFE_START = 1 << 7
@@ -50,7 +50,7 @@ def test_the_flow_of_its_readme_moves_the_motor(rig):
         assert tic.get_target_position() == target
         while tic.get_current_position() != tic.get_target_position():
             tic.reset_command_timeout()
-        assert stage.tool_position_at(time.monotonic()) == pytest.approx(target * 1e-6, abs=1.1e-6)
+        assert stage.compute_tool_position_with_stall(time.monotonic()) == pytest.approx(target * 1e-6, abs=1.1e-6)
     tic.deenergize()
     assert errors(tic) & 1 and tic.get_misc_flags()[0] & 2
 
@@ -94,7 +94,7 @@ def test_it_goes_home(rig):
     tic.go_home(0)
     wait_until(lambda: not tic.get_misc_flags()[0] & 16)
     assert tic.get_current_position() == 0 and not tic.get_misc_flags()[0] & 2
-    assert stage.tool_position_at(time.monotonic()) == 0.0
+    assert stage.compute_tool_position_with_stall(time.monotonic()) == 0.0
 
 
 def test_variables_and_settings_are_those_that_it_knows(rig):

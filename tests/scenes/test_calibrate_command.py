@@ -12,7 +12,7 @@ from child_environment import child_environment
 import tissue_sim as ts
 from calibration.fit import ordinary
 from scenes.cli import main
-from scenes.commands.shared.text_table import PrintedTableSettings
+from scenes.commands.shared.text_table import PrintedTableLimits
 
 TRUE = {"C10": 1404.9, "C20": 699.4}
 #: Radius, m.
@@ -127,7 +127,7 @@ def test_tables_fit_on_80_columns(tmp_path, capsys, monkeypatch):
         '[[test]]\nkind = "uniaxial_tension"\nrecordings = ["pull.csv"]\n[fit]\n'
         'laws = ["neo_hooke", "reduced_polynomial_3", "ogden_3"]\n[noise]\nnominal_stress_Pa = 2000.0\n',
         encoding="utf-8")
-    monkeypatch.setattr("scenes.commands.shared.console.TABLES", PrintedTableSettings(pipe_width=80))
+    monkeypatch.setattr("scenes.commands.shared.console.TABLES", PrintedTableLimits(pipe_width=80))
     main(["calibrate", str(tmp_path / "pull.toml"), "-o", str(tmp_path / "out")])
     lines = capsys.readouterr().out.splitlines()
     end = next(i for i, line in enumerate(lines) if line.startswith("Best of"))
@@ -162,7 +162,7 @@ def test_ctrl_c_reports_finished_campaigns(fits, expected, campaign, tmp_path, c
     second = tmp_path / "second.toml"
     second.write_text(CAMPAIGN, encoding="utf-8")
     words = ["calibrate", str(campaign), str(second), "-o", str(tmp_path / "out")]
-    original, calls = ordinary.fit_law_analytically, []
+    original, calls = ordinary.fit_law_to_descents_and_estimate, []
 
     def interrupted(*arguments):
         calls.append(arguments)
@@ -170,7 +170,7 @@ def test_ctrl_c_reports_finished_campaigns(fits, expected, campaign, tmp_path, c
             raise KeyboardInterrupt
         return original(*arguments)
 
-    monkeypatch.setattr(ordinary, "fit_law_analytically", interrupted)
+    monkeypatch.setattr(ordinary, "fit_law_to_descents_and_estimate", interrupted)
     assert main(words) == 130
     assert f"stopped by Ctrl-C; {expected}. Run the same command" in capsys.readouterr().err
 
@@ -204,6 +204,7 @@ def test_table_marks_fixed_and_bounded_parameters(campaign, tmp_path, capsys):
     assert "mooney_rivlin: C01 ended on its bound 2000" in shown
 
 
+@pytest.mark.slow
 def test_no_usable_law_is_exit_code_1(tmp_path, capsys):
     """The data soften in compression, where the only law of the campaign is unstable."""
     displacement = np.linspace(0, 0.035, 60)

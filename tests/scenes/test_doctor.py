@@ -34,7 +34,7 @@ def test_the_text_output_has_one_line_per_check(capsys):
 
 def test_a_failed_check_fails_the_command(monkeypatch, capsys):
     broken = CheckResult("numpy", "fail", "not installed", "python -m pip install numpy")
-    monkeypatch.setattr("scenes.doctor.run_checks", lambda clock_seconds: iter([broken]))
+    monkeypatch.setattr("scenes.doctor.iterate_check_results", lambda clock_seconds: iter([broken]))
     assert main(["doctor"]) == 1
     text = capsys.readouterr().out
     assert "fail  numpy: not installed" in text and "python -m pip install numpy" in text
@@ -55,14 +55,14 @@ def test_lateness_is_measured_against_fixed_deadlines(monkeypatch):
 
     monkeypatch.setattr(clock.time, "perf_counter", perf_counter)
     monkeypatch.setattr(clock.time, "sleep", sleep)
-    lateness = clock.measure_tick_lateness(0.010)
+    lateness = clock.measure_lateness_of_each_tick(0.010)
     assert lateness.shape == (10,)
     np.testing.assert_allclose(lateness * 1e3, [0, 0, 4.8, 3.8, 2.8, 1.8, 0.8, 0, 0, 0], atol=2e-3)
 
 
 @pytest.mark.parametrize(("lateness", "status"), [(1e-6, "ok"), (2e-3, "fail")])
 def test_clock_verdict(monkeypatch, lateness, status):
-    monkeypatch.setattr(clock, "measure_tick_lateness", lambda seconds: np.full(1000, lateness))
+    monkeypatch.setattr(clock, "measure_lateness_of_each_tick", lambda seconds: np.full(1000, lateness))
     check = clock.check_clock_lateness(1.0)
     assert check.status == status and bool(check.remedy) == (status != "ok")
 
@@ -70,7 +70,7 @@ def test_clock_verdict(monkeypatch, lateness, status):
 def test_clock_warns_of_rare_late_ticks(monkeypatch):
     lateness = np.full(1000, 1e-6)
     lateness[::100] = 3e-3
-    monkeypatch.setattr(clock, "measure_tick_lateness", lambda seconds: lateness)
+    monkeypatch.setattr(clock, "measure_lateness_of_each_tick", lambda seconds: lateness)
     check = clock.check_clock_lateness(1.0)
     assert check.status == "warn" and check.values["later_than_1_ms"] == pytest.approx(0.01)
 
@@ -114,20 +114,20 @@ def test_a_missing_package_is_detected(monkeypatch):
         return installed(name)
 
     monkeypatch.setattr(importlib.metadata, "version", version)
-    checks = {check.name: check for check in installation.check_required_packages()}
+    checks = {check.name: check for check in installation.iterate_required_package_checks()}
     assert checks["sympy"].status == "fail" and checks["sympy"].remedy == "python -m pip install sympy"
     assert checks["numpy"].status == "ok" and checks["numpy"].finding == installed("numpy")
 
 
 def test_an_old_python_is_detected(monkeypatch):
     monkeypatch.setattr(installation.sys, "version_info", (3, 10, 4))
-    check = installation.check_python_version()
+    check = installation.check_python_version_and_platform()
     assert check.status == "fail" and "3.11" in check.remedy
 
 
 def test_the_kernel_runs():
     check = taichi_backend.check_taichi_kernel()
-    if not installation.has_taichi_wheel():
+    if not installation.has_taichi_wheel_for_platform():
         assert check.status == "warn"
     else:
         assert check.status == "ok", check

@@ -5,7 +5,7 @@ import pytest
 import tissue_sim as ts
 from scenes import SCENES, draw_simulation
 from scenes.field_labels import LABELS
-from scenes.figures import RIGID, draw_fold, draw_section
+from scenes.figures import RIGID, draw_section, draw_tool_edge_closeup
 from tissue_sim.fem.fields import FIELD_UNITS
 
 STUDY = ts.Specimen(0.04, 0.07)
@@ -66,7 +66,7 @@ def test_needle_is_drawn_on_the_surface(weight, overrides):
     figure = Figure()
     section, fold = figure.subplots(1, 2)
     draw_section(section, fields, "von_mises", tool=tool)
-    draw_fold(fold, fields, "von_mises", tool)
+    draw_tool_edge_closeup(fold, fields, "von_mises", tool)
     face = [node for node in fields.mesh.sets["top"] if fields.mesh.nodes[node, 0] <= tool.face_radius]
     settled = fields.displacement(0)[face, 1].max() * 1e3
     assert (settled < -1) == bool(weight)

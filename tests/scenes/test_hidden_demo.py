@@ -14,13 +14,13 @@ from calibration.effects.backlash import Backlash
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from scenes.cli import main
-from scenes.commands.demo.found_scene import make_before_and_after_scene
+from scenes.commands.demo.found_scene import make_found_effects_scene_with_plain_curve
 from scenes.demo.hidden_effect import (
     HIDEABLE_EFFECTS,
     PLATES,
     HiddenEffect,
-    choose_hidden_effect,
-    evaluate_diagnosis_success,
+    choose_hidden_or_no_effect,
+    judge_diagnosis_with_sentence,
 )
 from scenes.demo.hidden_effect_demo import MEASUREMENT, build_plain_models
 from scenes.viewer.measurement import compute_force_residual
@@ -31,9 +31,9 @@ EFFECTS = {"viscoelasticity": Viscoelasticity, "machine_compliance": MachineComp
 
 
 def test_each_effect_is_drawn_and_equal_seeds_draw_equal_effects():
-    drawn = [choose_hidden_effect(seed) for seed in range(200)]
+    drawn = [choose_hidden_or_no_effect(seed) for seed in range(200)]
     assert {each.name for each in drawn} == {"", *(each.name for each in HIDEABLE_EFFECTS)}
-    assert [choose_hidden_effect(seed) for seed in range(200)] == drawn
+    assert [choose_hidden_or_no_effect(seed) for seed in range(200)] == drawn
     bounds = {each.name: each.sizes for each in HIDEABLE_EFFECTS}
     for each in drawn:
         for path, value in each.values.items():
@@ -54,7 +54,7 @@ def test_each_effect_changes_its_tests_and_has_a_description(hideable):
 def test_friction_is_applied_to_both_plates():
     friction = HiddenEffect("plate_friction", {"experiment.friction": 0.05}, (PLATES,))
     model = friction.make_test_model(PLATES, build_plain_models()[PLATES])
-    assert model.experiment.base_interface == model.experiment.friction == 0.05
+    assert model.experiment.resolved_base_interface == model.experiment.friction == 0.05
 
 
 @pytest.mark.parametrize(("hidden", "verdict", "named", "candidates", "right", "expected"), [
@@ -73,7 +73,7 @@ def test_friction_is_applied_to_both_plates():
 def test_the_diagnosis_is_judged(hidden, verdict, named, candidates, right, expected):
     effects = [FoundEffect(name=name, category="rig", title=name) for name in named]
     diagnosis = SimpleNamespace(verdict=verdict, effects=effects, indistinguishable=candidates)
-    is_right, sentence = evaluate_diagnosis_success(HiddenEffect(hidden), diagnosis)
+    is_right, sentence = judge_diagnosis_with_sentence(HiddenEffect(hidden), diagnosis)
     assert is_right is right and expected in sentence
 
 
@@ -95,7 +95,7 @@ def demo(tmp_path_factory):
 @pytest.mark.slow
 def test_the_demo_finds_the_effect_and_reveals_it_at_the_end(demo):
     out, text = demo
-    hidden = choose_hidden_effect(RELAXING)
+    hidden = choose_hidden_or_no_effect(RELAXING)
     assert hidden.name == "viscoelasticity"
     found = json.loads((out / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
     assert [each["name"] for each in found["effects"]] == [hidden.name]
@@ -115,7 +115,7 @@ def test_the_viewer_shows_both_models(demo):
     out, _ = demo
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     assert result.resumed
-    scene = make_before_and_after_scene(result, out / "measured")
+    scene = make_found_effects_scene_with_plain_curve(result, out / "measured")
     assert scene.kind.name == "needle_indentation" and scene.compared[0] == "without viscoelasticity"
     assert scene.material.viscoelastic.terms[0].g == pytest.approx(0.122, rel=0.15), "the material relaxes"
     with_it = ts.simulate(ts.Model(scene.experiment, scene.material))
@@ -127,9 +127,9 @@ def test_the_viewer_shows_both_models(demo):
 def test_a_rig_effect_is_part_of_the_curve_of_the_session(demo, monkeypatch):
     out, _ = demo
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
-    scene = make_before_and_after_scene(result, out / "measured")
+    scene = make_found_effects_scene_with_plain_curve(result, out / "measured")
     asked = []
-    monkeypatch.setattr("scenes.viewer.model_curve.ModelCurveWorker.request_curve",
+    monkeypatch.setattr("scenes.viewer.model_curve.ModelCurveWorker.store_curve_request",
                         lambda self, model: asked.append(model))
     session = Session(replace(scene, rig=ts.Rig(backlash=1e-4)))
     try:

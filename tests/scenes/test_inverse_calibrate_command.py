@@ -21,7 +21,7 @@ from calibration.tasks.errors import WorkerError
 from calibration.tasks.executors import open_tasks
 from scenes.cli import main
 from scenes.commands.shared.progress import CampaignProgressDisplay
-from scenes.commands.shared.text_table import PrintedTableSettings
+from scenes.commands.shared.text_table import PrintedTableLimits
 from tissue_sim.errors import ConvergenceError
 
 HEAD = """
@@ -93,7 +93,7 @@ def joint(write):
 @pytest.fixture(autouse=True)
 def without_pictures(monkeypatch):
     """Skip the figures of the reports, which take longer than the fits."""
-    monkeypatch.setattr("calibration.report.report._make_figure_sections", lambda *content: [])
+    monkeypatch.setattr("calibration.report.report._iterate_all_figure_sections_html", lambda *content: [])
 
 
 def run(*words):
@@ -122,7 +122,7 @@ def test_json_contains_the_whole_iteration_table(joint, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_results_fit_on_80_columns(write, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("scenes.commands.shared.console.TABLES", PrintedTableSettings(pipe_width=80))
+    monkeypatch.setattr("scenes.commands.shared.console.TABLES", PrintedTableLimits(pipe_width=80))
     path = write(laws=("neo_hooke", "reduced_polynomial_2"), more="starts = 1")
     assert run(path, "-o", tmp_path / "out") == 0
     stdout, stderr = capsys.readouterr()
@@ -166,6 +166,7 @@ def test_the_held_out_test_ranks_the_laws(write, tmp_path, capsys):
     assert re.search(rf"bonded +held out +{prediction['RMSE_N']:.3g} N", text)
 
 
+@pytest.mark.slow
 def test_unidentifiable_parameters_are_reported(write, tmp_path, capsys):
     """A shallow test does not determine C20: its bound truncates the interval, and a deeper test is suggested."""
     # A shallower test would give a negative C20, with which deeper tests take long to simulate.
@@ -283,6 +284,7 @@ def test_ctrl_c_keeps_the_simulations(overwrite, joint, tmp_path, capsys, monkey
     assert resumed["fem_solves"] < fresh["fem_solves"] and resumed["parameters"] == fresh["parameters"]
 
 
+@pytest.mark.slow
 def test_ctrl_c_before_the_folder_is_claimed(joint, tmp_path, capsys, monkeypatch):
     """Old results that --overwrite would have replaced are not reported as results of this command."""
     out = tmp_path / "out"
@@ -293,7 +295,7 @@ def test_ctrl_c_before_the_folder_is_claimed(joint, tmp_path, capsys, monkeypatc
         raise KeyboardInterrupt
 
     joint.write_text(joint.read_text(encoding="utf-8").replace("1400.0", "1500.0"), encoding="utf-8")
-    monkeypatch.setattr(generalised, "simulate_and_check_start", interrupted)
+    monkeypatch.setattr(generalised, "require_fittable_start", interrupted)
     assert run(joint, "-o", out, "--overwrite") == 130
     assert "no campaign was finished" in capsys.readouterr().err
     assert (out / "fit.json").is_file()

@@ -48,6 +48,7 @@ def test_lines_keep_their_interval(monkeypatch, capsys):
     assert capsys.readouterr().err == "1:01 at 161\n2:10 at 230\n"
 
 
+@pytest.mark.slow
 def test_a_calibration_prints_lines(always, tmp_path, capsys):
     displacement = np.linspace(0.0, 8e-3, 30)
     stress = ts.find_law("neo_hooke").nominal_stress(1 - displacement / 0.07, {"C10": 1000.0})

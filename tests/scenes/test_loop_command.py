@@ -256,13 +256,14 @@ def test_the_force_at_a_device_stays_within_its_limit(capsys):
 def test_the_status_line_is_read_from_the_ring(tmp_path):
     with RingWriter(tmp_path / "ring") as ring, RingReader(tmp_path / "ring") as reader:
         live, answer = LoopStatusLine(reader, 60.0), ToolForce.axial(0.25, 200.0, ForceStatus.CONVERGED)
-        assert live.format_new_status() == "waiting for the next tick"
+        assert live.format_ticks_since_last_call() == "waiting for the next tick"
         for n in range(1, 101):
             ring.append_tick(n, n * 1e-3, Pose.at_depth(0.0), Pose.at_depth(1.5e-3), answer.wrench, answer, 1e-6 * n,
                              2e-6 * n, 3, 7, 0)
-        assert live.format_new_status() == (
+        assert live.format_ticks_since_last_call() == (
             "0 of 60 s: 1.50 mm, 0.250 N; p99 compute 99, lateness 198 us; late 3, missed 7")
-        assert live.format_new_status() == "waiting for the next tick", "a line covers the ticks since the line before"
+        assert live.format_ticks_since_last_call() \
+            == "waiting for the next tick", "a line covers the ticks since the line before"
 
 
 @pytest.mark.parametrize(("words", "expected"), [

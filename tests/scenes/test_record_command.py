@@ -11,7 +11,7 @@ from waiting import wait_until
 
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.named_files import replace_file_names
+from calibration.campaign.named_files import replace_mesh_profile_and_rig_paths
 from haptics.recorder.run_folder import RunFolder
 from scenes.cli import main
 from scenes.commands.record.protocol_file import read_protocol_file
@@ -138,7 +138,7 @@ def test_files_of_equal_names_are_kept_apart(tmp_path):
     content = {"defaults": {"tool": "a/tip.csv"}, "test": [{"tool": "b/tip.csv"}, {"tool": "flat"}, {}]}
     (tmp_path / "flat").write_text("no profile", encoding="utf-8")
     with RunFolder(tmp_path / "run", "digest") as folder:
-        copied = replace_file_names(content, tmp_path, folder.copy_file)
+        copied = replace_mesh_profile_and_rig_paths(content, tmp_path, folder.copy_input_file_once)
     assert copied["defaults"]["tool"] == "files/tip.csv" and copied["test"][1:] == [{"tool": "flat"}, {}]
     assert (folder.folder / copied["defaults"]["tool"]).read_text() == "a"
     assert (folder.folder / copied["test"][0]["tool"]).read_text() == "b"

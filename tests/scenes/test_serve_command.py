@@ -17,7 +17,7 @@ import tissue_sim as ts
 from haptics.server.client import TissueClient
 from haptics.server.wire import Status
 from scenes.cli import main
-from scenes.commands.serve import describe_served_scene
+from scenes.commands.serve import make_served_scene_json_object
 
 SIZES = ["--radius-mm", "40", "--height-mm", "70"]
 
@@ -124,7 +124,7 @@ def test_describe_returns_box_and_error_of_a_reduced_model():
     arguments = SimpleNamespace(scene="needle_indentation", material=None, inertia="auto", largest_force_N=100.0,
                                 solver="reduced")
     simulator = SimpleNamespace(mesh=None, resolution="own mesh", force_error=None, budget=None)
-    answer = describe_served_scene(arguments, experiment, ts.MaterialFile.of(material), simulator, reduced)
+    answer = make_served_scene_json_object(arguments, experiment, ts.MaterialFile.of(material), simulator, reduced)
     assert answer["box"] == {"sideways": 2e-3, "depth": 3e-3, "turn": 0.1} and answer["force_error"] == 0.007
     touch = answer["first_touch"]
     assert touch["position"] == pytest.approx((0.015, 0.0, 0.0), abs=1e-12)

@@ -11,14 +11,14 @@ from scenes.colour_scale import choose_colour_scale
 from scenes.field_labels import LABELS
 from scenes.solid_figures import (
     choose_drawn_tool_pose,
-    draw_deformed_section,
     draw_deformed_surface,
+    draw_section_through_tool_axis,
     make_surface_of_revolution,
 )
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_block_mesh, create_needle_mesh
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_needle_mesh
 from tissue_sim.pose import Pose
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
@@ -60,7 +60,7 @@ def area(triangles):
 @pytest.mark.parametrize("field", LABELS)
 def test_a_cut_has_the_area_of_the_section_and_the_values_of_the_field(field, cylinder):
     axes = Figure().subplots()
-    draw_deformed_section(axes, cylinder, field, -1, POSE, TOOL)
+    draw_section_through_tool_axis(axes, cylinder, field, -1, POSE, TOOL)
     section, = (each for each in axes.collections if hasattr(each, "_triangulation"))
     # At y = 0 the displacement is along x and depends on z only, so that the area is preserved.
     assert abs(area(drawn_triangles(section)).sum()) == pytest.approx(80.0 * 70.0, rel=1e-6)
@@ -75,7 +75,7 @@ def test_a_cut_has_the_area_of_the_section_and_the_values_of_the_field(field, cy
 
 def test_the_tool_is_drawn_at_its_pose_and_angle(cylinder):
     axes = Figure().subplots()
-    draw_deformed_section(axes, cylinder, "von_mises", -1, POSE, TOOL)
+    draw_section_through_tool_axis(axes, cylinder, "von_mises", -1, POSE, TOOL)
     outline = axes.patches[0].get_xy()
     tip = 1e3 * np.array([POSE.position[0], POSE.position[2]])
     assert np.linalg.norm(outline - tip, axis=1).min() < 1e-9
@@ -95,7 +95,7 @@ def test_only_faces_towards_the_camera_are_drawn(cylinder):
 
 def test_a_tool_behind_a_compliant_load_train_is_drawn_on_the_tissue():
     line = np.linspace(-0.02, 0.02, 5)
-    fields = fields_of(create_block_mesh(line, line, line - 0.02, HEX8P0), np.zeros((125, 3)))
+    fields = fields_of(create_block_mesh_from_boundaries(line, line, line - 0.02, HEX8P0), np.zeros((125, 3)))
     upright = choose_drawn_tool_pose(fields, -1, Pose((0.0, 0.0, -6e-3)), ts.Tool("flat", radius=8e-3))
     assert upright.position == pytest.approx((0.0, 0.0, -1e-3)), "the top is 1 mm below the scene's origin"
     above = Pose((0.0, 0.0, 2e-3))

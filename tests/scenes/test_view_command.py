@@ -179,6 +179,7 @@ def test_invalid_arguments_get_one_sentence(words, expected, capsys, tmp_path, m
     assert expected in refused(capsys, *words)
 
 
+@pytest.mark.slow
 def test_a_page_that_cannot_be_served_is_one_sentence(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert "Use --expose to allow this" in refused(capsys, "--host", "0.0.0.0", "--port", "0")

@@ -31,7 +31,8 @@ def compressible_force(material, stretch, area):
     K = material.bulk_modulus
 
     def stresses(lateral):
-        _, tau = material.energy_law.principal_response([stretch, lateral, lateral], material.parameters)
+        _, tau = material.energy_law.compute_energy_and_kirchhoff_stresses([stretch, lateral, lateral],
+                                                                           material.parameters)
         J = stretch * lateral**2
         return tau + K * (J - 1) * J
 

@@ -7,14 +7,14 @@ from scipy.linalg import solve_banded, solveh_banded
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.linear.cholesky import make_cholesky_functions
 from tissue_sim.fem.linear.lu import make_lu_functions
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
 def kernels(functions: band.BandSolverFunctions):
     """A kernel that completes a symmetric matrix, adds entries (row, column, value) to it and factorises it from one
     block row on, and one that solves."""
-    ti = initialise()
-    complete, mirror = band.make_fill_diagonal_blocks_function(), band.make_copy_lower_to_upper_function()
+    ti = get_initialised_taichi()
+    complete, mirror = band.make_symmetrise_diagonal_blocks_function(), band.make_copy_lower_to_upper_band_function()
     add_any = band.make_add_unsymmetric_entry_function()
     init, solve = functions
     block = ti.types.vector(band.BLOCK, ti.f64)
@@ -60,7 +60,7 @@ def factorised(functions, lower: np.ndarray, added: np.ndarray, skewed: int = 0,
     entries (row, column, value), and others `later`, after a first factorisation; and whether it was good. All entries
     that are not symmetric stand in the block row `skewed` and column or behind."""
     run_init, run_solve = functions
-    size, blocks = lower.shape[1], band.pack_band_blocks(lower)
+    size, blocks = lower.shape[1], band.pack_lapack_band_to_blocks(lower)
     rows, width = blocks.shape[:2]
     # Entries that must not be read are NaN.
     upper, factor, upper_factor = np.full((3, *blocks.shape), np.nan)
@@ -191,7 +191,8 @@ def test_cholesky_against_lapack(cholesky, size, half_band):
     lower[0] = 3 * half_band + 1
     for d in range(1, half_band + 1):
         lower[d, size - d:] = 0
-    np.testing.assert_array_equal(band.unpack_band_blocks(band.pack_band_blocks(lower), size, half_band), lower)
+    np.testing.assert_array_equal(band.unpack_blocks_to_lapack_band(band.pack_lapack_band_to_blocks(lower), size,
+                                                                    half_band), lower)
     solution, good = factorised(cholesky, lower, np.zeros((0, 3)))
     assert good
     for right in rng.normal(size=(2, size)):

@@ -7,10 +7,14 @@ import openpyxl
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.recording.formats.cell_units import ExtractedUnitRow, extract_cell_units
+from tissue_sim.recording.formats.cell_units import UnitRowExtractedFromCells, move_cell_units_to_unit_row
 from tissue_sim.recording.formats.guesses import ColumnHints
-from tissue_sim.recording.formats.number_text import is_number, parse_number, split_number_and_unit
-from tissue_sim.recording.formats.sizes import parse_quantity
+from tissue_sim.recording.formats.number_text import (
+    is_number_with_either_mark,
+    parse_number_or_nan,
+    split_number_and_unit,
+)
+from tissue_sim.recording.formats.sizes import parse_number_and_optional_unit_or_none
 from tissue_sim.recording.formats.table import TableRow
 from tissue_sim.recording.formats.understanding import interpret_file
 
@@ -80,10 +84,10 @@ def test_different_units_in_one_column_are_refused_with_the_line(tmp_path, odd):
 
 def test_rows_without_units_stay_as_they_are():
     rows = [TableRow(i, (str(i), "2.5", "note 3")) for i in range(1, 9)]
-    assert extract_cell_units(rows, "note 3\n") is not None and extract_cell_units(rows) == rows
+    assert move_cell_units_to_unit_row(rows, "note 3\n") is not None and move_cell_units_to_unit_row(rows) == rows
     few = [TableRow(i, (f"{i} mm", f"{i} N")) for i in range(1, 5)]
-    assert extract_cell_units(few) == few
-    assert isinstance(extract_cell_units([*few, TableRow(5, ("5 mm", "5 N"))])[0], ExtractedUnitRow)
+    assert move_cell_units_to_unit_row(few) == few
+    assert isinstance(move_cell_units_to_unit_row([*few, TableRow(5, ("5 mm", "5 N"))])[0], UnitRowExtractedFromCells)
 
 
 @pytest.mark.parametrize(("cell", "decimal", "value"), [
@@ -91,8 +95,8 @@ def test_rows_without_units_stay_as_they_are():
     ("1,25\u00d710^3", ",", 1250.0), ("3D10", ".", math.nan), ("\u22120,0125", ",", -0.0125),
     ("\u22121.5E\u221203", ".", -1.5e-3), ("1.2.3D1", ".", math.nan)])
 def test_exponents_and_minus_signs(cell, decimal, value):
-    assert parse_number(cell, decimal) == pytest.approx(value, nan_ok=True)
-    assert is_number(cell) or math.isnan(value)
+    assert parse_number_or_nan(cell, decimal) == pytest.approx(value, nan_ok=True)
+    assert is_number_with_either_mark(cell) or math.isnan(value)
 
 
 @pytest.mark.parametrize("style", ["{:.6e}", "{:.6E}", "D"])
@@ -106,4 +110,4 @@ def test_a_table_of_exponents(tmp_path, style, decimal):
 
 @pytest.mark.parametrize(("quantity", "expected"), [("1.25D+01 mm", (12.5, "mm")), ("1,25E+01 mm", (12.5, "mm"))])
 def test_sizes_with_exponents(quantity, expected):
-    assert parse_quantity(quantity) == expected
+    assert parse_number_and_optional_unit_or_none(quantity) == expected

@@ -51,7 +51,7 @@ def test_a_slow_solution_agrees(law, values):
     pressure = -column.nominal_stress(law, displacement, values)
     heights = [slow_height(law, values, p, 0.07, weight) for p in pressure]
     assert settled.height - np.array(heights) == pytest.approx(displacement, rel=2e-5, abs=1e-12)
-    base = column.base_stretch(law, displacement, values)
+    base = column.base_stretch_at_displacement(law, displacement, values)
     assert -law.nominal_stress(base, values) == pytest.approx(pressure + weight * 0.07, rel=1e-6)
 
 
@@ -120,7 +120,7 @@ def test_before_contact_the_plate_feels_nothing():
     before = np.array([-3e-3, -1e-9])
     for answer in (column.nominal_stress, column.nominal_stress_slope, column.nominal_stress_derivatives):
         assert not answer(POLYNOMIAL, before, PHANTOM).any()
-    assert column.base_stretch(POLYNOMIAL, before, PHANTOM) == pytest.approx(
+    assert column.base_stretch_at_displacement(POLYNOMIAL, before, PHANTOM) == pytest.approx(
         column.settle(POLYNOMIAL, PHANTOM).base_stretch)
 
 
@@ -155,4 +155,5 @@ def test_wild_parameters_end_in_nan_or_in_a_stiff_column(values):
 def test_the_whole_height_cannot_be_pressed_out():
     stress = Column(STUDY).nominal_stress(POLYNOMIAL, np.array([0.01, 0.068, 0.07]), PHANTOM)
     assert np.isnan(stress[1:]).all()
-    assert ColumnSettings().smallest_stretch < Column(STUDY).base_stretch(POLYNOMIAL, np.array(0.05), PHANTOM) < 0.3
+    assert ColumnSettings().smallest_stretch \
+        < Column(STUDY).base_stretch_at_displacement(POLYNOMIAL, np.array(0.05), PHANTOM) < 0.3

@@ -10,8 +10,8 @@ import tissue_sim as ts
 from tissue_sim.fem.condensed.model import (
     CondensedBulk,
     ContactState,
+    compute_packed_state_size,
     max_packed_linearisation_size,
-    packed_state_size,
 )
 from tissue_sim.fem.condensed.predictive_linearisation import PredictiveLinearisation
 from tissue_sim.fem.condensed.stepper import CondensedStepper
@@ -47,7 +47,7 @@ def turned(angle):
 def settle(bulk, stepper, pose, time, times=5):
     """Linearise where the tool is until nothing changes; the last step."""
     for _ in range(times):
-        stepper.set_linearisation(bulk.linearise(stepper.export_state(time, pose, time, pose)))
+        stepper.set_linearisation(bulk.iterate_and_linearise_or_none(stepper.export_state(time, pose, time, pose)))
         step = stepper.step(pose, exact=True)
         assert step.converged
     return step
@@ -103,7 +103,8 @@ def test_a_drag_with_lift_off_and_touch_is_that_of_the_whole_solid():
              for pose in drag(start, end, round(20 * np.linalg.norm(np.subtract(end, start))))]
     bulk, stepper = two_rates()
     predictive, solver = PredictiveLinearisation(bulk), make_solver(model(), mesh=MESH)
-    stepper.set_linearisation(predictive.linearise(stepper.export_state(0.0, poses[0], 0.0, poses[0]), 0.0, 0.0))
+    stepper.set_linearisation(
+        predictive.linearise_at_predicted_pose_or_none(stepper.export_state(0.0, poses[0], 0.0, poses[0]), 0.0, 0.0))
     coming, found, exact = None, [], []
     for tick, pose in enumerate(poses):
         if tick % 8 == 0:
@@ -111,7 +112,7 @@ def test_a_drag_with_lift_off_and_touch_is_that_of_the_whole_solid():
                 stepper.set_linearisation(coming)
             before = max(0, tick - 8)
             state = stepper.export_state(1e-3 * tick, pose, 1e-3 * before, poses[before])
-            coming = predictive.linearise(state, 8e-3, 16e-3)
+            coming = predictive.linearise_at_predicted_pose_or_none(state, 8e-3, 16e-3)
         step = stepper.step(pose)
         assert step.converged
         if tick % 4 == 0:
@@ -133,7 +134,8 @@ def test_sliding_friction_is_on_the_cone():
     bulk, stepper = two_rates()
     for tick, pose in enumerate(drag((0, 0, 0), (0, 0, -1.5), 30) + drag((0, 0, -1.5), (4, 0, -1.5), 80)):
         if tick % 5 == 0:
-            stepper.set_linearisation(bulk.linearise(stepper.export_state(1e-3 * tick, pose, 1e-3 * tick, pose)))
+            stepper.set_linearisation(
+                bulk.iterate_and_linearise_or_none(stepper.export_state(1e-3 * tick, pose, 1e-3 * tick, pose)))
         step = stepper.step(pose)
     nodes = np.abs(stepper.forces).sum(axis=1) > 0.0
     assert step.slipping == step.pressed == nodes.sum()
@@ -144,15 +146,15 @@ def test_sliding_friction_is_on_the_cone():
 def test_models_and_states_travel_as_numbers():
     bulk, stepper = two_rates()
     pose = Pose((1e-3, 0.0, -1e-3))
-    first = bulk.linearise(stepper.export_state(0.0, pose, 0.0, pose))
+    first = bulk.iterate_and_linearise_or_none(stepper.export_state(0.0, pose, 0.0, pose))
     stepper.set_linearisation(first)
     stepper.step(pose)
     state = stepper.export_state(0.25, pose, 0.2, Pose((0.0, 0.0, 0.0)), epoch=0)
     packed = state.pack_to_array()
     again = ContactState.unpack_from_array(packed)
-    assert packed.size == packed_state_size(bulk.surface) and (again.model, again.time, again.before) == (
+    assert packed.size == compute_packed_state_size(bulk.surface) and (again.model, again.time, again.before) == (
         1, 0.25, Pose((0.0, 0.0, 0.0)))
-    model = bulk.linearise(again)
+    model = bulk.iterate_and_linearise_or_none(again)
     assert model.pack_to_array().size <= max_packed_linearisation_size(bulk.surface)
     copy = CondensedBulk.unpack_from_array(model.pack_to_array())
     for name in ("nodes", "free_displacement", "compliance", "tool_coupling", "wrench", "stiffness"):
@@ -163,13 +165,13 @@ def test_models_and_states_travel_as_numbers():
 def test_a_state_of_another_model_waits_and_an_untouched_one_begins_again():
     bulk, stepper = two_rates()
     pose = Pose((0.0, 0.0, -1e-3))
-    rest = bulk.linearise(stepper.export_state(0.0, pose, 0.0, pose))
+    rest = bulk.iterate_and_linearise_or_none(stepper.export_state(0.0, pose, 0.0, pose))
     stepper.set_linearisation(rest)
     stepper.step(pose)
     state = stepper.export_state(0.0, pose, 0.0, pose)
-    assert bulk.linearise(replace(state, model=7)) is None
-    assert bulk.linearise(state).number == 2
-    again = bulk.linearise(replace(state, model=0, epoch=1, forces=np.zeros_like(state.forces)))
+    assert bulk.iterate_and_linearise_or_none(replace(state, model=7)) is None
+    assert bulk.iterate_and_linearise_or_none(state).number == 2
+    again = bulk.iterate_and_linearise_or_none(replace(state, model=0, epoch=1, forces=np.zeros_like(state.forces)))
     np.testing.assert_allclose(again.free_displacement, rest.free_displacement, atol=1e-12)
     assert again.epoch == 1
 
@@ -194,7 +196,7 @@ def test_no_node_is_left_in_the_tool_where_tissue_becomes_softer_at_once(frictio
         other.load_state(stepper.export_state(0.0, there, 0.0, there))
         assert other.step(pose).converged
         other.set_linearisation(replace(last, number=10**6, base=10**6, compliance=softer * last.compliance,
-                            modulus=last.modulus / softer))
+                                        modulus=last.modulus / softer))
         step = other.step(pose)
         assert step.converged and step.pressed > 0
         forces = other.forces[last.nodes]

@@ -47,7 +47,7 @@ def test_zero_and_drift_of_the_air_are_found_with_the_contact():
     assert contact.drift == pytest.approx(1e-4, abs=1e-4)
     assert contact.noise == pytest.approx(2e-3, rel=0.3)
     assert displacement[contact.index - 1] <= contact.displacement < displacement[contact.index]
-    way, load = contact.subtract_contact_and_zero(displacement, force, time)
+    way, load = contact.get_motion_and_force_from_contact(displacement, force, time)
     assert way[contact.index] == pytest.approx(0.0, abs=1e-5) and abs(load[:contact.index].mean()) < 5e-4
 
 
@@ -112,11 +112,12 @@ def test_segments_of_a_whole_test_and_of_its_simulation_are_the_same():
     recording = ts.Recording({"time": protocol.time, "displacement": protocol.displacement,
                               "force": 100 * protocol.displacement})
     found = ts.find_segments(recording, "lubricated_compression")
-    assert [name for name, *_ in found.iterate_segments()] == ["preconditioning", "ramp", "hold", "unload"]
+    assert [name for name, *_ in found.iterate_segment_names_and_bounds()] \
+        == ["preconditioning", "ramp", "hold", "unload"]
     assert found.failure is None and not found.stated
     stated = ts.find_segments(ts.Recording(recording.channels, {"segment": protocol.segment}), "lubricated_compression")
     assert stated.stated and stated.labels.tolist() == protocol.segment.tolist()
-    assert sum(end - first for _, first, end in found.iterate_segments()) == len(recording)
+    assert sum(end - first for _, first, end in found.iterate_segment_names_and_bounds()) == len(recording)
 
 
 def test_a_preload_is_a_stop_under_little_force():
@@ -125,7 +126,7 @@ def test_a_preload_is_a_stop_under_little_force():
     displacement = np.interp(time, protocol.time, protocol.displacement)
     force = 500 * np.clip(displacement - 0.4e-3, 0, None) + 1e-3 * np.random.default_rng(2).standard_normal(time.size)
     recording = ts.Recording({"time": time, "displacement": displacement, "force": force})
-    names = [name for name, *_ in ts.find_segments(recording).iterate_segments()]
+    names = [name for name, *_ in ts.find_segments(recording).iterate_segment_names_and_bounds()]
     assert names == ["approach", "preload", "ramp"]
 
 
@@ -137,6 +138,7 @@ def test_too_few_samples_are_refused_in_one_sentence(samples):
         ts.find_contact(np.linspace(0, 1e-3, 20), np.zeros(samples))
 
 
+@pytest.mark.slow
 def test_brain_fails_at_its_largest_stress_and_silicones_stay_intact(data_folder):
     for path in sorted((data_folder / "brain_tension_damage").glob("brain_*.csv")):
         stretch, stress = np.loadtxt(path, delimiter=",", skiprows=1).T

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tissue_sim import InputError, read_recordings
 from tissue_sim.recording.formats import long_text
 from tissue_sim.recording.formats.decimal_mark import detect_number_marks
-from tissue_sim.recording.formats.number_text import ExactNumber, is_number, parse_number
+from tissue_sim.recording.formats.number_text import TextOfNumericCell, is_number_with_either_mark, parse_number_or_nan
 
 #: Decimal mark and thousands separator of English, German, French (three blanks), Swiss and plain numbers.
 STYLES = [(".", ","), (",", "."), (",", " "), (",", "\u00a0"), (",", "\u202f"), (".", "'"), (".", "\u2019"), (".", " "),
@@ -30,8 +30,8 @@ def written(value, style, places):
 def test_a_number_with_separators_is_read_back(number, places, style):
     value = number / 10**places
     text = written(value, style, places)
-    assert parse_number(text, style[0]) == float(f"{value:.{places}f}")
-    assert is_number(text)
+    assert parse_number_or_nan(text, style[0]) == float(f"{value:.{places}f}")
+    assert is_number_with_either_mark(text)
 
 
 @pytest.mark.parametrize(("cell", "decimal"), [
@@ -39,13 +39,13 @@ def test_a_number_with_separators_is_read_back(number, places, style):
     ("1 466'000", "."), ("1,466 000", "."), ("1,466e3", "."), ("1_000", "."), ("", "."), ("x", ","), (",466", "."),
     ("\N{ARABIC-INDIC DIGIT ONE}", ".")])
 def test_groups_that_are_not_of_three_digits_are_no_thousands(cell, decimal):
-    value = parse_number(cell, decimal)
+    value = parse_number_or_nan(cell, decimal)
     assert math.isnan(value) if (cell, decimal) != ("1.466", ",") else value == 1466.0
 
 
 def test_a_number_stored_as_a_number_has_a_decimal_point():
-    assert parse_number(ExactNumber("1.466"), ",") == 1.466
-    assert detect_number_marks([[ExactNumber("1.466"), ExactNumber("2.5")]]).example == ""
+    assert parse_number_or_nan(TextOfNumericCell("1.466"), ",") == 1.466
+    assert detect_number_marks([[TextOfNumericCell("1.466"), TextOfNumericCell("2.5")]]).example == ""
 
 
 #: A smooth ramp in micrometres and millinewtons, so that integers pass 1000.

@@ -43,7 +43,7 @@ def two_rates(tool, friction):
 
 def go(bulk, stepper, pose):
     """One iterate; the step on it."""
-    model = bulk.linearise(stepper.export_state(0.0, pose, 0.0, pose))
+    model = bulk.iterate_and_linearise_or_none(stepper.export_state(0.0, pose, 0.0, pose))
     assert model is not None
     stepper.set_linearisation(model)
     return stepper.step(pose, exact=True), model
@@ -112,10 +112,10 @@ def test_a_tangent_that_leads_away_is_not_followed_and_a_new_one_is_made(tool, f
     go(bulk, stepper, pose)
     tangent = type(bulk._tangent)
     with monkeypatch.context() as patch:
-        for name in ("begin_solution", "begin_solution_for_interface"):
+        for name in ("begin_solution_with_interface_rows", "begin_solution_for_interface_forces"):
             patch.setattr(tangent, name, five_times(getattr(tangent, name)))
         before = bulk.solver.save()
-        assert bulk.linearise(stepper.export_state(0.0, further, 0.0, further)) is None
+        assert bulk.iterate_and_linearise_or_none(stepper.export_state(0.0, further, 0.0, further)) is None
     for array, kept in zip(bulk.solver.save().arrays, before.arrays, strict=True):
         np.testing.assert_array_equal(array, kept)
     later.come = True
@@ -128,7 +128,7 @@ def test_tissue_that_no_tangent_is_found_for_begins_again_from_rest(monkeypatch)
     pose = Pose((0.0, 0.0, -1e-3))
     go(bulk, stepper, pose)
     go(bulk, stepper, pose)
-    assembled, asked = Tissue.assemble_forces_and_tangent, []
+    assembled, asked = Tissue.assemble_and_get_least_volume_ratio, []
 
     def fails(self, tangent=True):
         asked.append(np.abs(bulk.solver.x).max())
@@ -136,9 +136,9 @@ def test_tissue_that_no_tangent_is_found_for_begins_again_from_rest(monkeypatch)
         return least if asked[-1] == 0.0 else -1.0
 
     with monkeypatch.context() as patch:
-        patch.setattr(Tissue, "assemble_forces_and_tangent", fails)
-        assert bulk.linearise(stepper.export_state(0.0, pose, 0.0, pose)) is None
-        model = bulk.linearise(stepper.export_state(0.0, pose, 0.0, pose))
+        patch.setattr(Tissue, "assemble_and_get_least_volume_ratio", fails)
+        assert bulk.iterate_and_linearise_or_none(stepper.export_state(0.0, pose, 0.0, pose)) is None
+        model = bulk.iterate_and_linearise_or_none(stepper.export_state(0.0, pose, 0.0, pose))
     assert model is not None and model.has_own_tangent and asked[-1] == 0.0
     stepper.set_linearisation(model)
     for _ in range(6):

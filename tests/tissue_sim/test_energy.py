@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric import energy
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 CASES = {
     "mooney_rivlin": ([1000.0, 500.0], lambda l, p: p[0] * ((l**2).sum() - 3) + p[1] * ((l**-2).sum() - 3)),
@@ -24,7 +24,7 @@ PRESSURE = 700.0
 @pytest.fixture(scope="module")
 def point():
     """Function (law, F of 5 components) -> P (5,), A (5, 5)."""
-    ti = initialise()
+    ti = get_initialised_taichi()
     reals = ti.types.ndarray(dtype=ti.f64, ndim=1)
     kernels = {}
 

@@ -9,7 +9,7 @@ import pytest
 import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import add_tool_node_sets, create_block_mesh
+from tissue_sim.mesh.solid import add_face_and_free_node_sets, create_block_mesh_from_boundaries
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e3))
 
@@ -24,9 +24,9 @@ def pressed(size, element, tool=None, friction="frictionless", depth=3e-3):
     experiment = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(0.02, 0.02), protocol=ts.Protocol.ramp(depth, points=2),
         tool=tool or ts.Tool("round", radius=8e-3), friction=friction)
-    mesh = create_block_mesh(line, line, np.linspace(-0.02, 0.0, round(0.02 / size) + 1), element)
+    mesh = create_block_mesh_from_boundaries(line, line, np.linspace(-0.02, 0.0, round(0.02 / size) + 1), element)
     recording = ts.simulate(ts.Model(experiment, MATERIAL), solver="solid",
-                            mesh=add_tool_node_sets(mesh, 8e-3, (0.0, 0.0)))
+                            mesh=add_face_and_free_node_sets(mesh, 8e-3, (0.0, 0.0)))
     return recording.force[-1], recording.metadata["solver"]["warnings"]
 
 

@@ -7,7 +7,12 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.force_error import FORCE_ERROR, ForceError, estimate_force_error, select_comparison_samples
+from tissue_sim.force_error import (
+    FORCE_ERROR,
+    RelativeForceErrorEstimate,
+    estimate_error_from_two_forces_or_none,
+    select_samples_for_doubled_steps,
+)
 
 STUDY = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
 PLATES = {"tool": ts.Tool("plate"), "friction": "bonded", "friction_base": "bonded"}
@@ -109,21 +114,22 @@ def test_a_sensor_keeps_the_warning():
 
 def test_coarse_samples_contain_turns_and_the_step_after_them():
     motion = np.array([0.0, 1, 2, 3, 4, 5, 5, 5, 5, 3, 1, 0])
-    assert select_comparison_samples(motion).tolist() == [0, 2, 4, 5, 7, 8, 8.5, 9, 11]
-    assert select_comparison_samples(np.array([0.0, 1, 2, 1, 0])).tolist() == [0, 2, 2.5, 3, 4]
-    assert select_comparison_samples(np.array([0.0, 1, 0])).tolist() == [0, 1, 1.5, 2]
-    assert select_comparison_samples(np.array([0.0])).tolist() == [0]
+    assert select_samples_for_doubled_steps(motion).tolist() == [0, 2, 4, 5, 7, 8, 8.5, 9, 11]
+    assert select_samples_for_doubled_steps(np.array([0.0, 1, 2, 1, 0])).tolist() == [0, 2, 2.5, 3, 4]
+    assert select_samples_for_doubled_steps(np.array([0.0, 1, 0])).tolist() == [0, 1, 1.5, 2]
+    assert select_samples_for_doubled_steps(np.array([0.0])).tolist() == [0]
 
 
 def test_warning_names_where_the_error_is():
     samples, force = np.arange(0, 9, 2), np.linspace(0.0, 2.0, 9)
     other = force[samples] + [0.0, 0.01, 0.2, 0.12, 0.0]
-    found = estimate_force_error(force, samples, other, 0.5)
-    assert found == ForceError(pytest.approx(0.05), 4, 6)
+    found = estimate_error_from_two_forces_or_none(force, samples, other, 0.5)
+    assert found == RelativeForceErrorEstimate(pytest.approx(0.05), 4, 6)
     assert "of its largest at 4 to 6 mm:" in found.in_words(1e-3 * np.arange(9.0), "more samples show it")
-    ended = estimate_force_error(force, samples, other[:2], 1.0)
-    assert ended == ForceError(pytest.approx(0.005), 2, 2) and estimate_force_error(force, samples, other[:0],
-                                                                                    1.0) is None
+    ended = estimate_error_from_two_forces_or_none(force, samples, other[:2], 1.0)
+    assert ended == RelativeForceErrorEstimate(pytest.approx(0.005), 2, 2) \
+        and estimate_error_from_two_forces_or_none(force, samples, other[:0],
+                                                   1.0) is None
 
 
 def test_partly_slipping_face_has_the_error_of_both_its_tests():
@@ -132,7 +138,7 @@ def test_partly_slipping_face_has_the_error_of_both_its_tests():
     model = ts.Model(ts.Experiment(ts.Specimen(0.02, 0.03), protocol, slip=0.5), ts.Material(
         "neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3)))
     held = ts.simulate(replace(model, experiment=replace(model.experiment, slip=None)))
-    free = ts.simulate(replace(model, experiment=model.experiment.with_free_faces()))
+    free = ts.simulate(replace(model, experiment=model.experiment.with_slipping_faces_frictionless()))
     both = ts.simulate(model).metadata["solver"]
     errors = [one.metadata["solver"]["force_error"] for one in (held, free)]
     assert both["force_error"] == max(errors) > 0.0

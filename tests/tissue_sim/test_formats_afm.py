@@ -188,6 +188,7 @@ def test_the_tared_force_reaches_the_setpoint_of_the_machine(data_folder, start,
     assert recording.displacement.max() == pytest.approx(largest, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_stress_relaxation_of_fifteen_cells(data_folder):
     """30 s of hold at 20 um: the force falls, the piezo stands, and the single file is the eighth of the zip."""
     found = read_afm(afm(data_folder, "10.1002"))

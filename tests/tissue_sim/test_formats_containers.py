@@ -7,7 +7,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from tissue_sim import InputError, read_recording, read_recordings
-from tissue_sim.files import decode_text
+from tissue_sim.files import decode_text_and_find_encoding
 
 TIME = np.linspace(0.0, 6.0, 31)
 WAY = np.linspace(0.0, 3.0, 31)
@@ -68,11 +68,11 @@ def test_which_table_of_a_container(tmp_path):
     ("Prüfzeit in Sekunden".encode("utf-16-be"), "utf-16-be"),
     ("Prüfzeit €".encode("cp1252"), "cp1252"), (b"Pr\xfcfzeit \x81", "latin-1")])
 def test_encodings(data, name):
-    text, found = decode_text(data, "a.txt", "text")
+    text, found = decode_text_and_find_encoding(data, "a.txt", "text")
     assert found == name and text.startswith("Prüfzeit")
 
 
 @pytest.mark.parametrize("data", [b"", b"  \n", b"\x00\x01\x02\x03\x00\x00", b"abc\x05", b"\xff\xfea"])
 def test_what_is_no_text(data):
     with pytest.raises(InputError, match=r"a\.txt"):
-        decode_text(data, "a.txt", "text")
+        decode_text_and_find_encoding(data, "a.txt", "text")

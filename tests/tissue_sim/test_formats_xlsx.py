@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tissue_sim import InputError, read_recording
-from tissue_sim.recording.formats.column_options import parse_column_number
+from tissue_sim.recording.formats.column_options import parse_column_number_or_letters
 from tissue_sim.recording.formats.columns import read_recordings_from_columns
 from tissue_sim.recording.formats.xlsx import read_xlsx
 
@@ -82,7 +82,7 @@ def test_columns_by_place_of_a_text_file(tmp_path, text):
 def test_a_name_and_a_place_together(tmp_path):
     path = write(tmp_path, ("Data", [["Load (N)", "Way (mm)", "Load (N)"], *NUMBERS]))
     assert "give its number as column" in refusal(read_xlsx, path, columns={"displacement": "Way",
-                                                                           "force": "Load (N)"}).problem
+                                                                            "force": "Load (N)"}).problem
     recording = read_xlsx(path, columns={"displacement": "Way", "force": {"column": "C"}})
     assert recording.force[-1] == 1.25, "the unit stands in the header of column C"
     error = refusal(read_xlsx, path, columns={"displacement": "Way", "force": {"column": 8}})
@@ -152,12 +152,12 @@ def test_missing_columns(tmp_path, columns, message):
 
 @pytest.mark.parametrize(("column", "expected"), [("A", 1), ("z", 26), ("AA", 27), ("XFD", 16384), (7, 7)])
 def test_letters_of_columns(column, expected):
-    assert parse_column_number(column) == expected
+    assert parse_column_number_or_letters(column) == expected
 
 
 @pytest.mark.parametrize("column", [0, -1, True, "", "ABCD", "A1", 1.0, None])
 def test_what_is_no_place(column):
-    assert refusal(parse_column_number, column).field == "column"
+    assert refusal(parse_column_number_or_letters, column).field == "column"
 
 
 def test_a_place_needs_a_unit_and_stands_alone(tmp_path):

@@ -14,7 +14,7 @@ from tissue_sim.fem.axisymmetric.contact_kernels import TOUCHED
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.simulation import _iterate_steps_to_pose
+from tissue_sim.simulation import _iterate_adaptive_steps_to_pose
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 MATERIAL = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4))
@@ -35,7 +35,7 @@ def stepped(friction, tool=None, depth=6e-3, steps=24):
     tested = model(friction, tool)
     solver = build_solver(tested, build_mesh(tested.experiment))
     for place in np.linspace(0.0, depth, steps + 1)[1:]:
-        *_, step = _iterate_steps_to_pose(solver, ts.Pose.at_depth(float(place)))
+        *_, step = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(place)))
         assert step.status is StepStatus.CONVERGED
     return solver
 
@@ -158,7 +158,7 @@ class TestEnergy:
         radii, tractions = surface.places[:, 0].copy(), surface.forces[:, 0].copy()
         down = np.linspace(0.0, 10e-3, steps + 1)
         for place in [*down[1:], *down[-2::-1]]:
-            *_, step = _iterate_steps_to_pose(solver, ts.Pose.at_depth(float(place)))
+            *_, step = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(place)))
             assert step.status is StepStatus.CONVERGED
             work += 0.5 * (force + step.force) * (place - depth)
             depth, force = place, step.force
@@ -239,7 +239,7 @@ class TestTangent:
         surface.anchors[:] = before
         with_contact = whole(solver)
         slipping, pressed = surface.slip_signs.copy(), surface.pressed.copy()
-        solver.equations.counts[newton.CountIndex.CONTACTS] = 0
+        solver.equations.counts[newton.StepIntegerIndex.CONTACTS] = 0
         added = with_contact - whole(solver)
         assert abs(added - added.T).max() > 1e-3 * abs(added).max(), "slip makes it unsymmetric"
 
@@ -283,8 +283,8 @@ def whole(solver):
     solver.equations.tangent()
     rows, width = solver.equations.entries.shape[:2]
     full = np.zeros((rows * band.BLOCK,) * 2)
-    unsymmetric = bool(solver.equations.counts[newton.CountIndex.UNSYMMETRIC])
-    skewed = int(solver.equations.counts[newton.CountIndex.SKEWED])
+    unsymmetric = bool(solver.equations.counts[newton.StepIntegerIndex.UNSYMMETRIC])
+    skewed = int(solver.equations.counts[newton.StepIntegerIndex.SKEWED])
     for row in range(rows):
         for column in range(max(0, row - width + 1), row + 1):
             i, j = (slice(k * band.BLOCK, (k + 1) * band.BLOCK) for k in (row, column))

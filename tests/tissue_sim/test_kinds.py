@@ -9,7 +9,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes import SCENES
-from tissue_sim.experiment.interfaces import validate_interface
+from tissue_sim.experiment.interfaces import validate_and_normalise_interface
 from tissue_sim.recording.recording import CHANNELS
 
 EVERY = pytest.mark.parametrize("name", ts.KINDS)
@@ -27,8 +27,8 @@ def test_a_kind_is_what_its_parts_know(name):
     kind = ts.KINDS[name]
     assert kind.name == name and pickle.loads(pickle.dumps(kind)) == kind
     assert {channel for pair in kind.channels for channel in pair} <= set(CHANNELS)
-    for field, usual in kind.default_interfaces(kind.tool or ts.Tool()).items():
-        assert validate_interface(usual, field) == usual
+    for field, usual in kind.make_default_interfaces_by_field(kind.tool or ts.Tool()).items():
+        assert validate_and_normalise_interface(usual, field) == usual
 
 
 @EVERY
@@ -55,15 +55,16 @@ def test_a_needle_without_a_flat_face_is_not_bonded(tool, friction):
     ("lubricated_compression", 0.9, 0.1), ("uniaxial_tension", 1.2, 0.2), ("simple_shear", -0.3, -0.3)])
 def test_strain_under_load(name, abscissa, strain):
     kind = ts.KINDS[name]
-    assert kind.compute_nominal_strain(np.array([abscissa])) == pytest.approx([strain])
-    assert kind.compute_stretch_or_shear_strain(kind.compute_nominal_strain(abscissa)) == pytest.approx(abscissa)
+    assert kind.convert_abscissa_to_nominal_strain(np.array([abscissa])) == pytest.approx([strain])
+    assert kind.convert_nominal_strain_to_abscissa(kind.convert_abscissa_to_nominal_strain(abscissa)) \
+        == pytest.approx(abscissa)
 
 
 @pytest.mark.parametrize("name", HOMOGENEOUS)
 def test_stress_is_against_the_strain(name):
     """At small strain the modulus is 3 mu in tension and compression, and mu in shear."""
     kind, law, values = ts.KINDS[name], ts.find_law("neo_hooke"), {"C10": 500.0}
-    small = kind.compute_stretch_or_shear_strain(np.array([1e-6]))
+    small = kind.convert_nominal_strain_to_abscissa(np.array([1e-6]))
     modulus = 1000.0 if name == "simple_shear" else 3000.0
     assert kind.sign * kind.closed_form.stress(law, small, values) == pytest.approx(modulus * 1e-6, rel=1e-4)
     assert kind.closed_form.slope(law, small, values) == pytest.approx(modulus, rel=1e-4)

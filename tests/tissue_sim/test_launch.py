@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from tissue_sim.errors import MissingBackendError
-from tissue_sim.fem.axisymmetric.scratch import get_scratch_field as solver_scratch
+from tissue_sim.fem.axisymmetric.scratch import get_axisymmetric_scratch_field as solver_scratch
 from tissue_sim.fem.taichi import launch
-from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.scratch import get_scratch_field
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
+from tissue_sim.fem.taichi.scratch import get_shared_scratch_field
 
 
 @pytest.fixture(scope="module")
 def kernel():
-    ti = initialise()
+    ti = get_initialised_taichi()
     reals, pairs = ti.types.ndarray(dtype=ti.f64, ndim=1), ti.types.ndarray(dtype=ti.types.vector(2, ti.f64), ndim=1)
 
     @ti.kernel
@@ -30,16 +30,16 @@ def arrays(**changes):
 
 def test_what_others_have_compiled_is_kept():
     """Taichi's own bound is seven of our larger kernels."""
-    assert initialise().lang.impl.current_cfg().offline_cache_max_size_of_files > 100 * 15e6
+    assert get_initialised_taichi().lang.impl.current_cfg().offline_cache_max_size_of_files > 100 * 15e6
 
 
 def test_a_kept_kernel_is_found_whatever_was_used_before(root):
     """Taichi knows it by the numbers of its fields, in the order in which they were made: there is one."""
-    assert solver_scratch() is get_scratch_field(4, 1)
+    assert solver_scratch() is get_shared_scratch_field(4, 1)
     makers = [path for path in (root / "tissue_sim").rglob("*.py") if ".field(" in path.read_text(encoding="utf-8")]
     assert [path.name for path in makers] == ["scratch.py"]
     with pytest.raises(ValueError, match="got 4000 vectors of 4"):
-        get_scratch_field(4, 4000)
+        get_shared_scratch_field(4, 4000)
 
 
 def test_bound_call_is_a_plain_call(kernel):

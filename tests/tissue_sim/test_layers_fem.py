@@ -144,7 +144,7 @@ class TestCompressible:
 
         def tau(lateral):
             J = stretch * lateral**2
-            _, isochoric = stuff.energy_law.principal_response([stretch, lateral, lateral], STUDY)
+            _, isochoric = stuff.energy_law.compute_energy_and_kirchhoff_stresses([stretch, lateral, lateral], STUDY)
             return isochoric + stuff.bulk_modulus * (J - 1) * J
 
         lateral = brentq(lambda x: tau(x)[1], 1.0, stretch**-0.5, xtol=1e-15)

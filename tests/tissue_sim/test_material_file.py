@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.material.file import decode_material_file
+from tissue_sim.material.file import make_material_file_from_json_data
 from tissue_sim.material.schema import Provenance, SourceRecording, ValidRange
 
 YEOH = ts.Material("reduced_polynomial_3", {"C10": 7702.0, "C20": -63.0, "C30": 248.0}, ts.Bulk("bulk_ratio", 1e3),
@@ -129,6 +129,7 @@ def test_any_text_is_refused_in_one_sentence(tmp_path, text):
     refusal(path)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(draw=st.data())
 def test_any_value_in_any_place_is_accepted_or_refused(draw):
@@ -143,7 +144,7 @@ def test_any_value_in_any_place_is_accepted_or_refused(draw):
         st.none() | st.floats() | st.integers() | st.text(max_size=3) | st.lists(st.floats(), max_size=3)
         | st.dictionaries(st.text(max_size=3), st.floats(), max_size=2))
     try:
-        file = decode_material_file(data)
+        file = make_material_file_from_json_data(data)
     except ts.InputError as error:
         assert error.problem
     else:
@@ -259,7 +260,7 @@ def test_refused_with_the_path_of_the_field(data, tmp_path, case):
 ])
 def test_what_may_be_absent(data, change):
     change(data)
-    assert decode_material_file(data).material.parameters == YEOH.parameters
+    assert make_material_file_from_json_data(data).material.parameters == YEOH.parameters
 
 
 def test_a_fixed_parameter_has_a_row_of_zeros():

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.material.file import decode_material_file
+from tissue_sim.material.file import make_material_file_from_json_data
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
@@ -181,7 +181,7 @@ def test_refused_by_its_path(case):
     (key, value), field, message = REFUSED[case]
     data = msgspec.to_builtins(ts.MaterialFile.of(LOSSY))
     with pytest.raises(ts.InputError, match=message) as caught:
-        decode_material_file({**data, key: value})
+        make_material_file_from_json_data({**data, key: value})
     assert caught.value.field == field
 
 
@@ -192,6 +192,7 @@ def test_five_relaxing_terms_are_too_many():
         dataclasses.replace(LOSSY, viscoelastic=four)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(draw=st.data())
 def test_any_value_in_any_place_of_an_effect_is_accepted_or_refused(draw):
@@ -204,7 +205,7 @@ def test_any_value_in_any_place_of_an_effect_is_accepted_or_refused(draw):
         st.none() | st.floats() | st.integers() | st.text(max_size=3) | st.lists(st.floats(), max_size=3)
         | st.dictionaries(st.text(max_size=3), st.floats(), max_size=2))
     try:
-        material = decode_material_file(data).material
+        material = make_material_file_from_json_data(data).material
     except ts.InputError as error:
         assert error.problem
     else:

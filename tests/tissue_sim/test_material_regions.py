@@ -11,7 +11,7 @@ from solid_meshes import block
 import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.exports import EXPORTERS
-from tissue_sim.material.file import decode_material_file
+from tissue_sim.material.file import make_material_file_from_json_data
 from tissue_sim.mesh.tetrahedra import TET15P1
 
 STIFF = ts.Material("ogden_1", {"mu1": 9000.0, "alpha1": 3.0}, ts.Bulk("bulk_ratio", 1e3), 900.0, "lump",
@@ -54,7 +54,7 @@ def test_units_and_covariance_reach_into_regions(data):
     entry = data["regions"]["part:1"]["parameters"]["mu1"]
     entry.update(value=9.0, unit="kPa", standard_error=0.5)
     data["covariance"] = {"order": ["C10", "regions.part:1.mu1"], "matrix": [[4.0, 0.5], [0.5, 0.25]]}
-    file = decode_material_file(data)
+    file = make_material_file_from_json_data(data)
     assert file.material == MATERIAL and file.standard_errors == {"regions.part:1.mu1": 500.0}
     paths, covariance = file.covariance_SI
     assert paths == ("C10", "regions.part:1.mu1")
@@ -87,7 +87,7 @@ C10 = REGION["parameters"]["C10"]
 ])
 def test_refused_with_the_path_of_the_field(data, regions, field, message):
     with pytest.raises(ts.InputError, match=message) as caught:
-        decode_material_file({**data, "regions": regions})
+        make_material_file_from_json_data({**data, "regions": regions})
     assert caught.value.field == field
 
 

@@ -13,7 +13,7 @@ from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
-from tissue_sim.simulation import _iterate_steps_to_pose
+from tissue_sim.simulation import _iterate_adaptive_steps_to_pose
 
 #: Name of the law.
 LAW = "reduced_polynomial_2"
@@ -128,6 +128,7 @@ class TestRelaxation:
         assert sags[1] > 1.8 * sags[0] and sags[2] == pytest.approx(sags[1], rel=1e-6)
         assert forces[0] == pytest.approx(forces[2], rel=0.1) and forces[1] < 0.6 * forces[2]
 
+    @pytest.mark.slow
     def test_law_of_stretches(self):
         """Ogden with exponent 2 is Neo-Hooke, whatever is remembered."""
         protocol = ts.Protocol.parse("ramp 6mm @1mm/s; hold 3s; unload 3mm", points=7)
@@ -220,7 +221,7 @@ class TestStepping:
         solver = build_solver(m, build_mesh(m.experiment))
 
         def go(depth, dt):
-            *_, step = _iterate_steps_to_pose(solver, ts.Pose.at_depth(depth), dt)
+            *_, step = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(depth), dt)
             assert step.status is StepStatus.CONVERGED
             return step.force
 

@@ -71,6 +71,7 @@ def test_it_is_pressed_as_the_block_that_it_is(specimen):
     assert 0.5 * found < force(specimen, halves) < 0.85 * found
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_a_mesh(file, tmp_path, capsys):
     path = tmp_path / "m.material.json"
     ts.write_material_file(ts.MaterialFile.of(MATERIAL), path)

@@ -89,10 +89,11 @@ class FaultyTissue:
 class TestJudge:
     @pytest.mark.parametrize(("change", "verdict"), [
         (lambda answer: answer, "right"),
-        (lambda answer: answer.scale_force(0.95, answer.status), "silently wrong"),
-        (lambda answer: replace(answer.scale_force(0.95, answer.status), force_error=0.1 * answer.force),
+        (lambda answer: answer.multiply_force_and_set_status(0.95, answer.status), "silently wrong"),
+        (lambda answer: replace(
+            answer.multiply_force_and_set_status(0.95, answer.status), force_error=0.1 * answer.force),
          "wrong, but within the error that the answer states"),
-        (lambda answer: answer.scale_force(0.95, ts.ForceStatus.LATE), "not converged"),
+        (lambda answer: answer.multiply_force_and_set_status(0.95, ts.ForceStatus.LATE), "not converged"),
         (lambda answer: 1 / 0, "fault")])
     def test_faults_are_found(self, generator, bonded, monkeypatch, change, verdict):
         judge = generator.judge

@@ -13,7 +13,7 @@ from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
 from tissue_sim.fem.contact_settings import TOLERANCES
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import structured_mesh
-from tissue_sim.simulation import _iterate_steps_to_pose
+from tissue_sim.simulation import _iterate_adaptive_steps_to_pose
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 RADIUS = 8e-3
@@ -103,6 +103,7 @@ class TestBondedFace:
 
 
 class TestUnilateralFace:
+    @pytest.mark.slow
     def test_stick_is_bonded_while_it_is_pressed(self):
         bonded, stick = (ts.simulate(model(friction), resolution="accurate") for friction in ("bonded", "stick"))
         assert abs(stick.force[1:] / bonded.force[1:] - 1).max() < 1e-3
@@ -165,7 +166,7 @@ class TestTangent:
         m = model(friction, edge=edge)
         solver = build_solver(m, build_mesh(m.experiment))
         for depth in np.linspace(0, 6e-3, 25):
-            *_, step = _iterate_steps_to_pose(solver, ts.Pose.at_depth(float(depth)))
+            *_, step = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(depth)))
             assert step.status is StepStatus.CONVERGED
         step = solver.step(6.0005e-3, predictor_order=0)
         assert step.status is StepStatus.CONVERGED and step.iterations <= 5
@@ -178,11 +179,11 @@ class TestTangent:
         m = model("frictionless", edge=edge)
         solver = build_solver(m, build_mesh(m.experiment))
         for depth in np.linspace(0, 4e-3, 17):
-            *_, step = _iterate_steps_to_pose(solver, ts.Pose.at_depth(float(depth)))
+            *_, step = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(depth)))
         assert step.status is StepStatus.CONVERGED
         with_contact = solver.equations.tangent()
         pressed = solver.equations.surface.pressed.copy()
-        solver.equations.counts[newton.CountIndex.CONTACTS] = 0
+        solver.equations.counts[newton.StepIntegerIndex.CONTACTS] = 0
         added = with_contact - solver.equations.tangent()
 
         surface, freedoms = solver.equations.surface, 2 * len(solver.mesh.nodes)

@@ -9,9 +9,13 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from tissue_sim.experiment.tools.tool import TOOLS
-from tissue_sim.material.parts import find_material_declaration, make_material_from_numbers, with_material_parameters
+from tissue_sim.material.parts import (
+    find_parameter_path_and_declaration,
+    make_material_from_numbers,
+    with_changed_or_added_parameters,
+)
 from tissue_sim.parameters import (
-    find_parameters,
+    get_parameters_at_paths,
     list_field_declarations,
     parameter_values,
     parameters,
@@ -70,12 +74,12 @@ def test_several_change_at_once():
 def test_a_path_may_start_at_any_part():
     starts = ((MODEL, "experiment.tool.radius"), (EXPERIMENT, "tool.radius"), (EXPERIMENT.tool, "radius"))
     assert {value(part, path) for part, path in starts} == {8e-3}
-    assert [each.path for each in find_parameters(MODEL, ["layers[0].ratio"])] == ["material.layers[0].ratio"]
+    assert [each.path for each in get_parameters_at_paths(MODEL, ["layers[0].ratio"])] == ["material.layers[0].ratio"]
     for name, words in (("experiment.tool.raduis", "did you mean 'experiment.tool.radius'"),
                         ("experiment.friction_base", "must be a number to be changed; got 'bonded'"),
                         ("C10", "unknown parameter")):
         with pytest.raises(ts.InputError, match=words):
-            find_parameters(MODEL, [name])
+            get_parameters_at_paths(MODEL, [name])
     with pytest.raises(ts.InputError, match=r"did you mean 'rig\.latency'"):
         with_values(MODEL, {"rig.latncy": 1.0})
 
@@ -97,12 +101,12 @@ def test_a_material_is_made_of_its_numbers():
     values = parameter_values(MATERIAL)
     law = {name: values.pop(name) for name in MATERIAL.parameters}
     assert make_material_from_numbers("ogden_2", law, values, density=1040.0) == MATERIAL
-    assert find_material_declaration("layers[3].thickness_mm") == (
+    assert find_parameter_path_and_declaration("layers[3].thickness_mm") == (
         "layers[3].thickness", list_field_declarations(ts.Layer)["thickness"])
     for path, words in (("layers[0].thicknes", "did you mean"), ("viscoelastic.tau", "no material has"),
                         ("bulk.K", "no material has")):
         with pytest.raises(ts.InputError, match=words):
-            find_material_declaration(path)
+            find_parameter_path_and_declaration(path)
     with pytest.raises(ts.InputError, match=r"layers\[0\]\.thickness: is missing"):
         make_material_from_numbers("neo_hooke", {"C10": 1.0}, {"layers[0].ratio": 2.0})
     with pytest.raises(ts.InputError, match="numbered from 0 without gaps"):
@@ -119,10 +123,10 @@ def test_the_numbers_of_a_region_say_its_law():
                             "part:2": ts.Material("ogden_1", {"mu1": 500.0, "alpha1": 3.0}, bulk)}
     values = {path: value for path, value in parameter_values(made).items() if path.startswith("regions.")}
     assert {path: value for path, value in values.items() if "bulk" not in path} == lump
-    assert with_material_parameters(ts.Material("neo_hooke", {"C10": 100.0}, bulk), lump) == made
-    assert find_material_declaration("regions.lump.C20")[1].unit == "Pa"
+    assert with_changed_or_added_parameters(ts.Material("neo_hooke", {"C10": 100.0}, bulk), lump) == made
+    assert find_parameter_path_and_declaration("regions.lump.C20")[1].unit == "Pa"
     with pytest.raises(ts.InputError, match=r"regions.lump.C100: no law has a parameter 'C100'.*did you mean 'C10'"):
-        find_material_declaration("regions.lump.C100")
+        find_parameter_path_and_declaration("regions.lump.C100")
     with pytest.raises(ts.InputError, match=r"regions.lump: no law has the parameters C20 and no others"):
         make_material_from_numbers("neo_hooke", {"C10": 100.0}, {"regions.lump.C20": 1.0})
     with pytest.raises(ts.InputError, match=r"regions.lump.parameters"):

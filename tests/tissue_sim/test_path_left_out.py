@@ -96,6 +96,7 @@ def minimum_jerk(keys, counts):
     return [Pose(tuple(position)) for position in np.concatenate(lines).tolist()]
 
 
+@pytest.mark.slow
 def test_friction_of_nodes_that_hardly_slip_may_turn(monkeypatch):
     """The tool turns round slowly: Newton's method converges, and the tool is not pressed again from above."""
     mesh = create_needle_mesh(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4, largest=3.0 * RADIUS,

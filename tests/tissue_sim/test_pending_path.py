@@ -58,7 +58,7 @@ def test_too_many_ticks_are_merged_and_the_path_is_lost_for_a_time():
 
 def test_poses_that_cannot_be_reached_leave_their_time():
     made = path([1e-3, 2e-3])
-    made.discard_unreachable_poses()
+    made.discard_all_ticks_keeping_time()
     assert not made.is_empty and made.elapsed_time == pytest.approx(2e-3)
     made.append_tick(Pose.at_depth(5e-4), TICK)
     assert [tick.dt for tick in made.ticks] == [pytest.approx(3e-3)]

@@ -161,6 +161,7 @@ _STEPS = st.lists(_SEGMENTS | st.builds(ProtocolRepeat, st.integers(1, 10**6),
                                         st.lists(_SEGMENTS, min_size=1, max_size=3).map(tuple)), min_size=1, max_size=5)
 
 
+@pytest.mark.slow
 @given(_STEPS)
 def test_text_of_a_protocol_gives_it_back(steps):
     assert parse_protocol(format_protocol(steps)) == tuple(steps)

@@ -9,7 +9,7 @@ import tissue_sim as ts
 from scenes.commands.shared import tissue_flags
 from scenes.doctor import realtime_mesh
 from tissue_sim import realtime_ladder, simulator
-from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_levels
+from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_levels_finest_first
 from tissue_sim.fem.solver import ResolutionLevel
 
 SPECIMEN = ts.Specimen(0.040, 0.070)
@@ -53,7 +53,7 @@ class Counting:
 @pytest.mark.parametrize("lifts", [True, False])
 def test_the_motion_that_is_measured(lifts):
     one = Counting()
-    assert realtime_ladder.measure_tick_time(one, 10e-3, lifts=lifts) >= 0.0
+    assert realtime_ladder.measure_tick_time_or_infinity(one, 10e-3, lifts=lifts) >= 0.0
     depths = np.array(one.depths)
     assert 4e-3 < depths.max() <= 5e-3 and (depths.min() < 0.0) == lifts
     assert 0.05 < np.abs(np.diff(depths)).max() / realtime_ladder.MOTION.tick < 0.2
@@ -62,14 +62,14 @@ def test_the_motion_that_is_measured(lifts):
 def test_a_mesh_that_does_not_fit_is_known_soon():
     """One tick in a hundred may take longer, however long; the fourth of three hundred ends it."""
     one = Counting()
-    assert realtime_ladder.measure_tick_time(one, 10e-3, lifts=False, budget=-1.0) == math.inf
+    assert realtime_ladder.measure_tick_time_or_infinity(one, 10e-3, lifts=False, budget=-1.0) == math.inf
     assert len(one.depths) == 4
 
 
 def led_to(monkeypatch, name: str, ticks, **how) -> ts.Simulator:
     """A simulator with a budget of 1 s, on a computer that takes so long (s) for the ticks of each level."""
     times = iter(ticks)
-    monkeypatch.setattr(simulator, "measure_tick_time", lambda *arguments, **options: next(times))
+    monkeypatch.setattr(simulator, "measure_tick_time_or_infinity", lambda *arguments, **options: next(times))
     return ts.Simulator(model(name), **{"budget": 1.0, "inertia": "off"} | how)
 
 
@@ -77,7 +77,8 @@ def test_chosen_at_warm_up_and_kept(monkeypatch):
     sim = led_to(monkeypatch, "needle", (2.0, 0.5))
     assert sim.resolution == "realtime"
     sim.warm_up()
-    level = {level.resolution: level for level in list_realtime_levels(sim.model.experiment)}[sim.resolution]
+    level = {level.resolution: level
+             for level in list_realtime_levels_finest_first(sim.model.experiment)}[sim.resolution]
     assert level.resolution == "realtime_35" and sim.force_error == level.force_error
     assert len(sim.mesh.connectivity) == 35
     answer, mesh = sim.step(2e-3, 1e-3), sim.mesh
@@ -115,7 +116,7 @@ def test_a_mesh_on_which_nothing_stands_is_left_out(monkeypatch):
 
 def test_everybody_calls_them_the_same():
     names = [name for name, one in RESOLUTIONS.items() if one.force_errors]
-    assert [level.resolution for level in list_realtime_levels(model("plates").experiment)] == names
+    assert [level.resolution for level in list_realtime_levels_finest_first(model("plates").experiment)] == names
     assert list(tissue_flags._REALTIME_LEVELS) == names and names[-1] == realtime_mesh.COARSEST
 
 
@@ -125,7 +126,7 @@ def test_forces_err_by_no_more_than_they_say(name):
     """Against the accurate mesh in the same steps; to 6 mm, which keeps this short."""
     test = model(name, 6e-3, 13)
     exact = ts.simulate(test, resolution="accurate").force[4:]
-    for level in list_realtime_levels(test.experiment):
+    for level in list_realtime_levels_finest_first(test.experiment):
         force = ts.simulate(test, resolution=level.resolution).force[4:]
         assert np.abs(force / exact - 1.0).max() <= level.force_error, level
 
@@ -141,7 +142,7 @@ def test_under_a_free_edge_there_is_no_other_equilibrium_on_the_way_back():
         sim = ts.Simulator(ts.Model(test, tissue), resolution=resolution, inertia="off")
         return np.array([sim.step(depth, 1e-3).force for depth in way])
 
-    exact, levels = forces("fast"), list_realtime_levels(test)
+    exact, levels = forces("fast"), list_realtime_levels_finest_first(test)
     assert "realtime_20" not in [level.resolution for level in levels] and len(levels) == 3
     for level in levels:
         assert np.abs(forces(level.resolution) - exact).max() <= level.force_error * exact.max(), level

@@ -14,7 +14,7 @@ from tissue_sim.fem.reduced.solver import TOLERANCE, ReducedSolver
 from tissue_sim.fem.reduced.training_paths import make_training_path
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.pose import between, rotate_pose
+from tissue_sim.pose import between, rotate_pose_about_its_position
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
 DEPTH = 3e-3
@@ -277,9 +277,10 @@ class TestBox:
     def test_outside_is_said(self, held):
         solver = ReducedSolver(held, MATERIAL)
         for pose in (ts.Pose((2e-3, 0.0, -1e-3)), ts.Pose.at_depth(3.2e-3),
-                     rotate_pose(ts.Pose.at_depth(1e-3), (0.1, 0.0, 0.0))):
+                     rotate_pose_about_its_position(ts.Pose.at_depth(1e-3), (0.1, 0.0, 0.0))):
             assert solver.step(pose).status is StepStatus.OUTSIDE
-        assert solver.step(rotate_pose(ts.Pose.at_depth(1e-3), (0.05, 0.0, 0.0))).status is StepStatus.CONVERGED
+        assert solver.step(rotate_pose_about_its_position(ts.Pose.at_depth(1e-3),
+                                                          (0.05, 0.0, 0.0))).status is StepStatus.CONVERGED
 
     def test_a_simulator_stops_there_and_goes_on_inside(self, held):
         simulator = ts.Simulator(held.model, solver="reduced", mesh=held)
@@ -458,7 +459,8 @@ def test_a_smooth_motion_needs_few_further_looks(held):
     def pose(tick: int) -> ts.Pose:
         angle = 0.003 * tick
         place = 1e-3 * math.sin(angle), 0.8e-3 * math.sin(1.3 * angle), -1.5e-3 * (1.0 - math.cos(angle))
-        return rotate_pose(ts.Pose(place), (0.02 * math.sin(angle), 0.02 * math.sin(0.7 * angle), 0.0))
+        return rotate_pose_about_its_position(ts.Pose(place),
+                                              (0.02 * math.sin(angle), 0.02 * math.sin(0.7 * angle), 0.0))
 
     plain, close = ReducedSolver(held, MATERIAL), ReducedSolver(held, MATERIAL)
     close.least_tolerance = 1e-8
@@ -514,7 +516,8 @@ def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_l
             checker.restore(solver.save())
             # Pressures follow what the volumes there miss.
             checker.elements.evaluate_forces_and_stiffness(solver.amplitudes, True, 0)
-            pushed, _ = checker._evaluate_contact(solver.amplitudes, frame := ToolFrame(to, solver.datum), True)
+            pushed, _ = checker._compute_modal_contact_forces_and_rates(solver.amplitudes,
+                                                                        frame := ToolFrame(to, solver.datum), True)
             residual = checker.elements.modal_forces + pushed
             scale = solver._compute_reference_force(np.linalg.norm(residual[:held.lifting]) + np.linalg.norm(pushed))
             believed.append(np.linalg.norm(residual[held.lifting:len(residual) - held.watched]) / scale)

@@ -8,10 +8,12 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.acceptance import add_calibrated_compliance
-from tissue_sim.fem.reduced.compliance_table import ContactCompliance, with_accepted_missing_forces
+from tissue_sim.fem.reduced.compliance_table import ContactCompliance, calibrate_accepted_missing_forces
 from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training_paths import make_boundary_training_paths, make_training_path
 from tissue_sim.pose import motion
+
+pytestmark = pytest.mark.slow
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 2000.0}, ts.Bulk("bulk_ratio", 1e3))
 BOX = ts.PoseBox(1.5e-3, 1.6e-3)
@@ -84,7 +86,6 @@ class TestStrokes:
         assert {(x, y, -1e-3) for x in (-2e-3, 0.0, 2e-3) for y in (-2e-3, 0.0, 2e-3)} <= deepest
         assert max(np.linalg.norm(motion(START, pose)[3:]) for pose in poses) == pytest.approx(0.1)
 
-    @pytest.mark.slow
     def test_images_are_not_followed(self, ball):
         solver = training.make_full_order_solver(ball.model, ball.mesh)
         images = [each.matrix for each in find_symmetries(solver, START)]
@@ -101,7 +102,6 @@ class TestStrokes:
 
 
 class TestForce:
-    @pytest.mark.slow
     def test_it_is_right_within_its_stated_error_in_the_whole_box(self, fine_ball, truth):
         peak = np.linalg.norm(truth, axis=2).max()
         for place, forces in zip(PLACES, truth, strict=True):
@@ -111,7 +111,6 @@ class TestForce:
                       if off(a, f) <= 0.03 * peak and np.linalg.norm(f) >= 0.2 * peak]
             assert loaded and all(a.status is ts.ForceStatus.CONVERGED for a in loaded), "no alarm where it is right"
 
-    @pytest.mark.slow
     def test_nodes_that_no_stroke_pressed_are_in_the_estimate(self, central, truth):
         """Outside the training strokes the force is far too large, and the status reports it."""
         peak = np.linalg.norm(truth, axis=2).max()
@@ -124,7 +123,6 @@ class TestForce:
         right = [answer for answer, force in middle if off(answer, force) <= 0.03 * peak]
         assert len(right) >= 8 and all(a.status is ts.ForceStatus.CONVERGED for a in right), "no alarm where they did"
 
-    @pytest.mark.slow
     def test_the_estimate_scales_with_the_moduli(self, central):
         errors = []
         for factor in (1.0, 3.0):
@@ -152,7 +150,6 @@ class TestFile:
         with pytest.raises(ts.InputError, match="agree with each other"):
             ts.load_reduced(path)
 
-    @pytest.mark.slow
     def test_a_file_of_an_older_version_states_all_of_the_missing_force(self, central, tmp_path):
         """It has no table; what was right on its strokes is not known, so that the estimate is larger."""
         ts.write_reduced(replace(central, compliance=None), path := tmp_path / "old.reduced.npz")
@@ -168,9 +165,9 @@ class TestFile:
 
 def test_accepted_missing_force_grows_with_the_force():
     table = ContactCompliance(np.arange(1), np.array([0.0, 0.0, 1.0]), np.eye(1), np.eye(1), np.zeros(1), np.zeros(1))
-    assert table.accepted_missing_force_at(1.0) == 0.0
-    known = with_accepted_missing_forces(table, [2.0, 1.0, 3.0], [0.3, 0.2, 0.4], [0.1, 0.0, 0.5])
+    assert table.get_accepted_missing_force_at_tool_force(1.0) == 0.0
+    known = calibrate_accepted_missing_forces(table, [2.0, 1.0, 3.0], [0.3, 0.2, 0.4], [0.1, 0.0, 0.5])
     np.testing.assert_allclose(known.accepted, [0.0, 0.2, 0.2, 0.2])
-    assert known.accepted_missing_force_at(0.5) == pytest.approx(0.1)
-    assert known.accepted_missing_force_at(6.0) == pytest.approx(0.4)
-    assert known.with_unlimited_acceptance.accepted_missing_force_at(5.0) == np.inf
+    assert known.get_accepted_missing_force_at_tool_force(0.5) == pytest.approx(0.1)
+    assert known.get_accepted_missing_force_at_tool_force(6.0) == pytest.approx(0.4)
+    assert known.unlimited_acceptance_copy.get_accepted_missing_force_at_tool_force(5.0) == np.inf

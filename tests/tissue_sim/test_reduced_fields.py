@@ -12,6 +12,8 @@ from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.snapshot import snapshot
 
+pytestmark = pytest.mark.slow
+
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
 POSES = [ts.Pose((0.05e-3 * k, -0.04e-3 * k, -0.25e-3 * k)) for k in range(9)]
 
@@ -39,7 +41,6 @@ def fields(solver):
     return solver.fields([solver.field_sample()])
 
 
-@pytest.mark.slow
 def test_they_are_those_of_the_whole_solid(reduced, fields):
     whole = training.make_full_order_solver(reduced.model, reduced.mesh)
     for pose in POSES:
@@ -53,7 +54,6 @@ def test_they_are_those_of_the_whole_solid(reduced, fields):
     assert fields.stretch_range() == pytest.approx(exact.stretch_range(), rel=0.01)
 
 
-@pytest.mark.slow
 def test_there_is_no_pressure(fields):
     assert set(fields.names) == {"displacement", "von_mises", "stretch", "J"}
     with pytest.raises(ts.InputError, match=r"does not compute pressure.*use one of displacement") as raised:
@@ -69,7 +69,7 @@ def test_what_is_published_is_where_the_nodes_are(solver, fields):
     again = shown.at(shown.pose, shown.datum, (0.5 * displacement,))
     assert again.fields.at_nodes("displacement").max() == pytest.approx(
         0.5 * fields.at_nodes("displacement").max(), rel=1e-12)
-    part = fields.select_elements(np.arange(5)).average_over_elements()
+    part = fields.with_selected_elements(np.arange(5)).with_one_mean_point_per_element()
     assert part.at_points("von_mises").shape == (5, 1) and (part.at_points("von_mises") > 0.0).all()
 
 

@@ -7,7 +7,7 @@ import tissue_sim as ts
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.frame import ToolFrame
-from tissue_sim.pose import rotate_pose
+from tissue_sim.pose import rotate_pose_about_its_position
 
 
 class TestLayer:
@@ -20,7 +20,7 @@ class TestLayer:
     def contact(self, tool: ts.Tool, mu: float) -> LayerContact:
         body = RigidBody(tool.profile, np.array([0]), (mu, mu))
         layer = LayerContact([body], np.zeros((1, 3)), np.array([1e-6]), np.eye(3), reach=5e-3, softness=1e-3)
-        layer.set_penalty_stiffness(np.array([1e5]))
+        layer.set_penalty_from_moduli_and_get_smallest(np.array([1e5]))
         return layer
 
     @staticmethod
@@ -55,13 +55,13 @@ class TestLayer:
         layer.commit_step()
         moved = np.add(at, [3e-6, -1e-6, 2e-6])
         layer.evaluate_contact(moved, pose, True)
-        _, rates = layer.get_modal_forces()
+        _, rates = layer.get_modal_forces_and_stiffness()
         width = 1e-9
         for axis in range(3):
             sides = []
             for sign in (1.0, -1.0):
                 layer.evaluate_contact(moved + sign * width * np.eye(3)[axis], pose, True)
-                sides.append(layer.get_modal_forces()[0])
+                sides.append(layer.get_modal_forces_and_stiffness()[0])
             np.testing.assert_allclose(rates[:, axis], (sides[0] - sides[1]) / (2 * width), rtol=1e-4,
                                        atol=1e-3 * np.abs(rates).max())
 
@@ -72,22 +72,23 @@ class TestLayer:
         """Derivatives of forces and wrench with respect to tool position and rotation, on fixed and moving tissue."""
         layer, at = self.contact(ts.Tool("round", radius=8e-3), mu), np.array([2e-3, 1e-3, 0.0])
         answer = np.zeros((3, 6))
-        pose = rotate_pose(ts.Pose((1e-4, 0.0, -3e-3)), (0.1, -0.05, 0.02))
+        pose = rotate_pose_about_its_position(ts.Pose((1e-4, 0.0, -3e-3)), (0.1, -0.05, 0.02))
         layer.evaluate_contact(at, ToolFrame(pose, 0.0), True)
         layer.commit_step()
         at = np.add(at, [3e-6, -1e-6, 2e-6])
         if follows:
             answer[:] = 0.1 * np.random.default_rng(0).standard_normal((3, 6)) * [1.0, 1.0, 1.0, 5e-3, 5e-3, 5e-3]
         layer.evaluate_contact(at, ToolFrame(pose, 0.0), True)
-        rates = layer.modal_force_rates + layer.get_modal_forces()[1] @ answer
-        stiffness = layer.compute_tool_stiffness(answer)
+        rates = layer.modal_force_derivative_by_pose + layer.get_modal_forces_and_stiffness()[1] @ answer
+        stiffness = layer.compute_contact_stiffness_at_tool(answer)
         for axis in range(6):
             width = 1e-9 if axis < 3 else 1e-7
             pushes, wrenches = [], []
             for change in (width * np.eye(6)[axis], -width * np.eye(6)[axis]):
-                there = rotate_pose(ts.Pose(tuple(pose.position + change[:3]), pose.orientation), tuple(change[3:]))
+                there = rotate_pose_about_its_position(ts.Pose(tuple(pose.position + change[:3]), pose.orientation),
+                                                       tuple(change[3:]))
                 layer.evaluate_contact(at + answer @ change, ToolFrame(there, 0.0), True)
-                pushes.append(layer.get_modal_forces()[0])
+                pushes.append(layer.get_modal_forces_and_stiffness()[0])
                 wrenches.append(layer.wrench)
             for found, sides, sign in ((rates, pushes, 1.0), (stiffness, wrenches, -1.0)):
                 np.testing.assert_allclose(found[:, axis], sign * (sides[0] - sides[1]) / (2.0 * width), rtol=close,
@@ -100,4 +101,5 @@ class TestLayer:
         for place in (at + change, at - change, at):
             layer.evaluate_contact(place, self.frame(0.0, 0.0, -3e-3), True)
             sides.append(layer.wrench[:3])
-        np.testing.assert_allclose(layer.compute_linear_force_change(2.0 * change), sides[0] - sides[1], rtol=1e-5)
+        np.testing.assert_allclose(layer.compute_force_change_by_amplitudes(2.0 * change), sides[0] - sides[1],
+                                   rtol=1e-5)

@@ -13,7 +13,7 @@ from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training_paths import make_training_path
-from tissue_sim.fem.reduced.verification import verify_and_calibrate
+from tissue_sim.fem.reduced.verification import verify_and_get_report_and_factors
 from tissue_sim.fem.solid.tissue import Tissue, element_layers
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0
@@ -100,7 +100,7 @@ class TestElements:
         tissue = Tissue(mesh, x, 5e-3, layers)
         tissue.set_material(material)
         x[:] = basis @ (amplitudes := rng.normal(size=6) * 2e-5)
-        tissue.assemble_forces_and_tangent()
+        tissue.assemble_and_get_least_volume_ratio()
         sampled = SampledElements(mesh, basis, np.arange(count), np.ones(count), layers=layers, groups=8)
         sampled.set_material(material, 1e9)
         sampled.evaluate_forces_and_stiffness(amplitudes, False, 1)
@@ -130,12 +130,11 @@ class TestElements:
         assert stiffness(1e9, 0) == pytest.approx((500.0 + 4.0 / 3.0) * STIFF.mu0 * volume, rel=1e-5)
 
 
+@pytest.mark.slow
 class TestLayers:
-    @pytest.mark.slow
     def test_on_unseen_strokes(self, skinned):
         assert skinned.report["force_rms_error"] < 0.01 and skinned.report["not_converged"] == 0.0
 
-    @pytest.mark.slow
     def test_a_skin_of_another_stiffness(self, skinned):
         """The moduli are those of now: softer and stiffer by half than the one that it was made of, and none."""
         materials = [replace(SOFT, layers=(replace(SKIN, ratio=ratio),)) for ratio in (3.0, 6.0)]
@@ -147,7 +146,6 @@ class TestLayers:
         np.testing.assert_allclose(reduced_forces(skinned, none, POSES), reduced_forces(skinned, one, POSES), rtol=1e-9,
                                    atol=1e-12)
 
-    @pytest.mark.slow
     def test_made_for_several_materials(self, skinned, coarse, tmp_path):
         """Half and twice the stiffness of the skin among those that it is made for: good for what is between, too."""
         also = [replace(SOFT, layers=(replace(SKIN, ratio=ratio),)) for ratio in (2.0, 8.0)]
@@ -165,7 +163,6 @@ class TestLayers:
         with pytest.raises(ts.InputError, match="must have the thicknesses of the reduced solid"):
             ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[thicker])
 
-    @pytest.mark.slow
     def test_too_few_strokes_for_several_materials(self, skinned, tmp_path):
         with pytest.raises(ts.InputError, match="number of materials, 3; got 2") as refused:
             ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[SOFT, replace(SOFT, layers=(SKIN,))],
@@ -175,7 +172,6 @@ class TestLayers:
             ts.reduce_solid(skinned.model, skinned.box, also=[SOFT, replace(SOFT, bulk=ts.Bulk("bulk_ratio", 5e6))])
         assert refused.value.field.startswith("also[1].")
 
-    @pytest.mark.slow
     def test_a_soft_material_counts_as_much_as_a_stiff_one(self, skinned):
         """Evaluated elements, and the stated error."""
         soft = ts.with_values(skinned.model.material, {"C10": 14.049, "C20": 6.994})
@@ -187,13 +183,13 @@ class TestLayers:
             way = make_training_path(number, skinned.box, start, holds=True, reach=6e-3)[::4]
             ways.append(way)
             taken.append(training.simulate_snapshots(solver, way))
-        looked_at = list(training.iterate_sampling_states(taken, ways, materials, [find_symmetries(solver, start)[0]],
-                                                          start))
+        looked_at = list(training.iterate_symmetric_sampling_states(taken, ways, materials,
+                                                                    [find_symmetries(solver, start)[0]], start))
         assert sum(sample.material is soft for sample in looked_at) >= 0.3 * len(looked_at)
         unseen = make_training_path(training.VERIFICATION.first_test_path, skinned.box, start, holds=True, reach=6e-3)
-        report, _ = verify_and_calibrate(skinned, solver, [unseen, unseen], materials=materials)
-        of_soft, _ = verify_and_calibrate(skinned, solver, [unseen], materials=[soft])
-        of_stiff, _ = verify_and_calibrate(skinned, solver, [unseen], materials=materials[:1])
+        report, _ = verify_and_get_report_and_factors(skinned, solver, [unseen, unseen], materials=materials)
+        of_soft, _ = verify_and_get_report_and_factors(skinned, solver, [unseen], materials=[soft])
+        of_stiff, _ = verify_and_get_report_and_factors(skinned, solver, [unseen], materials=materials[:1])
         assert of_soft["force_rms_N"] < 0.02 * of_stiff["force_rms_N"]
         errors = np.array([each["force_rms_error"] for each in (of_soft, of_stiff)])
         assert report["force_rms_error"] == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-3)
@@ -277,13 +273,12 @@ class TestSides:
         assert ts.Specimen(shape="mesh", mesh_file=moved) == again.experiment.specimen, "by what is in it"
 
 
+@pytest.mark.slow
 class TestMeshesOfFiles:
-    @pytest.mark.slow
     def test_on_an_unseen_stroke(self, organ):
         made, _ = organ
         assert made.report["force_rms_error"] < 0.01 and made.report["not_converged"] == 0.0
 
-    @pytest.mark.slow
     def test_the_file_of_the_mesh_is_not_needed(self, organ):
         made, read = organ
         assert read.model.experiment.specimen.digest == made.model.experiment.specimen.digest
@@ -306,7 +301,6 @@ class TestMeshesOfFiles:
             ts.load_reduced(path)
         assert str(refused.value.file) == str(path)
 
-    @pytest.mark.slow
     def test_a_region_of_another_law(self, organ):
         """Also one that relaxes where the rest does not."""
         _, read = organ

@@ -8,9 +8,9 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.symmetry import find_symmetries, split_symmetry_group
+from tissue_sim.fem.reduced.symmetry import find_symmetries, split_into_involutions_and_cosets
 from tissue_sim.fem.reduced.training_paths import make_training_path
-from tissue_sim.fem.reduced.verification import verify_and_calibrate
+from tissue_sim.fem.reduced.verification import verify_and_get_report_and_factors
 from tissue_sim.pose import motion
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
@@ -122,10 +122,10 @@ class TestModes:
         """The modes of states and all their images, each even or odd under the mirrors; singular values as of all."""
         _, _, solver, start = scene("touched")
         group = find_symmetries(solver, start)
-        commuting, cosets = split_symmetry_group(group)
+        commuting, cosets = split_into_involutions_and_cosets(group)
         assert len(commuting) == 2 and len(cosets) == 2
         states = np.random.default_rng(0).normal(size=(3, solver.x.size))
-        found, singular = training.compute_modes(states, group, 12)
+        found, singular = training.compute_modes_and_singular_values(states, group, 12)
         images = np.concatenate([each.map_displacements(states) for each in group])
         np.testing.assert_allclose(singular[:24], np.linalg.svd(images, compute_uv=False), rtol=1e-9)
         np.testing.assert_allclose(found.T @ found, np.eye(found.shape[1]), atol=1e-9)
@@ -137,7 +137,7 @@ class TestModes:
     def test_without_symmetries_they_are_those_of_the_states(self):
         _, _, solver, start = scene("touched")
         states = np.random.default_rng(1).normal(size=(5, solver.x.size))
-        found, singular = training.compute_modes(states, find_symmetries(solver, start)[:1], 4)
+        found, singular = training.compute_modes_and_singular_values(states, find_symmetries(solver, start)[:1], 4)
         _, values, vectors = np.linalg.svd(states, full_matrices=False)
         np.testing.assert_allclose(singular, values, rtol=1e-9)
         np.testing.assert_allclose(np.abs(np.einsum("fi,if->i", found, vectors[:4])), 1.0, atol=1e-9)
@@ -156,7 +156,7 @@ def test_images_make_a_reduced_solid_better():
                                                softness=1e-3, bulk_ratio=300.0, group=own)
         assert reduced.report["symmetries"] == len(own)
         unseen = make_training_path(training.VERIFICATION.first_test_path, box, start, holds=True, reach=8e-3)
-        report, _ = verify_and_calibrate(reduced, solver, [unseen])
+        report, _ = verify_and_get_report_and_factors(reduced, solver, [unseen])
         assert report["not_converged"] == 0.0
         errors.append(report["force_rms_error"])
     assert errors[1] < 0.6 * errors[0] and errors[1] < 0.01

@@ -8,7 +8,7 @@ import pytest
 import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.fem.reduced.elements import SampledElements
-from tissue_sim.fem.reduced.model import RestState
+from tissue_sim.fem.reduced.model import RestDisplacementAndPressures
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.training import build_training_mesh
 from tissue_sim.fem.solid.discretisation import make_solver
@@ -18,6 +18,8 @@ from tissue_sim.material.file import MaterialFile, write_material_file
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import create_needle_mesh
 from tissue_sim.pose import Pose
+
+pytestmark = pytest.mark.slow
 
 SOFT = ts.Material("neo_hooke", {"C10": 200.0}, ts.Bulk("bulk_ratio", 1e3))
 CREEPING = replace(SOFT, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 0.5),), "long_term"))
@@ -35,7 +37,7 @@ def way(count: int) -> list[Pose]:
     shares = np.linspace(0.0, 1.0, count)
     aside = BOX.sideways * np.stack([np.sin(4.0 * shares), np.sin(2.3 * shares)], axis=-1)
     return [Pose((x, y, -z)) for (x, y), z in zip(aside.tolist(), (BOX.depth * np.sin(3.1 * shares)).tolist(),
-                                                    strict=True)]
+                                                  strict=True)]
 
 
 def forces(solver, poses, dt=0.1) -> np.ndarray:
@@ -56,7 +58,6 @@ def heavy(coarse):
     return ts.reduce_solid(model(CREEPING), BOX, resolution=coarse, strokes=6, modes=16, tried=1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("element", [HEX8P0, HEX27P1], ids=lambda element: element.name)
 @pytest.mark.parametrize("bulk_ratio", [1e3, 50.0], ids=["own bulk", "softer bulk"])
 def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bulk_ratio):
@@ -71,7 +72,7 @@ def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bu
     basis = basis.reshape(-1, 5)
     count = len(mesh.connectivity)
     found = SampledElements(mesh, basis, np.arange(count), np.ones(count), layers=element_layers(mesh, ()),
-                            rest=RestState(standing.displacement.ravel(), standing.pressures))
+                            rest=RestDisplacementAndPressures(standing.displacement.ravel(), standing.pressures))
     found.set_material(of.material, bulk_ratio)
     found.initialise_rest_state()
     found.evaluate_forces_and_stiffness(np.zeros(5), False, 1)
@@ -82,10 +83,11 @@ def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bu
     rest = solver.x.copy()
     weight = basis.T @ (solver.tissue.specific_weight * np.repeat(solver.batches.volumes, 3) * np.tile(
         [0.0, 0.0, 1.0], len(mesh.nodes)))
-    stiff = solver.tissue.compute_element_forces(bulk_ratio, solver.batches.pressures.copy())
+    stiff = solver.tissue.compute_element_forces_limiting_bulk(bulk_ratio, solver.batches.pressures.copy())
     solver.x[:] = rest + basis @ amplitudes
-    expected = solver.tissue.compute_element_forces(bulk_ratio,
-                                                    solver.batches.convert_elements_to_lanes(standing.pressures))
+    expected = solver.tissue.compute_element_forces_limiting_bulk(bulk_ratio,
+                                                                  solver.batches.convert_pressures_to_lanes(
+                                                                      standing.pressures))
     rows = basis.reshape(-1, 3, 5)[mesh.connectivity].reshape(count, -1, 5)
     on_modes = np.einsum("ei,eir->r", expected, rows)
     largest = np.abs(found.modal_forces).max()
@@ -93,7 +95,6 @@ def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bu
     assert np.abs(np.einsum("ei,eir->r", stiff, rows) + weight).max() < 1e-7 * largest
 
 
-@pytest.mark.slow
 def test_it_does_what_the_whole_one_does(heavy, coarse):
     """Soft tissue that sinks in by 1.5 mm, and creeps; its weight changes the forces by several percent."""
     mesh, poses = build_training_mesh(model(), BOX, coarse), way(16)
@@ -108,7 +109,6 @@ def test_it_does_what_the_whole_one_does(heavy, coarse):
     np.testing.assert_allclose(forces(solver, poses), found, rtol=0, atol=1e-3 * np.abs(found).max())
 
 
-@pytest.mark.slow
 def test_layers_lie_where_they_are_stated_in_a_specimen_as_placed():
     """It was moulded a tenth higher, and its elements reach deeper there."""
     of = model(replace(SOFT, layers=(ts.Layer(10e-3, 0.4),)), height_is="placed")
@@ -120,7 +120,6 @@ def test_layers_lie_where_they_are_stated_in_a_specimen_as_placed():
     assert off(forces(ReducedSolver(reduced, of.material), poses), forces(make_solver(of, mesh=mesh), poses)) < 0.02
 
 
-@pytest.mark.slow
 def test_a_height_as_placed_and_a_tool_that_slides(tmp_path):
     of = model(height_is="placed", friction=0.3, tool="round")
     reduced = ts.reduce_solid(of, ts.PoseBox(0.0, 2e-3), strokes=4, modes=16, tried=1)
@@ -134,7 +133,6 @@ def test_a_height_as_placed_and_a_tool_that_slides(tmp_path):
     assert (found[:, 2] >= 0.0).all() and found[19, 2] > 0.0
 
 
-@pytest.mark.slow
 def test_its_file_says_how_it_stands(heavy, coarse, tmp_path):
     path = tmp_path / "heavy.reduced.npz"
     ts.write_reduced(heavy, path)
@@ -160,7 +158,6 @@ def test_a_file_without_it_is_refused(heavy, tmp_path, lost):
         ts.load_reduced(path)
 
 
-@pytest.mark.slow
 def test_it_keeps_its_material(heavy, tmp_path, capsys):
     """Another one would let it stand elsewhere."""
     simulator = ts.Simulator(heavy.model, solver="reduced", mesh=heavy)

@@ -8,7 +8,7 @@ import pytest
 from child_environment import child_environment
 
 from tissue_sim.errors import InputError
-from tissue_sim.registry import Registry, list_registered_objects, register_objects_of_other_process
+from tissue_sim.registry import Registry, list_registered_groups_names_objects, register_objects_of_other_process
 
 
 class Thing:
@@ -29,7 +29,7 @@ def test_a_taken_name_is_refused_and_the_same_thing_is_not():
     table = Registry("thing", "tests.taken", {"first": 1})
     table.register(Thing)
     table.register(Thing)
-    assert table["third"] is Thing and ("tests.taken", "third", Thing) in list_registered_objects()
+    assert table["third"] is Thing and ("tests.taken", "third", Thing) in list_registered_groups_names_objects()
     with pytest.raises(InputError, match="'first' is taken by another thing"):
         table.register(2, "first")
     with pytest.raises(InputError, match="did you mean 'third'"):
@@ -37,7 +37,8 @@ def test_a_taken_name_is_refused_and_the_same_thing_is_not():
     with pytest.raises(InputError, match="needs a name"):
         table.register(3)
     table.unregister("third")
-    assert "third" not in table and not any(group == "tests.taken" for group, *_ in list_registered_objects())
+    assert "third" not in table and not any(group == "tests.taken" for group,
+                                            *_ in list_registered_groups_names_objects())
     with pytest.raises(InputError, match="no thing 'first' was registered"):
         table.unregister("first")
 

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 import tissue_sim as ts
 from tissue_sim.recording.recording import Recording
-from tissue_sim.rig.backlash import compute_nut_motion
+from tissue_sim.rig.backlash import compute_nut_positions_and_screw_samples
 from tissue_sim.rig.rig import Rig
 
 #: Radius, m.
@@ -238,7 +238,7 @@ class TestMotion:
     @given(st.lists(st.integers(-20, 20), min_size=1, max_size=40), st.integers(1, 10))
     def test_play_is_never_exceeded_and_the_history_is_one_that_was(self, steps, play):
         screw = np.cumsum(steps).astype(float)
-        nut, since = compute_nut_motion(screw, float(play))
+        nut, since = compute_nut_positions_and_screw_samples(screw, float(play))
         assert (nut >= screw).all() and (nut <= screw + play).all()
         assert (since <= np.arange(screw.size)).all() and (np.diff(since) >= 0).all()
         np.testing.assert_allclose(np.interp(since, np.arange(screw.size), screw), nut, atol=1e-9)

@@ -7,11 +7,11 @@ import tissue_sim as ts
 from tissue_sim.errors import InputError
 from tissue_sim.recording.cleaning import remove_outliers_and_saturation
 from tissue_sim.recording.control import analyse_control_and_creep
-from tissue_sim.recording.measures import MEASURES, convert_to_stretch_and_nominal
-from tissue_sim.recording.oscillation import find_oscillation
-from tissue_sim.recording.outliers import find_outliers
+from tissue_sim.recording.measures import MEASURES, convert_recording_to_stretch_and_nominal
+from tissue_sim.recording.oscillation import find_final_oscillation_or_none
+from tissue_sim.recording.outliers import find_outliers_of_motion_and_load
 from tissue_sim.recording.preload import estimate_load_at_zero_displacement
-from tissue_sim.recording.saturation import find_quantization_step
+from tissue_sim.recording.saturation import find_common_divisor_or_zero
 
 TIME = np.arange(126) * 0.2
 WAY = 1e-4 * TIME
@@ -58,7 +58,7 @@ class TestOutliers:
 
     def test_a_lost_row(self):
         assert remove_outliers_and_saturation(recording(changed(WAY, 60, 0.0),
-                                         changed(FORCE, 60, 0.0)))[1].left_out_sample_numbers == (61,)
+                                                        changed(FORCE, 60, 0.0)))[1].left_out_sample_numbers == (61,)
 
     @pytest.mark.parametrize("seed", range(20))
     def test_clean_recordings_lose_no_sample(self, seed):
@@ -87,7 +87,7 @@ class TestOutliers:
         rest, found = remove_outliers_and_saturation(recording(load=changed(FORCE, [60, 80], 50.0)), leave_out=[61, 3])
         assert found.left_out_sample_numbers == (3, 61) and len(rest) == TIME.size - 2
         assert found.suspected[0].samples == (81,)
-        assert "sample 81 kept" in found.fit_contradictions[0]
+        assert "sample 81 kept" in found.elastic_fit_contradictions[0]
 
     @pytest.mark.parametrize("way", [changed(WAY, 0, 5e-3) + 1e-3, changed(WAY, [0, 1], 9.999)])
     def test_a_channel_counts_from_its_value_at_a_wrong_first_sample(self, way):
@@ -139,7 +139,8 @@ def stress_recording(nominal, stress, strain=None, *, stretch=STRETCH, digits=4)
     scale = 10.0 ** (digits - 1 - np.floor(np.log10(np.abs(values).max())))
     printed = ts.Recording({"time": TIME, "stretch": np.round(motion, 5),
                             "nominal stress": np.round(values * scale) / scale})
-    return convert_to_stretch_and_nominal(printed, {"nominal stress": stress} | ({"stretch": strain} if strain else {}))
+    return convert_recording_to_stretch_and_nominal(printed, {"nominal stress": stress}
+                                                    | ({"stretch": strain} if strain else {}))
 
 
 class TestSaturationOfStress:
@@ -175,10 +176,10 @@ class TestSaturationOfStress:
 
     def test_the_last_digit_of_a_column_in_any_unit(self):
         column = np.round(np.random.default_rng(6).normal(0.0, 30.0, 100), 3)
-        assert find_quantization_step(column) == pytest.approx(1e-3)
-        assert find_quantization_step(4.4482216152605 * column) == pytest.approx(4.4482216152605e-3, rel=1e-4)
-        assert find_quantization_step(np.random.default_rng(6).normal(0.0, 30.0, 100)) < 1e-4
-        assert find_quantization_step(np.full(5, 3.0)) == 0.0
+        assert find_common_divisor_or_zero(column) == pytest.approx(1e-3)
+        assert find_common_divisor_or_zero(4.4482216152605 * column) == pytest.approx(4.4482216152605e-3, rel=1e-4)
+        assert find_common_divisor_or_zero(np.random.default_rng(6).normal(0.0, 30.0, 100)) < 1e-4
+        assert find_common_divisor_or_zero(np.full(5, 3.0)) == 0.0
 
 
 class TestControl:
@@ -197,15 +198,15 @@ class TestControl:
         relaxed = 1 - 0.4 * (1 - np.exp(-(time % 60) / 15))
         found = analyse_control_and_creep(way, force(way) * relaxed, time)
         assert found.pattern == "staircase" and found.relaxation == pytest.approx(0.35, abs=0.06)
-        assert not found.is_elastic and "relaxes in holds by up to" in found.sentence
-        assert analyse_control_and_creep(way, force(way), time).is_elastic
+        assert not found.can_elastic_law_describe_loading and "relaxes in holds by up to" in found.sentence
+        assert analyse_control_and_creep(way, force(way), time).can_elastic_law_describe_loading
 
     def test_a_fast_ramp_before_a_hold_is_elastic_and_a_slow_one_is_not(self):
         time = np.arange(0.0, 120.0, 0.5)
         for duration, is_elastic in ((1.0, True), (30.0, False)):
             way = 2e-3 * np.clip(time / duration, 0, 1)
             load = force(way) * (1 - 0.4 * (1 - np.exp(-np.clip(time - duration, 0, None) / 15)))
-            assert analyse_control_and_creep(way, load, time).is_elastic == is_elastic
+            assert analyse_control_and_creep(way, load, time).can_elastic_law_describe_loading == is_elastic
 
     @pytest.mark.parametrize("phase", [0.0, 0.2])
     def test_an_oscillation_with_its_loss_factor(self, phase):
@@ -215,12 +216,12 @@ class TestControl:
         found = analyse_control_and_creep(way, load, time)
         assert found.pattern == "oscillation" and found.frequency == pytest.approx(1.0, rel=0.01)
         assert found.loss_factor == pytest.approx(np.tan(phase), abs=0.01)
-        assert found.is_elastic == (phase == 0.0)
+        assert found.can_elastic_law_describe_loading == (phase == 0.0)
 
     def test_cycles_that_return_to_rest_are_no_oscillation_around_an_offset(self):
         time = np.arange(0.0, 5.0, 0.02)
         way = 1e-3 * (1 - np.cos(2 * np.pi * time))
-        found = find_oscillation(way, force(way), time)
+        found = find_final_oscillation_or_none(way, force(way), time)
         assert found is not None and found.returns
 
     def test_an_oscillation_after_a_ramp_does_not_make_the_ramp_preconditioning(self):
@@ -254,7 +255,7 @@ def test_the_loading_from_rest_before_creep_is_kept():
     way = np.where(time < 4, 10.0 * time, 35.0 + 18.0 * (1 - np.exp(-time / 30)))
     load = np.minimum(0.17 * time, 0.53) + 0.002 * np.sin(7.0 * time)
     load[0] = 0.0
-    assert find_outliers(way, load) == ()
+    assert find_outliers_of_motion_and_load(way, load) == ()
 
 
 class TestFirstSample:
@@ -265,7 +266,7 @@ class TestFirstSample:
         # The ramp before the hold has two samples.
         way, load = np.insert(self.CREPT, 1, 0.6e-3), np.insert(np.where(self.CREPT > 0, 2.0, 0.0), 1, 1.2)
         load += 0.1 * NOISE[:load.size]
-        found = find_outliers(way, changed(load, 0, 9999.0))
+        found = find_outliers_of_motion_and_load(way, changed(load, 0, 9999.0))
         assert [(name, group) for name, group, _ in found] == [("load", (0,))]
 
     def test_creep_is_recognised_where_the_recording_begins_in_the_hold(self):

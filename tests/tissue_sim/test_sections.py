@@ -5,10 +5,10 @@ import pytest
 from solid_meshes import block as solid_block
 
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.sections import cut_tetrahedra, cut_triangles, intersect_triangles
-from tissue_sim.mesh.solid import create_block_mesh, create_needle_mesh
+from tissue_sim.mesh.sections import cut_tetrahedra, intersect_triangles, split_triangles_below_and_above
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_needle_mesh
 from tissue_sim.mesh.subdivision import (
-    find_face_edges,
+    find_outline_edges_of_face,
     subdivide_face_into_triangles,
     subdivide_into_tetrahedra,
     triangulate_surface_faces,
@@ -24,11 +24,11 @@ class Tetrahedron:
 
     reference_nodes = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (.5, 0, 0), (.5, .5, 0), (0, .5, 0),
                                 (0, 0, .5), (.5, 0, .5), (0, .5, .5)])
-    face_nodes = np.array([(0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 8, 7), (1, 2, 3, 5, 9, 8), (2, 0, 3, 6, 7, 9)])
+    local_face_node_indices = np.array([(0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 8, 7), (1, 2, 3, 5, 9, 8), (2, 0, 3, 6, 7, 9)])
 
 
 def block(element):
-    return create_block_mesh(*(np.linspace(-0.5 * size, 0.5 * size, 4) for size in SIZES), element)
+    return create_block_mesh_from_boundaries(*(np.linspace(-0.5 * size, 0.5 * size, 4) for size in SIZES), element)
 
 
 def cells_of(mesh):
@@ -72,12 +72,12 @@ def test_tetrahedra_fill_an_element_and_triangles_its_sides(element, volume):
     sizes = np.linalg.det(places[cells[:, 1:]] - places[cells[:, :1]]) / 6.0
     assert (sizes > 0.0).all() and sizes.sum() == pytest.approx(volume)
     assert np.unique(cells).size == len(places), "every node is a corner"
-    sides = triangulate_surface_faces(element, element.face_nodes)
+    sides = triangulate_surface_faces(element, element.local_face_node_indices)
     flux = np.einsum("ti,ti->", normals(places, sides), places[sides].mean(axis=1)) / 3.0
     assert flux == pytest.approx(volume), "outward normals: the flux of the place through the sides"
-    for side in element.face_nodes:
+    for side in element.local_face_node_indices:
         assert np.unique(side[subdivide_face_into_triangles(element)]).size == side.size
-        assert len(find_face_edges(element)) == (len(side) - (1 if len(side) == 9 else 0))
+        assert len(find_outline_edges_of_face(element)) == (len(side) - (1 if len(side) == 9 else 0))
 
 
 @every_element
@@ -143,7 +143,7 @@ def test_a_clipped_surface_and_the_section_close_the_body(element):
     normal = np.array([0.3, -0.9, 0.2]) / np.linalg.norm([0.3, -0.9, 0.2])
     heights = (mesh.nodes - [6e-3, 0.0, -0.02]) @ normal
     outside = triangulate_surface_faces(element, np.concatenate(list(mesh.faces.values())))
-    crossings, below, above = cut_triangles(outside, heights)
+    crossings, below, above = split_triangles_below_and_above(outside, heights)
     points = crossings.append_interpolated_values(mesh.nodes)
     np.testing.assert_allclose(crossings.interpolate_nodal_values(heights), 0.0, atol=1e-16)
     both = normals(points, below).sum(axis=0) + normals(points, above).sum(axis=0)
@@ -160,7 +160,7 @@ def test_a_clipped_surface_and_the_section_close_the_body(element):
 
 
 def test_clipping_at_nodes_leaves_no_slivers():
-    mesh = create_block_mesh(*(np.linspace(-1.0, 1.0, 3) for _ in range(3)), HEX8P0)
+    mesh = create_block_mesh_from_boundaries(*(np.linspace(-1.0, 1.0, 3) for _ in range(3)), HEX8P0)
     outside = triangulate_surface_faces(HEX8P0, np.concatenate(list(mesh.faces.values())))
-    _, below, above = cut_triangles(outside, mesh.nodes[:, 0])
+    _, below, above = split_triangles_below_and_above(outside, mesh.nodes[:, 0])
     assert len(below) == len(above) == len(outside) // 2

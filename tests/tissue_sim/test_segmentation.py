@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 import tissue_sim as ts
 from tissue_sim.recording.segmentation import (
     ReversalDetector,
-    label_motion,
     label_reloads_and_cycles,
+    label_samples_ramp_hold_unload,
     number_repeated_runs,
 )
 
@@ -27,7 +27,7 @@ def moved(protocol, step=0.05):
 def test_labels_are_those_of_the_protocol(noise):
     known, time, displacement = moved(CYCLES)
     displacement = displacement + noise * np.random.default_rng(1).standard_normal(time.size)
-    labels, cycles = label_reloads_and_cycles(label_motion(time, displacement))
+    labels, cycles = label_reloads_and_cycles(label_samples_ramp_hold_unload(time, displacement))
     stated = np.searchsorted(known.time, time).clip(0, known.time.size - 1)
     # Of a noisy motion the corners are found to within a few samples.
     near = np.abs(time[:, None] - known.time[np.flatnonzero(known.segment[1:] != known.segment[:-1])]).min(axis=1)
@@ -46,13 +46,13 @@ def test_reversals_one_by_one_are_the_turns_of_the_labels(turns):
     reversals = ReversalDetector(0.05e-3)
     for index, value in enumerate(displacement.tolist()):
         reversals.add_sample(index, value)
-    ways = [direction for direction, *_ in reversals.list_branches(time.size - 1)]
-    labels = label_motion(time, displacement, 0.025e-3)
+    ways = [direction for direction, *_ in reversals.list_branch_directions_and_ranges(time.size - 1)]
+    labels = label_samples_ramp_hold_unload(time, displacement, 0.025e-3)
     runs = list(dict.fromkeys(number_repeated_runs(labels).tolist()))
     assert [1 if run.startswith("ramp") else -1 for run in runs] == ways
 
 
 def test_a_short_stop_is_no_hold_of_a_hand():
     _, time, displacement = moved("ramp 5mm @1mm/s; hold 0.5s; unload 2mm @1mm/s; hold 3s; unload @1mm/s", 0.02)
-    labels = label_motion(time, displacement, 0.025e-3, shortest_hold=1.0)
+    labels = label_samples_ramp_hold_unload(time, displacement, 0.025e-3, shortest_hold=1.0)
     assert list(dict.fromkeys(number_repeated_runs(labels).tolist())) == ["ramp", "unload", "hold", "unload 2"]

@@ -11,7 +11,7 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.differentiation import DifferenceSettings
 from tissue_sim.fem.axisymmetric import contact_pairs, sensitivity
-from tissue_sim.fem.contact_settings import ContactTolerances
+from tissue_sim.fem.contact_settings import RelativeContactTolerances
 from tissue_sim.parameters import parameter_values, with_values
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
@@ -21,7 +21,7 @@ CYCLE = "ramp 6mm @0.5mm/s; hold 5s; unload 2mm; reload"
 
 @pytest.fixture(autouse=True)
 def close_contact(monkeypatch):
-    monkeypatch.setattr(contact_pairs, "TOLERANCES", ContactTolerances(needle=1e-10, plate=1e-12))
+    monkeypatch.setattr(contact_pairs, "TOLERANCES", RelativeContactTolerances(needle=1e-10, plate=1e-12))
 
 
 def elastic(**options):
@@ -99,7 +99,7 @@ def test_last_factor_or_exact_tangent(options, monkeypatch):
     monkeypatch.setattr(sensitivity.MaterialSensitivity, "_refine_iteratively", solves)
     for few in (4, 0):
         monkeypatch.setattr(sensitivity, "SETTINGS",
-                            sensitivity.SensitivitySettings(max_refined=few, max_refined_slip=few))
+                            sensitivity.SensitivityReuseSettings(max_refined=few, max_refined_slip=few))
         answers.append(ts.sensitivities(model, ["C10", "C20"]).values)
     assert any(refined)
     np.testing.assert_allclose(*answers, rtol=0, atol=1e-8 * abs(answers[1]).max(axis=0).min())

@@ -9,10 +9,10 @@ from scipy.interpolate import CubicSpline
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.fem.fields import FIELD_UNITS, extrapolate_to_nodes
+from tissue_sim.fem.fields import FIELD_UNITS, extrapolate_to_nodes_and_average
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh import cylinder_mesh
-from tissue_sim.simulation import _iterate_steps_to_pose
+from tissue_sim.simulation import _iterate_adaptive_steps_to_pose
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 SAMPLES = {2: 4, 5: 10, 10: 20}  # mm -> sample of the 21-point ramp to 10 mm
@@ -168,7 +168,7 @@ class TestRecordingOfASimulation:
                 return Step.axial(StepStatus.CONVERGED if good else StepStatus.SLOW, 1, 0.0, 0.0)
 
         solver, trials = Slow(), []
-        for _step in _iterate_steps_to_pose(solver, ts.Pose.at_depth(10.0)):
+        for _step in _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(10.0)):
             trials.append(solver.pose.depth)
         # 10 and 5 fail with and without extrapolation, 2.5 succeeds, 5 more fail, 2.5 succeeds, ...
         assert trials == [0.0] * 4 + [2.5] * 3 + [5.0] * 3 + [7.5, 10.0]
@@ -177,7 +177,7 @@ class TestRecordingOfASimulation:
             highest_order = 0
 
         solver = Plain()
-        trials = [solver.pose.depth for _step in _iterate_steps_to_pose(solver, ts.Pose.at_depth(10.0))]
+        trials = [solver.pose.depth for _step in _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(10.0))]
         # Where nothing is extrapolated, nothing is tried twice alike.
         assert trials == [0.0] * 2 + [2.5] * 2 + [5.0] * 2 + [7.5, 10.0]
 
@@ -190,7 +190,7 @@ class TestRecordingOfASimulation:
                 return iter(())
 
         stuck = Stuck()
-        tried = list(_iterate_steps_to_pose(stuck, ts.Pose.at_depth(10.0)))
+        tried = list(_iterate_adaptive_steps_to_pose(stuck, ts.Pose.at_depth(10.0)))
         assert len(tried) == 2 * 11  # 2^0 down to 2^-10 of the way, each twice
         assert stuck.crept == 8  # from 2^-3 on
 
@@ -208,7 +208,7 @@ class TestRecordingOfASimulation:
                 yield Step.axial(StepStatus.CONVERGED, 1, 0.0, 1.0)
 
         solver = Snaps()
-        *_, last = _iterate_steps_to_pose(solver, ts.Pose.at_depth(8.0))
+        *_, last = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(8.0))
         assert last.status is StepStatus.CONVERGED and solver.pose.depth == 8.0
 
     def test_a_frictionless_plate_lifts_off(self):
@@ -272,7 +272,7 @@ class TestFields:
         shapes, _ = mesh.element.evaluate_shape_functions(mesh.element.quadrature[0])
         linear = 3.0 + mesh.nodes @ np.array([2.0, -5.0])
         at_points = np.einsum("qa,ea->eq", shapes, linear[mesh.connectivity])
-        np.testing.assert_allclose(extrapolate_to_nodes(mesh, at_points), linear, rtol=1e-12)
+        np.testing.assert_allclose(extrapolate_to_nodes_and_average(mesh, at_points), linear, rtol=1e-12)
 
     def test_displacement_at_points_is_that_of_the_vector(self, accurate):
         """Under a plate the displacement is between 0 and 10 mm, and near the top almost 10 mm."""
@@ -332,14 +332,14 @@ class TestExperiment:
 
     def test_base_is_like_the_tool_between_two_plates(self):
         ways = ts.Specimen(0.04, 0.07), ts.Protocol.ramp(0.01)
-        assert ts.Experiment(*ways, friction=0.1).base_interface == 0.1
-        assert replace(ts.Experiment(*ways, friction=0.1), friction=0.3).base_interface == 0.3
-        assert ts.Experiment(*ways, friction="stick").base_interface == "stick"
-        assert ts.Experiment(*ways, friction=0.1, friction_base=0.7).base_interface == 0.7
-        assert ts.Experiment(*ways, friction=0.1, tool=ts.Tool("round", 0.008)).base_interface == "bonded"
+        assert ts.Experiment(*ways, friction=0.1).resolved_base_interface == 0.1
+        assert replace(ts.Experiment(*ways, friction=0.1), friction=0.3).resolved_base_interface == 0.3
+        assert ts.Experiment(*ways, friction="stick").resolved_base_interface == "stick"
+        assert ts.Experiment(*ways, friction=0.1, friction_base=0.7).resolved_base_interface == 0.7
+        assert ts.Experiment(*ways, friction=0.1, tool=ts.Tool("round", 0.008)).resolved_base_interface == "bonded"
         kind = ts.KINDS["friction_compression"]
-        assert kind.experiment(specimen=ways[0], protocol=ways[1], friction=0.1).base_interface == 0.1
-        assert kind.experiment(specimen=ways[0], protocol=ways[1]).base_interface == 0.7
+        assert kind.experiment(specimen=ways[0], protocol=ways[1], friction=0.1).resolved_base_interface == 0.1
+        assert kind.experiment(specimen=ways[0], protocol=ways[1]).resolved_base_interface == 0.7
 
     def test_mesh_of_a_homogeneous_experiment_is_small(self):
         assert len(build_mesh(model("frictionless").experiment, "accurate").connectivity) == 4

@@ -37,7 +37,8 @@ WAY = [8e-3 * np.sin(np.pi * k / 240) ** 2 - 0.2e-3 for k in range(1, 301)]
 @pytest.fixture
 def work(monkeypatch) -> list[int]:
     """Linear solutions of all kernel starts so far, those of the stiffness included, in its only entry."""
-    counted, solve, evaluate = [0], EquilibriumEquations.solve_equilibrium, EquilibriumEquations.run_with_exact_tangent
+    counted, solve, evaluate = [
+        0], EquilibriumEquations.solve_equilibrium, EquilibriumEquations.launch_on_exact_equilibrium_tangent
 
     def count_solve(self, *arguments, **options):
         solve(self, *arguments, **options)
@@ -49,7 +50,7 @@ def work(monkeypatch) -> list[int]:
         counted[0] += 1
 
     monkeypatch.setattr(EquilibriumEquations, "solve_equilibrium", count_solve)
-    monkeypatch.setattr(EquilibriumEquations, "run_with_exact_tangent", count_evaluation)
+    monkeypatch.setattr(EquilibriumEquations, "launch_on_exact_equilibrium_tangent", count_evaluation)
     return counted
 
 

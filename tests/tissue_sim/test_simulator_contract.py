@@ -161,7 +161,7 @@ class TestOwnership:
             sim.step(tick * 5e-5, 1e-3)
         sim.set_parameters(C10=2500.0)
         # A new kernel would need this function.
-        monkeypatch.setattr("tissue_sim.fem.axisymmetric.newton.make_element_functions", None)
+        monkeypatch.setattr("tissue_sim.fem.axisymmetric.newton.make_taichi_element_functions", None)
         twin = sim.clone()
         tried = [twin.step(1.5e-3 + k * 1e-4, 1e-3) for k in range(10)]
         forces = [sim.step(1.5e-3 + k * 1e-4, 1e-3).force for k in range(10)]
@@ -261,10 +261,10 @@ class TestLightTool:
     def test_a_motion_that_turns_in_every_step_is_not_resolved(self):
         check = ToolReversalDetector()
         for tick in range(20):
-            check.register_step(0.0, 0.0, 1e-4 * math.cos(2.0 * math.pi * tick / 8), 1e-3, True)
+            check.register_translation_and_update_quiet(0.0, 0.0, 1e-4 * math.cos(2.0 * math.pi * tick / 8), 1e-3, True)
         assert math.isinf(check.quiet)
         for tick in range(6):
-            check.register_step(0.0, 0.0, 1e-4 * (-1) ** tick, 1e-3, True)
+            check.register_translation_and_update_quiet(0.0, 0.0, 1e-4 * (-1) ** tick, 1e-3, True)
         assert check.quiet == 0.0
-        check.register_step(0.0, 0.0, 1e-6, 0.2, False)
+        check.register_translation_and_update_quiet(0.0, 0.0, 1e-6, 0.2, False)
         assert check.quiet == pytest.approx(0.2)

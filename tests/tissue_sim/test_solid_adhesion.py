@@ -13,7 +13,7 @@ from tissue_sim.fem.reduced.model import require_reducible
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_block_mesh, create_needle_mesh
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_needle_mesh
 from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose
 
@@ -106,7 +106,7 @@ def ball_on_a_block(tack, length=3e-4):
     radius = model(places, tool=BALL, base="bonded", specimen=block).experiment.contact_radius
     tested = model(places, tool=BALL, base="bonded", specimen=block,
                    adhesion=ts.Adhesion(tack * math.pi * radius**2, length))
-    found = force(tested, create_block_mesh(line, line, -down[::-1], HEX8P0))
+    found = force(tested, create_block_mesh_from_boundaries(line, line, -down[::-1], HEX8P0))
     assert abs(found[-1]) < 1e-9
     return -found.min()
 

@@ -8,11 +8,11 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.fields import FIELD_UNITS
-from tissue_sim.fem.solid.fields import SOLID_UNITS, compute_principal_stretches
+from tissue_sim.fem.solid.fields import SOLID_UNITS, compute_stretches_of_cauchy_green_tensors
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import SharedFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_block_mesh, create_needle_mesh
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_needle_mesh
 from tissue_sim.pose import Pose
 
 C10 = 1500.0
@@ -25,7 +25,7 @@ every_element = pytest.mark.parametrize("element", (HEX8P0, HEX27P1), ids=lambda
 def uniform(element, F, mean_stress):
     """Fields of a block of crooked elements that is deformed evenly, under a mean stress, Pa."""
     line = np.linspace(0.0, 0.01, 3)
-    mesh = create_block_mesh(line, line * 1.5, line - 0.01, element)
+    mesh = create_block_mesh_from_boundaries(line, line * 1.5, line - 0.01, element)
     inside = np.ones(len(mesh.nodes), dtype=bool)
     inside[np.unique(np.concatenate(list(mesh.sets.values())))] = False
     mesh.nodes[inside] += np.random.default_rng(2).uniform(-4e-4, 4e-4, (inside.sum(), 3))
@@ -38,7 +38,8 @@ def uniform(element, F, mean_stress):
 
 
 def everywhere(fields, name, expected, atol=0.0):
-    for values in (fields.at_points(name), fields.at_nodes(name), fields.average_over_elements().at_points(name)):
+    for values in (fields.at_points(name), fields.at_nodes(name),
+                   fields.with_one_mean_point_per_element().at_points(name)):
         np.testing.assert_allclose(values, expected, rtol=1e-7, atol=atol, err_msg=name)
 
 
@@ -97,8 +98,8 @@ def test_components_by_r_and_z_turn_with_the_point():
 def test_stretches_are_singular_values():
     F = np.random.default_rng(1).normal(0.0, 0.3, (500, 3, 3)) + np.eye(3)
     F[:3] = [np.eye(3), np.diag([2.0, 2.0, 0.25]), np.diag([0.5, 0.5, 4.0])]
-    np.testing.assert_allclose(compute_principal_stretches(F @ F.swapaxes(1, 2)), np.linalg.svd(F)[1], rtol=1e-6,
-                               atol=1e-6)
+    np.testing.assert_allclose(compute_stretches_of_cauchy_green_tensors(F @ F.swapaxes(1, 2)), np.linalg.svd(F)[1],
+                               rtol=1e-6, atol=1e-6)
 
 
 def test_names_are_those_of_all_solvers_and_an_unknown_one_is_refused():
@@ -115,7 +116,8 @@ def test_a_part_of_the_elements_has_the_values_that_they_have_in_the_whole():
     fields = uniform(HEX27P1, np.diag([1.1, 1.0, 1.0 / 1.1]), 40.0)
     chosen = np.array([5, 0, 3])
     for name in ("von_mises", "displacement", "cauchy_rz", "energy"):
-        np.testing.assert_array_equal(fields.select_elements(chosen).at_points(name), fields.at_points(name)[chosen])
+        np.testing.assert_array_equal(fields.with_selected_elements(chosen).at_points(name),
+                                      fields.at_points(name)[chosen])
 
 
 @pytest.fixture(scope="module")
@@ -171,6 +173,7 @@ def test_stress_of_tissue_that_remembers_is_that_of_the_axisymmetric_solid(past)
         for name in ("von_mises", "cauchy_zz", "cauchy_rr", "pressure", "energy"):
             expected = float(plane.at_points(name, sample).mean())
             np.testing.assert_allclose(solid.at_points(name, sample), expected, rtol=1e-3, atol=1e-3 * MU)
-            np.testing.assert_allclose(solid.select_elements(np.arange(4)).average_over_elements().at_points(name,
-                                                                                                             sample),
-                                       expected, rtol=1e-3, atol=1e-3 * MU)
+            np.testing.assert_allclose(
+                solid.with_selected_elements(np.arange(4)).with_one_mean_point_per_element().at_points(name,
+                                                                                                       sample),
+                expected, rtol=1e-3, atol=1e-3 * MU)

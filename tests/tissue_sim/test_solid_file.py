@@ -77,11 +77,12 @@ def check_block(mesh, order):
     assert volume(mesh) == pytest.approx(0.02 * 0.01 * 0.015, rel=1e-12) and mesh.element.order == order
     np.testing.assert_allclose(mesh.nodes.min(axis=0), [-0.01, -0.005, -0.015], atol=1e-15)
     np.testing.assert_allclose(mesh.nodes.max(axis=0), [0.01, 0.005, 0.0], atol=1e-15)
-    areas = {name: 0.5 * np.linalg.norm(np.cross(corners := mesh.nodes[sides[:, mesh.element.face_corners]],
-                                                 np.roll(corners, -1, axis=1)).sum(axis=1), axis=1).sum()
+    areas = {name: 0.5
+             * np.linalg.norm(np.cross(corners := mesh.nodes[sides[:, mesh.element.corner_indices_within_face]],
+                                       np.roll(corners, -1, axis=1)).sum(axis=1), axis=1).sum()
              for name, sides in mesh.faces.items()}
     assert areas == pytest.approx({"top": 2e-4, "base": 2e-4, "side": 0.06 * 0.015}, rel=1e-9)
-    assert mesh.node_areas.sum() == pytest.approx(sum(areas.values()), rel=1e-9)
+    assert mesh.surface_node_areas.sum() == pytest.approx(sum(areas.values()), rel=1e-9)
 
 
 @pytest.mark.parametrize("format", FORMATS)
@@ -231,7 +232,7 @@ def twice(points, rows):
     (None, "*ELEMENT, TYPE=C3D99\n900, 11", "elements must have the type .* got C3D99"),
     (None, "*ELEMENT, TYPE=C3D4\n900, 11, 12", "must be its number and 4 nodes"),
     (None, "*NODE\n500, 90, 90, 90\n501, 91, 90, 90\n502, 90, 91, 90\n503, 90, 90, 91\n*ELEMENT, TYPE=C3D4\n"
-           "900, 500, 501, 502, 503", "is not one connected body: element 101 and element"),
+     "900, 500, 501, 502, 503", "is not one connected body: element 101 and element"),
     (None, "*NODE\n500, 0, 0, 0", "node 500 belongs to no element|nodes .* have the same position"),
     (None, "*INCLUDE, INPUT=/etc/passwd", "INCLUDE is not supported"),
     (None, "*NSET, NSET=A\nB", "names the set 'B', which is not defined before this line"),
@@ -248,7 +249,8 @@ def test_a_mesh_that_is_torn_or_touches_itself_is_refused(tmp_path):
     cube = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
     hexahedron = np.array([VTK_8])
     torn = meshio.Mesh(np.concatenate([cube, cube + np.array([1, 0, 0])]), [("hexahedron", np.concatenate([hexahedron,
-                                                                                                 hexahedron + 8]))])
+                                                                                                           hexahedron
+                                                                                                           + 8]))])
     torn.write(tmp_path / "torn.vtu")
     with pytest.raises(ts.InputError, match="nodes 1 and 8 have the same position, so the mesh is not connected there"):
         read_file_mesh(tmp_path / "torn.vtu")
@@ -273,7 +275,7 @@ def test_a_mesh_that_is_torn_or_touches_itself_is_refused(tmp_path):
     meshio.Mesh(third, [("tetra", np.concatenate([cells, extra if volume > 0 else extra[:, [0, 2, 1, 3]]]))
                         ]).write(tmp_path / "three.vtu")
     with pytest.raises(ts.InputError, match="share one side, but a side belongs to at most two "
-                                            "elements; the mesh overlaps itself"):
+                       "elements; the mesh overlaps itself"):
         read_file_mesh(tmp_path / "three.vtu")
 
 

@@ -22,7 +22,7 @@ def volume(mesh):
 
 def normals(mesh, name):
     """Return normals of the flat polygons through the corners of each side, times twice their area."""
-    corners = mesh.nodes[mesh.faces[name][:, mesh.element.face_corners]]
+    corners = mesh.nodes[mesh.faces[name][:, mesh.element.corner_indices_within_face]]
     return np.cross(corners, np.roll(corners, -1, axis=1)).sum(axis=1), corners.mean(axis=1)
 
 
@@ -31,8 +31,8 @@ def test_shape_functions_are_one_at_their_node_and_add_up_to_one(element):
     values, _ = element.evaluate_shape_functions(element.reference_nodes)
     np.testing.assert_allclose(values, np.eye(element.node_count), atol=1e-14)
     points = np.random.default_rng(1).uniform(-1, 1, (20, 3))
-    np.testing.assert_allclose(element.evaluate_corner_functions(element.reference_nodes[element.corner_nodes]),
-                               np.eye(len(element.corner_nodes)), atol=1e-14)
+    np.testing.assert_allclose(element.evaluate_corner_functions(element.reference_nodes[element.local_corner_indices]),
+                               np.eye(len(element.local_corner_indices)), atol=1e-14)
     values, slopes = element.evaluate_shape_functions(points)
     np.testing.assert_allclose(values.sum(axis=1), 1.0, atol=1e-14)
     np.testing.assert_allclose(slopes.sum(axis=1), 0.0, atol=1e-13)

@@ -8,11 +8,11 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.differentiation import DifferenceSettings
-from tissue_sim.fem.contact_settings import ContactTolerances
+from tissue_sim.fem.contact_settings import RelativeContactTolerances
 from tissue_sim.fem.solid import discretisation
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.mesh_mapping import RingedCylinder, map_cylinder
+from tissue_sim.mesh.mesh_mapping import CylinderWithTopCircle, map_cylinder
 from tissue_sim.mesh.solid import create_needle_mesh
 from tissue_sim.parameters import parameter, parameter_values, with_values
 
@@ -35,7 +35,7 @@ OUT = (0.0, 1.0, 2.0, 1.0, 0.3)
 @pytest.fixture(autouse=True)
 def close_contact(monkeypatch):
     """Closer than a user needs: a remaining violation would show in the differences."""
-    monkeypatch.setattr(discretisation, "TOLERANCES", ContactTolerances(needle=1e-9, plate=1e-10))
+    monkeypatch.setattr(discretisation, "TOLERANCES", RelativeContactTolerances(needle=1e-9, plate=1e-10))
 
 
 @dataclass(frozen=True)
@@ -204,8 +204,9 @@ def test_geometry_moves_the_nodes_of_one_mesh():
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("tissue_sim.differentiation.DIFFERENCES", DifferenceSettings(simulation_width=width))
             answer = ts.sensitivities(model(approach=OBLIQUE, way=(0.0, 2.0)), ["experiment.tool.radius",
-                                      "experiment.approach.offset", "experiment.approach.angle"], solver="solid",
-                                      mesh=solid_mesh((5e-3, 0.0)))
+                                                                                "experiment.approach.offset",
+                                                                                "experiment.approach.angle"],
+                                      solver="solid", mesh=solid_mesh((5e-3, 0.0)))
         assert not answer.exact.any()
         slopes.append(answer.values[-1])
     np.testing.assert_allclose(*slopes, rtol=0.01)
@@ -213,7 +214,8 @@ def test_geometry_moves_the_nodes_of_one_mesh():
 
 
 def test_a_moved_mesh_has_its_circle_and_its_side():
-    before, after = RingedCylinder(0.04, 0.05, 8e-3, (5e-3, 0.0)), RingedCylinder(0.05, 0.04, 6e-3, (-3e-3, 2e-3))
+    before, after = CylinderWithTopCircle(0.04, 0.05, 8e-3, (5e-3, 0.0)), CylinderWithTopCircle(0.05, 0.04, 6e-3,
+                                                                                                (-3e-3, 2e-3))
     mesh = solid_mesh((5e-3, 0.0))
     moved = map_cylinder(mesh, before, after)
     edge = np.intersect1d(mesh.sets["face"], mesh.sets["free"])

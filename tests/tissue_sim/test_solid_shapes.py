@@ -17,7 +17,7 @@ from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_block_mesh
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries
 from tissue_sim.pose import Pose
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
@@ -73,7 +73,8 @@ def test_mesh_is_closed_and_of_the_shape(case, element):
     loss = {True: 1e-12, False: 0.04 if element is HEX8P0 else 2e-3}[specimen is BLOCK]
     assert batches.volumes.sum() == pytest.approx(volume, rel=loss)
     for name, area in areas.items():
-        assert mesh.compute_node_areas(name).sum() == pytest.approx(area, rel=max(loss, 0.03 * (specimen is SHELL)))
+        assert mesh.compute_node_areas_of_named_faces(name).sum() \
+            == pytest.approx(area, rel=max(loss, 0.03 * (specimen is SHELL)))
     # Two elements at most share a side, and the surface has no hole: its normals add up to nothing.
     corners = np.concatenate(list(mesh.faces.values()))[:, [0, element.order, -1, -element.order - 1]]
     a, b, c, d = np.moveaxis(mesh.nodes[corners], 1, 0)
@@ -98,7 +99,8 @@ def test_a_needle_that_reaches_beyond_is_refused(specimen, place):
 def test_a_block_between_plates_without_friction_is_the_closed_form():
     experiment = ts.KINDS["lubricated_compression"].experiment(specimen=BLOCK, protocol=ts.Protocol.ramp(3e-3, 2))
     line = np.linspace(-0.5, 0.5, 3)
-    mesh = create_block_mesh(BLOCK.length * line, BLOCK.width * line, BLOCK.height * (line - 0.5), HEX27P1)
+    mesh = create_block_mesh_from_boundaries(BLOCK.length * line, BLOCK.width * line, BLOCK.height * (line - 0.5),
+                                             HEX27P1)
     recording = ts.simulate(ts.Model(experiment, MATERIAL), mesh=mesh, solver="solid")
     stress = MATERIAL.energy_law.nominal_stress(1.0 - 3e-3 / BLOCK.height, MATERIAL.parameters)
     assert recording.force[-1] == pytest.approx(-stress * BLOCK.area, rel=2e-4)
@@ -163,9 +165,9 @@ class TestRegions:
 
     def mesh(self):
         """Halves of a block, of seven elements and five, so that lanes are left over."""
-        mesh = create_block_mesh(np.array([-0.02, -0.01, 0.0, 0.02]), np.array([-0.01, 0.01]),
-                                 np.array([-0.02, -0.01, 0.0]),
-                                 HEX27P1)
+        mesh = create_block_mesh_from_boundaries(np.array([-0.02, -0.01, 0.0, 0.02]), np.array([-0.01, 0.01]),
+                                                 np.array([-0.02, -0.01, 0.0]),
+                                                 HEX27P1)
         x = mesh.nodes[mesh.connectivity, 0].mean(axis=1)
         return replace(mesh, regions={"left": np.flatnonzero(x < 0), "right": np.flatnonzero(x > 0)})
 
@@ -273,8 +275,8 @@ def test_plates_with_friction_on_both_sides(face, base):
 
 def test_what_nothing_holds_is_refused_off_its_middle():
     """A base without a node on the axis."""
-    mesh = create_block_mesh(np.linspace(-0.01, 0.01, 4), np.linspace(-0.01, 0.01, 4), np.linspace(-0.01, 0.0, 4),
-                             HEX8P0)
+    mesh = create_block_mesh_from_boundaries(np.linspace(-0.01, 0.01, 4), np.linspace(-0.01, 0.01, 4),
+                                             np.linspace(-0.01, 0.0, 4), HEX8P0)
     experiment = ts.Experiment(ts.Block(0.02, 0.02, 0.01), ts.Protocol.ramp(1e-3, 2), friction=0.3, friction_base=0.3)
     with pytest.raises(ts.InputError, match=r"both slip, .*nothing carries the side force\. Use 'stick' for one"):
         make_solver(ts.Model(experiment, ts.Material("neo_hooke", {"C10": 400.0})), mesh=mesh)

@@ -13,9 +13,9 @@ from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.touch import find_first_touch
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.side_points import FaceInterpolation
+from tissue_sim.mesh.side_points import FacePolynomialMaps
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
-from tissue_sim.pose import Pose, rotate_pose
+from tissue_sim.pose import Pose, rotate_pose_about_its_position
 
 RADIUS = 8e-3
 LINE = np.linspace(-0.02, 0.02, 11)
@@ -33,14 +33,14 @@ def test_points_of_a_side_are_those_of_its_element(element):
     mesh = block([0.0, 1.0], [0.0, 1.5], [-1.0, 0.0], element)
     bent = mesh.nodes + 0.05 * np.cos(4.0 * mesh.nodes[:, [1, 2, 0]])
     sides = mesh.faces["top"]
-    points = FaceInterpolation(element, bent[sides])
+    points = FacePolynomialMaps(element, bent[sides])
     rng = np.random.default_rng(0)
     places = rng.uniform(size=(len(sides), 6, 2))
-    found = points.interpolate_positions(np.arange(len(sides)), places)
+    found = points.evaluate_face_positions(np.arange(len(sides)), places)
     for side, own in zip(sides, found, strict=True):
         of = next(each for each in mesh.connectivity if np.isin(side, each).all())
-        face = next(each for each in element.face_nodes if set(of[each]) == set(side))
-        corners = element.reference_nodes[face[element.face_corners]]
+        face = next(each for each in element.local_face_node_indices if set(of[each]) == set(side))
+        corners = element.reference_nodes[face[element.corner_indices_within_face]]
         # A point of the reference side that is as near to each corner as the point found is: by Newton's method.
         for point in own:
             guess, flat = np.full(2, 0.4), np.stack([corners[1] - corners[0], corners[-1] - corners[0]])
@@ -49,7 +49,7 @@ def test_points_of_a_side_are_those_of_its_element(element):
                 missed = values[0] @ bent[of] - point
                 guess -= np.linalg.lstsq((flat @ slopes[0].T @ bent[of]).T, missed, rcond=None)[0]
             assert np.abs(missed).max() < 1e-12
-    corner = bent[sides[:, element.face_corners[0]]]
+    corner = bent[sides[:, element.corner_indices_within_face[0]]]
     assert np.abs(points.lattice[:, 0] - corner).max() < 1e-14
 
 
@@ -72,7 +72,7 @@ def test_the_edge_of_a_leaning_face_touches_it(tool, degrees):
     rounding = tool.edge_radius
     for _ in range(4):
         way, place = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(-4e-3, 4e-3, 2)
-        pose = rotate_pose(Pose((*place, 0.0)), (angle * math.cos(way), angle * math.sin(way), 0.0))
+        pose = rotate_pose_about_its_position(Pose((*place, 0.0)), (angle * math.cos(way), angle * math.sin(way), 0.0))
         expected = (RADIUS - rounding) * math.sin(angle) + rounding * (1.0 - math.cos(angle))
         assert height(mesh, tool, pose) == pytest.approx(expected, abs=1e-10)
 
@@ -84,7 +84,8 @@ def test_a_face_that_holds_the_tissue_touches_it_too(tool):
     """Nodes outside the face may meet the shaft alone; the first touch is that of the whole tool."""
     mesh = block(LINE, LINE, [-0.02, 0.0], TET8P0)
     mesh.nodes[:, 2] += 1e-3 * np.sin(400.0 * mesh.nodes[:, 0]) * np.sin(300.0 * mesh.nodes[:, 1] + 1.0)
-    for pose in (Pose((0.3e-3, 0.2e-3, 0.0)), rotate_pose(Pose((0.3e-3, 0.2e-3, 0.0)), (0.1, 0.05, 0.0))):
+    for pose in (Pose((0.3e-3, 0.2e-3, 0.0)),
+                 rotate_pose_about_its_position(Pose((0.3e-3, 0.2e-3, 0.0)), (0.1, 0.05, 0.0))):
         assert height(mesh, tool, pose, first_line=1) == height(mesh, tool, pose)
 
 
@@ -98,11 +99,10 @@ def test_the_height_follows_the_nodes(tool):
     places[:, 2] += 0.5e-3 * np.cos(90.0 * places[:, 0] + 0.4) * np.cos(70.0 * places[:, 1])
     ways = 1e-3 * np.sin(60.0 * places[:, [1, 2, 0]] + rng.uniform(0.0, 6.0, 3))
     bodies = [RigidBody(tool.profile, mesh.sets["top"], (0.0, 0.0))]
-    pose = rotate_pose(Pose((1.1e-3, 0.4e-3, 0.0)), (0.2, 0.1, 0.0))
+    pose = rotate_pose_about_its_position(Pose((1.1e-3, 0.4e-3, 0.0)), (0.2, 0.1, 0.0))
     high, low = (find_first_touch(mesh, places + side * 1e-4 * ways, bodies, pose).height for side in (1.0, -1.0))
-    assert find_first_touch(mesh, places, bodies, pose).differentiate_height(mesh,
-                                                                             ways) == pytest.approx((high - low) / 2e-4,
-                                                                                                    rel=1e-5)
+    derivative = find_first_touch(mesh, places, bodies, pose).differentiate_height_by_mesh_parameter(mesh, ways)
+    assert derivative == pytest.approx((high - low) / 2e-4, rel=1e-5)
 
 
 @pytest.mark.slow
@@ -118,8 +118,8 @@ def test_a_ball_touches_a_curved_top(element):
     sides = mesh.faces["top"]
     line = np.linspace(0.0, 1.0, 101)
     lattice = np.stack(np.meshgrid(line, line), axis=-1).reshape(1, -1, 2)
-    faces = [FaceInterpolation(element, mesh.nodes[sides[[k]]]) for k in range(len(sides))]
-    points = np.concatenate([face.interpolate_positions(np.array([0]), lattice)[0] for face in faces])
+    faces = [FacePolynomialMaps(element, mesh.nodes[sides[[k]]]) for k in range(len(sides))]
+    points = np.concatenate([face.evaluate_face_positions(np.array([0]), lattice)[0] for face in faces])
     squares = ((points[:, :2] - place) ** 2).sum(axis=1)
     points, squares = points[squares < RADIUS**2], squares[squares < RADIUS**2]
     expected = (points[:, 2] + np.sqrt(RADIUS**2 - squares)).max() - RADIUS

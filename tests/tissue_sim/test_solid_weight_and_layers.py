@@ -9,7 +9,7 @@ import tissue_sim as ts
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX27P1
-from tissue_sim.mesh.solid import create_block_mesh, create_needle_mesh
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_needle_mesh
 from tissue_sim.pose import Pose
 
 #: Name of the law.
@@ -49,8 +49,8 @@ def test_a_confined_column_is_pressed_together_by_its_weight():
     height, ratio = 0.05, 20.0
     light = ts.Specimen(shape="block", length=0.02, width=0.02, height=height, density=1e-3 * DENSITY, gravity=GRAVITY)
     m = model("frictionless", specimen=light, ratio=ratio)
-    mesh = create_block_mesh(np.linspace(-0.01, 0.01, 2), np.linspace(-0.01, 0.01, 2), np.linspace(-height, 0.0, 6),
-                             HEX27P1)
+    mesh = create_block_mesh_from_boundaries(np.linspace(-0.01, 0.01, 2), np.linspace(-0.01, 0.01, 2),
+                                             np.linspace(-height, 0.0, 6), HEX27P1)
     x, y, _ = np.abs(mesh.nodes.T)
     walls = {"x": np.flatnonzero(x > 0.01 - 1e-9), "y": np.flatnonzero(y > 0.01 - 1e-9)}
     mesh.sets.update({f"wall {axis}": nodes for axis, nodes in walls.items()})
@@ -70,7 +70,7 @@ def standing(width, height):
     tall = ts.Block(width, width, height, density=DENSITY, gravity=GRAVITY)
     line = np.linspace(-0.5 * width, 0.5 * width, 2 + (height < 3.0 * width))
     return make_solver(model("frictionless", specimen=tall, ratio=1e3),
-                       mesh=create_block_mesh(line, line, np.linspace(-height, 0.0, 6), HEX27P1))
+                       mesh=create_block_mesh_from_boundaries(line, line, np.linspace(-height, 0.0, 6), HEX27P1))
 
 
 def test_sag_of_a_block():

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tissue_sim.step_clock import StepBudget, StepClock, count_solves_in_budget
+from tissue_sim.step_clock import StepBudget, StepClock, count_solves_in_budget_or_none
 
 
 def followed(fixed, solve, noise=0.0, steps=600, seed=1):
     """A clock that has seen steps of 0 to 4 solves."""
     rng, clock = np.random.default_rng(seed), StepClock()
-    clock.restart_estimate(0.2e-3)
+    clock.restart_estimate_from_solve_time(0.2e-3)
     for solves in rng.choice(5, steps, p=[0.2, 0.4, 0.2, 0.1, 0.1]):
         clock.update_estimate((fixed + solves * solve) * (1.0 + noise * rng.random()), int(solves))
     return clock
@@ -45,7 +45,7 @@ def test_one_slow_step_changes_the_estimate_only_briefly():
 
 def test_equal_steps_do_not_change_the_time_per_solve():
     clock = StepClock()
-    clock.restart_estimate(0.1e-3)
+    clock.restart_estimate_from_solve_time(0.1e-3)
     for _ in range(1000):
         clock.update_estimate(0.5e-3, 1)
     assert clock.solve == 0.1e-3 and clock.fixed == pytest.approx(0.4e-3)
@@ -54,7 +54,7 @@ def test_equal_steps_do_not_change_the_time_per_solve():
 @given(st.lists(st.tuples(st.floats(0.0, 10.0), st.integers(0, 50)), max_size=100))
 def test_estimates_stay_positive_and_finite_for_any_steps(steps):
     clock = StepClock()
-    clock.restart_estimate(1e-4)
+    clock.restart_estimate_from_solve_time(1e-4)
     for time, solves in steps:
         clock.update_estimate(time, solves)
         assert 0.0 < clock.fixed < 1e3 and 0.0 < clock.solve < 1e3
@@ -73,7 +73,7 @@ def test_stiffnesses_count_against_the_number_of_solves():
 
 def test_the_shorter_of_number_and_time_counts():
     clock = StepClock()
-    clock.restart_estimate(1.0)
+    clock.restart_estimate_from_solve_time(1.0)
     now = perf_counter()
     assert StepBudget(clock, 3, now + 100.0).count_fitting_solves() == 2
     assert StepBudget(clock, 300, now + 10.5).count_fitting_solves() == 9
@@ -83,11 +83,11 @@ def test_the_shorter_of_number_and_time_counts():
 @pytest.mark.parametrize(("left", "fixed"), [(10, 0.5), (1, 1.0)], ids=["by time", "by number"])
 def test_estimate_is_lowered_only_if_time_was_the_limit(left, fixed):
     clock = StepClock()
-    clock.restart_estimate(1.0)
-    StepBudget(clock, left, perf_counter() - 1.0).finish_parts()
+    clock.restart_estimate_from_solve_time(1.0)
+    StepBudget(clock, left, perf_counter() - 1.0).lower_time_estimate_if_nothing_begun()
     assert clock.fixed == fixed
 
 
 def test_number_of_solves_in_a_budget():
-    assert count_solves_in_budget(0.8e-3, 0.1001e-3) == 7 and count_solves_in_budget(1e-9, 1.0) == 3
-    assert count_solves_in_budget(None, 1.0) is None and count_solves_in_budget(1.0, None) is None
+    assert count_solves_in_budget_or_none(0.8e-3, 0.1001e-3) == 7 and count_solves_in_budget_or_none(1e-9, 1.0) == 3
+    assert count_solves_in_budget_or_none(None, 1.0) is None and count_solves_in_budget_or_none(1.0, None) is None

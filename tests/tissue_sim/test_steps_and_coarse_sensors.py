@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tissue_sim.recording.failure import find_failure
-from tissue_sim.recording.outliers import find_outliers
+from tissue_sim.recording.outliers import find_outliers_of_motion_and_load
 from tissue_sim.recording.preload import estimate_load_at_zero_displacement
-from tissue_sim.recording.resolution import find_rounding_step
-from tissue_sim.recording.saturation import find_saturation
+from tissue_sim.recording.resolution import find_rounding_step_or_zero
+from tissue_sim.recording.saturation import find_saturated_runs
 
 TIME = np.arange(0.0, 80.0, 0.5)
 STEP = np.floor(TIME / 20.0)
@@ -22,28 +22,28 @@ CREPT = 5e-3 * (STEP + 1 + 0.3 * (1 - np.exp(-(TIME % 20.0) / 4.0)))
 def test_a_wrong_load_at_a_step_is_left_out(sample, value):
     load = WEIGHTS.copy()
     load[sample] = value
-    assert [each[:2] for each in find_outliers(CREPT, load)] == [("load", (sample,))]
+    assert [each[:2] for each in find_outliers_of_motion_and_load(CREPT, load)] == [("load", (sample,))]
 
 
 @pytest.mark.parametrize("fraction", [0.3, 0.9])
 def test_a_load_between_the_levels_of_a_step_is_kept(fraction):
     load, way = WEIGHTS.copy(), CREPT.copy()
     load[40] = load[39] + fraction * (load[41] - load[39])
-    assert find_outliers(way, load) == ()
+    assert find_outliers_of_motion_and_load(way, load) == ()
 
 
 def test_the_overshoot_of_a_relaxing_load_in_a_step_is_kept():
     way = 1e-3 * (STEP + 1)
     load = 0.2 * (STEP + 1) + 0.3 * np.exp(-(TIME % 20.0) / 1.0) + NOISE
-    assert find_outliers(way, load) == ()
+    assert find_outliers_of_motion_and_load(way, load) == ()
 
 
 @pytest.mark.parametrize("step", [0.05, 0.884])
 @pytest.mark.parametrize("decimals", [3, 5])
 def test_the_step_of_a_coarse_sensor_is_found_in_printed_numbers(step, decimals):
     load = np.round(np.round(np.linspace(0.0, 20 * step, 400) / step) * step, decimals)
-    assert find_rounding_step(load) == pytest.approx(step, rel=1e-3)
-    assert find_rounding_step(np.linspace(0.0, 1.0, 400)) == 0.0
+    assert find_rounding_step_or_zero(load) == pytest.approx(step, rel=1e-3)
+    assert find_rounding_step_or_zero(np.linspace(0.0, 1.0, 400)) == 0.0
 
 
 @pytest.mark.parametrize("levels", [15, 22, 30])
@@ -73,4 +73,4 @@ def test_equal_values_after_a_noisy_loading_are_saturated(noise, saturated):
     load = np.append(np.linspace(0.0, 2.0, 40), np.full(100, 2.0))
     load[:40] += np.random.default_rng(2).normal(0.0, 1.0, 40) * noise
     load = np.minimum(np.round(load, 5), 2.0)
-    assert bool(find_saturation(load, way)) is saturated
+    assert bool(find_saturated_runs(load, way)) is saturated

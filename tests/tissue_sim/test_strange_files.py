@@ -18,8 +18,8 @@ import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from scenes.commands.record.protocol_file import read_protocol_file
 from tissue_sim.bounded import run_in_sandbox
-from tissue_sim.decode import read_json, read_toml
-from tissue_sim.errors import MESSAGE_LIMITS, format_error_message
+from tissue_sim.decode import read_json_value, read_toml_dict
+from tissue_sim.errors import MESSAGE_LIMITS, join_location_and_problem
 from tissue_sim.files import read_bytes, read_text
 
 HEADER = "time [s],displacement [mm],force [N]\n"
@@ -90,7 +90,7 @@ def test_json(tmp_path, text):
 def test_json_that_is_too_large(tmp_path):
     path = tmp_path / "strange.json"
     path.write_bytes(b"[" + b"{}," * 3_000_000 + b"{}]")
-    assert "of at most 8 MB" in refused(lambda path: read_json(path, "anything"), path)
+    assert "of at most 8 MB" in refused(lambda path: read_json_value(path, "anything"), path)
 
 
 @pytest.mark.slow
@@ -291,12 +291,13 @@ def test_what_is_quoted_is_shortened_and_what_to_do_is_kept():
     said = str(ts.InputError(f"unknown law {'x' * 5000!r}; did you mean 'neo_hooke'?", file="/a/" * 200 + "c.toml",
                              field="fit.laws"))
     assert said.endswith("'; did you mean 'neo_hooke'?") and "c.toml" in said and "fit.laws" in said
-    assert format_error_message("short", ["file"]) == "file: short"
+    assert join_location_and_problem("short", ["file"]) == "file: short"
 
 
 def test_text_of_a_device_file_is_refused(tmp_path):
     assert "no such file" in refused(lambda path: read_text(path, "anything"), tmp_path / "none")
-    assert "not valid TOML" in refused(lambda path: read_toml(path, "anything"), _written(tmp_path / "a.toml", "a ="))
+    assert "not valid TOML" in refused(lambda path: read_toml_dict(path, "anything"),
+                                       _written(tmp_path / "a.toml", "a ="))
 
 
 def _written(path: Path, text: str) -> Path:

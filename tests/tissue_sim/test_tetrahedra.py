@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 from solid_meshes import block, punched_cylinder
 
 import tissue_sim as ts
-from tissue_sim.fem.solid.batches import ElementBatches, compute_quadrature_data
+from tissue_sim.fem.solid.batches import ElementBatches, compute_quadrature_volumes_gradients_modes
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
@@ -43,7 +43,7 @@ def inf_sup(mesh):
     X, numbers, count = mesh.nodes[mesh.connectivity], mesh.connectivity, len(mesh.nodes)
     jacobian = np.einsum("eai,qaj->eqij", X, slopes)
     gradients = np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian))
-    _, _, modes = compute_quadrature_data(mesh)
+    _, _, modes = compute_quadrature_volumes_gradients_modes(mesh)
     blocks = np.einsum("eq,eqai,eqbi->eab", batches.weights, gradients, gradients)
     laplace = sparse.coo_array((blocks.ravel(), (np.repeat(numbers, numbers.shape[1], axis=1).ravel(),
                                                  np.tile(numbers, (1, numbers.shape[1])).ravel())),
@@ -89,7 +89,8 @@ def jumps(solver):
     """Root mean square of the jump of the mean pressure from element to element, over that of the pressures."""
     mesh, weights = solver.mesh, solver.batches.weights
     mean = solver.field_sample().pressures[:, 0] / np.sqrt(weights.sum(axis=1))
-    sides = np.sort(mesh.connectivity[:, mesh.element.face_nodes[:, mesh.element.face_corners]], axis=-1)
+    sides = np.sort(
+        mesh.connectivity[:, mesh.element.local_face_node_indices[:, mesh.element.corner_indices_within_face]], axis=-1)
     owners = np.repeat(np.arange(len(mean)), sides.shape[1])
     _, inverse = np.unique(sides.reshape(len(owners), -1), axis=0, return_inverse=True)
     order = np.argsort(inverse.ravel(), kind="stable")

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.experiment.tools.tool import convert_tool_sizes_to_si, tool_sizes
+from tissue_sim.experiment.tools.tool import convert_tool_sizes_to_si, list_all_tool_sizes_by_key
 from tissue_sim.parameters import parameter
 
 
@@ -34,7 +34,7 @@ def test_rounded_edge(edge, angle, away):
 @pytest.mark.parametrize("edge", [0.0, 1e-3])
 def test_outline_lies_on_the_surface(edge):
     profile = ts.Tool("flat", 8e-3, edge).profile
-    outline = profile.sample_outline(20e-3)
+    outline = profile.sample_outline_up_to_height(20e-3)
     assert abs(profile.gap(outline)).max() < 1e-12
     assert outline[0, 0] == pytest.approx(0, abs=1e-15) and outline[-1] == pytest.approx([8e-3, 20e-3])
 
@@ -79,7 +79,7 @@ def test_gap_is_a_distance(tool, one, other):
 
 @given(tool=tools())
 def test_outline_has_no_gap(tool):
-    outline = tool.profile.sample_outline(15e-3)
+    outline = tool.profile.sample_outline_up_to_height(15e-3)
     below = outline[outline[:, 1] < 15e-3 - 1e-9]
     assert len(below) > 1 and abs(tool.profile.gap(below)).max() < 1e-11
 
@@ -87,7 +87,7 @@ def test_outline_has_no_gap(tool):
 @given(tool=tools())
 def test_deepest_point_is_on_the_axis(tool):
     """The frame of a tool: nothing of it is below z = 0, and on the axis it begins there."""
-    outline = tool.profile.sample_outline(15e-3)
+    outline = tool.profile.sample_outline_up_to_height(15e-3)
     assert outline[0, 0] == pytest.approx(0.0, abs=1e-9) and outline[0, 1] == pytest.approx(outline[:, 1].min())
     assert outline[0, 1] == pytest.approx(0.0, abs=1e-12)
 
@@ -139,7 +139,8 @@ def test_a_profile_has_the_radius_of_its_file():
 def test_every_size_is_declared_and_can_be_changed():
     """Flags, campaigns and fits reach it by its key and by its path."""
     cone = ts.Tool("cone", 8e-3, half_angle=1.0, tip_radius=1e-3)
-    assert [size.field for size in tool_sizes().values()] == ["radius", "edge_radius", "half_angle", "tip_radius"]
+    assert [size.field for size in list_all_tool_sizes_by_key().values()] \
+        == ["radius", "edge_radius", "half_angle", "tip_radius"]
     assert convert_tool_sizes_to_si({"half_angle_deg": 60.0, "tip_radius_mm": 0.5}) == pytest.approx(
         {"half_angle": np.pi / 3, "tip_radius": 0.5e-3})
     assert ts.with_values(cone, {"half_angle": 0.5}) == ts.Tool("cone", 8e-3, half_angle=0.5, tip_radius=1e-3)
@@ -162,6 +163,6 @@ def test_one_key_means_one_size():
     ts.TOOLS.register(Other)
     try:
         with pytest.raises(ts.InputError, match="use the key edge_radius_mm for different sizes"):
-            tool_sizes()
+            list_all_tool_sizes_by_key()
     finally:
         ts.TOOLS.unregister("other")

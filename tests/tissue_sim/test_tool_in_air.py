@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.pose import add_twist, compute_twist_about_axis, remove_twist
+from tissue_sim.pose import add_twist, find_axis_twist_quaternion_or_none, remove_twist
 from tissue_sim.tool_force import TouchState, has_touched
 
 SOFT = ts.Material("neo_hooke", {"C10": 2000.0}, ts.Bulk("bulk_ratio", 1e3))
@@ -47,11 +47,13 @@ def test_a_tool_that_begins_inside_is_at_rest_there(inertia):
 
 def test_touch_state():
     touch = TouchState()
-    assert touch.height is None and touch.register_height(3e-3, 1.0) is None and not touch.has_touched
-    assert touch.register_height(-1e-3, 1.0) == pytest.approx(0.25) and touch.has_touched
+    assert touch.height is None and touch.register_height_and_get_contact_time(3e-3, 1.0) is None \
+        and not touch.has_touched
+    assert touch.register_height_and_get_contact_time(-1e-3, 1.0) == pytest.approx(0.25) and touch.has_touched
     copy = touch.copy()
-    assert copy.register_height(5e-3, 0.5) == 0.5 and copy.has_touched and touch.height == -1e-3
-    assert TouchState().register_height(-1e-3, 0.5) == 0.5, "all of the first step: what went before is not known"
+    assert copy.register_height_and_get_contact_time(5e-3, 0.5) == 0.5 and copy.has_touched and touch.height == -1e-3
+    assert TouchState().register_height_and_get_contact_time(-1e-3, 0.5) \
+        == 0.5, "all of the first step: what went before is not known"
 
 
 def test_a_tissue_says_whether_it_was_touched():
@@ -71,9 +73,9 @@ def test_the_twist_is_what_an_orientation_turns_about_the_axis_of_the_tool():
     lean = (math.cos(0.2), 0.6 * math.sin(0.2), 0.8 * math.sin(0.2), 0.0)
     spin = (math.cos(1.1), 0.0, 0.0, math.sin(1.1))
     pose = add_twist(ts.Pose((1.0, 2.0, 3.0), lean), spin)
-    assert compute_twist_about_axis(pose.orientation) == pytest.approx(spin)
+    assert find_axis_twist_quaternion_or_none(pose.orientation) == pytest.approx(spin)
     np.testing.assert_allclose(remove_twist(pose, spin).orientation, lean, atol=1e-15)
-    assert compute_twist_about_axis(lean) is None
+    assert find_axis_twist_quaternion_or_none(lean) is None
 
 
 class TestAfterLiftOff:

@@ -13,7 +13,7 @@ from tissue_sim.material.layer import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import Prony, PronyTerm, compute_internal_stress
+from tissue_sim.material.viscoelasticity import Prony, PronyTerm, compute_internal_stress_history_over_g
 
 SERIES = Prony((PronyTerm(0.3, 2.0), PronyTerm(0.2, 50.0)))
 NEO_HOOKE = ts.Material("neo_hooke", {"C10": 1000.0})
@@ -74,7 +74,8 @@ def test_internal_stress_is_the_recursion():
         Q = decay[n] * Q + gain[n] * (S[n] - before)[:, None]
         before = S[n]
         expected.append(Q)
-    np.testing.assert_allclose(SERIES.g * compute_internal_stress(dt, S, SERIES.tau), expected, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(SERIES.g * compute_internal_stress_history_over_g(dt, S, SERIES.tau), expected,
+                               rtol=1e-12, atol=1e-15)
 
 
 def test_relaxation_modulus():
@@ -88,7 +89,7 @@ def test_moduli_of_both_conventions():
     long_term = dataclasses.replace(NEO_HOOKE, viscoelastic=Prony(SERIES.terms, "long_term"))
     assert (long_term.mu0, long_term.mu_long_term) == pytest.approx((4000.0, 2000.0))
     assert (long_term.E0, long_term.E_long_term) == pytest.approx((12000.0, 6000.0))
-    assert long_term.relaxation(1.0).instantaneous_factor == 1.0
+    assert long_term.relaxation(1.0).instantaneous_over_law_modulus_ratio == 1.0
     assert (NEO_HOOKE.mu0, NEO_HOOKE.mu_long_term, NEO_HOOKE.relaxation(1.0)) == (2000.0, 2000.0, None)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.tool_force import make_axial_stiffness_matrix
-from tissue_sim.wave_error import REVERBERATION, WaveErrorEstimator, WaveTimeAndSpeed
+from tissue_sim.wave_error import REVERBERATION, ContactWaveTimeAndShearSpeed, UnresolvedWaveErrorEstimator
 
 #: Shear modulus, Pa, density, kg/m3, radius of the tool, m.
 MODULUS = 4e3
@@ -40,19 +40,20 @@ def pressed(depths, dt=TICK, **options):
 
 def advanced(velocities, mass=1e-3, dt=TICK):
     """The estimate after steps of a tool that moves a mass, kg, at velocities in m/s."""
-    scale, waves = WaveTimeAndSpeed.from_model(model(), DENSITY), WaveErrorEstimator()
+    scale, waves = ContactWaveTimeAndShearSpeed.from_model(model(), DENSITY), UnresolvedWaveErrorEstimator()
     for velocity in velocities:
         waves.register_step_with_mass(make_axial_stiffness_matrix(0.0), make_axial_stiffness_matrix(mass / dt**2),
-                      (0.0, 0.0, velocity * dt, 0.0, 0.0, 0.0),
-                      dt, scale)
+                                      (0.0, 0.0, velocity * dt, 0.0, 0.0, 0.0),
+                                      dt, scale)
     return waves
 
 
 def test_scale_is_the_transit_time_of_a_shear_wave_and_between_plates_of_a_pressure_wave():
-    scale = WaveTimeAndSpeed.from_model(model(), DENSITY)
+    scale = ContactWaveTimeAndShearSpeed.from_model(model(), DENSITY)
     assert scale.shear_speed == pytest.approx(2.0) and scale.duration == pytest.approx(RADIUS / 2.0)
     pressure_speed = math.sqrt((1e3 + 4 / 3) * MODULUS / DENSITY)
-    assert WaveTimeAndSpeed.from_model(model(shape="plate"), DENSITY).duration == pytest.approx(0.030 / pressure_speed)
+    assert ContactWaveTimeAndShearSpeed.from_model(model(shape="plate"), DENSITY).duration \
+        == pytest.approx(0.030 / pressure_speed)
 
 
 def test_an_impact_has_the_force_of_its_momentum_and_then_that_of_its_wave():
@@ -61,7 +62,7 @@ def test_an_impact_has_the_force_of_its_momentum_and_then_that_of_its_wave():
     assert advanced([velocity]).force == pytest.approx(impact)
     later = advanced([velocity] * 30)
     # The onset and the end of the impact are two changes of the inertial force.
-    wave = math.sqrt(2.0) * mass * velocity / WaveTimeAndSpeed.from_model(model(), DENSITY).duration
+    wave = math.sqrt(2.0) * mass * velocity / ContactWaveTimeAndShearSpeed.from_model(model(), DENSITY).duration
     assert later.force == pytest.approx(wave * math.exp(-0.0285 / REVERBERATION), rel=0.05)
 
 
@@ -73,18 +74,18 @@ def test_an_even_acceleration_is_resolved():
 
 def test_rest_forgets_the_waves_and_keeps_the_velocity():
     waves = advanced([0.05])
-    waves.register_step_without_mass((0.0, 0.0, 0.05 * TICK, 0.0, 0.0, 0.0), TICK)
+    waves.reset_error_at_step_without_mass((0.0, 0.0, 0.05 * TICK, 0.0, 0.0, 0.0), TICK)
     assert waves.force == 0.0
     waves.register_step_with_mass(make_axial_stiffness_matrix(0.0), make_axial_stiffness_matrix(1e3),
-                  (0.0, 0.0, 0.05 * TICK, 0.0, 0.0, 0.0), TICK,
-                  WaveTimeAndSpeed.from_model(model(), DENSITY))
+                                  (0.0, 0.0, 0.05 * TICK, 0.0, 0.0, 0.0), TICK,
+                                  ContactWaveTimeAndShearSpeed.from_model(model(), DENSITY))
     assert waves.force == 0.0
 
 
 def test_a_copy_is_independent():
     waves = advanced([0.05])
     before, other = waves.force, waves.copy()
-    other.register_step_without_mass(None, TICK)
+    other.reset_error_at_step_without_mass(None, TICK)
     assert waves.force == before > 0.0
 
 

@@ -112,30 +112,30 @@ class Column:
 
     def nominal_stress(self, law: Law, displacement, values) -> np.ndarray:
         """Return minus the force of the plate over the undeformed cross-section, Pa, shape of `displacement`."""
-        return self._evaluate_curve(law, displacement, values, lambda curve: curve.stress)
+        return self._evaluate_curve_or_nan(law, displacement, values, lambda curve: curve.stress)
 
     def nominal_stress_slope(self, law: Law, displacement, values) -> np.ndarray:
         """Return d(nominal stress)/d(displacement), Pa/m, shape of `displacement`."""
-        return self._evaluate_curve(law, displacement, values, lambda curve: curve.stress.derivative())
+        return self._evaluate_curve_or_nan(law, displacement, values, lambda curve: curve.stress.derivative())
 
     def nominal_stress_derivatives(self, law: Law, displacement, values) -> np.ndarray:
         """Return d(nominal stress)/d(parameter) at constant displacement, shape (*displacement.shape, m).
 
         The sag depends on the parameters, and so does the undeformed height if the settled height is given.
         """
-        return self._evaluate_curve(law, displacement, values, lambda curve: curve.stress_derivatives,
-                                    len(law.parameters))
+        return self._evaluate_curve_or_nan(law, displacement, values,
+                                           lambda curve: curve.stress_parameter_derivative_spline, len(law.parameters))
 
-    def base_stretch(self, law: Law, displacement, values) -> np.ndarray:
+    def base_stretch_at_displacement(self, law: Law, displacement, values) -> np.ndarray:
         """Return the stretch of the slice on the base, the smallest of all slices, shape of `displacement`."""
-        return self._evaluate_curve(law, np.maximum(displacement, 0.0), values,
-                                    lambda curve: CubicSpline(curve.displacement, curve.base_stretch))
+        return self._evaluate_curve_or_nan(law, np.maximum(displacement, 0.0), values,
+                                           lambda curve: CubicSpline(curve.displacement, curve.base_stretch))
 
     def _compute_curve(self, law: Law, values, depth: float) -> _CompressionCurve:
         """Return the cached compression curve, which reaches at least `depth`, m, if the column is stable."""
         return _curve(self.specimen, law, tuple(law.as_array(values).tolist()), depth)
 
-    def _evaluate_curve(self, law: Law, displacement, values, choose, *width: int) -> np.ndarray:
+    def _evaluate_curve_or_nan(self, law: Law, displacement, values, choose, *width: int) -> np.ndarray:
         """Evaluate the spline that `choose` returns: 0 at negative displacements, NaN beyond the stable branch."""
         displacement = np.asarray(displacement, dtype=float)
         curve = self._compute_curve(law, values, float(displacement.max(initial=0.0)))
@@ -163,15 +163,15 @@ class _CompressionCurve:
         # Extreme parameters overflow; the curve ends at the first value that is not finite.
         with np.errstate(all="ignore"):
             branch = _CompressiveBranch(law, self.values)
-            self.moulded_height, settled = self._find_settled_height(branch)
+            self.moulded_height, settled = self._find_undeformed_and_settled_height(branch)
             # The top carries less than the mean of the slices, so that its stretch exceeds the mean stretch. The factor
             # 1.001 keeps the last displacement inside of the curve despite rounding.
             end = (settled - 1.001 * max(depth, 0.01 * specimen.height)) / self.moulded_height
             top = np.linspace(0.0, np.log(np.fmax(end, _SETTINGS.smallest_stretch)), _SETTINGS.states)
             self.pressure = -law.nominal_stress(np.exp(top), self.values)
             self.pressure[0] = 0.0
-            base = branch.log_stretch(self.pressure + specimen.specific_weight * self.moulded_height)
-            self.stretches, weights, softness = _compute_slice_stretches_and_weights(law, self.values, top, base)
+            base = branch.log_stretch_at_pressure_or_nan(self.pressure + specimen.specific_weight * self.moulded_height)
+            self.stretches, weights, softness = _compute_slice_stretches_weights_softness(law, self.values, top, base)
             self.base_stretch = np.exp(base)
             self.height = self.moulded_height * np.sum(weights * self.stretches, axis=1)
             self.displacement = self.height[0] - self.height
@@ -190,13 +190,13 @@ class _CompressionCurve:
         """Largest displacement, m; minus infinity if the column has no equilibrium under its weight."""
         return float(self.displacement[-1]) if self.states else -np.inf
 
-    def _find_settled_height(self, branch: _CompressiveBranch) -> tuple[float, float]:
+    def _find_undeformed_and_settled_height(self, branch: _CompressiveBranch) -> tuple[float, float]:
         """Find the undeformed height and the height under the weight, m; NaN if no equilibrium is found."""
         given = height = self.specimen.height
         # The settled height is a concave function of the undeformed one: Newton's method from below does not overshoot.
         for _ in range(_SETTINGS.max_iterations):
-            base = branch.log_stretch(np.array([self.specimen.specific_weight * height]))
-            stretches, weights, _ = _compute_slice_stretches_and_weights(self.law, self.values, np.zeros(1), base)
+            base = branch.log_stretch_at_pressure_or_nan(np.array([self.specimen.specific_weight * height]))
+            stretches, weights, _ = _compute_slice_stretches_weights_softness(self.law, self.values, np.zeros(1), base)
             settled = height * float(np.sum(weights * stretches))
             if self.specimen.height_is == "moulded":
                 return height, settled
@@ -212,7 +212,7 @@ class _CompressionCurve:
         return CubicHermiteSpline(self.displacement, 0.0 - self.pressure, -1.0 / self.softness.sum(axis=1))
 
     @cached_property
-    def stress_derivatives(self) -> CubicSpline:
+    def stress_parameter_derivative_spline(self) -> CubicSpline:
         """Derivatives of the nominal stress with respect to the parameters, by implicit differentiation; (n, m)."""
         # Loss of height at constant pressure and undeformed height.
         lost = np.sum(self.softness[:, :, None] * self.law.nominal_stress_derivatives(self.stretches, self.values),
@@ -242,7 +242,7 @@ class _CompressiveBranch:
         count = _count_true_before_first_false(rising)
         self.points, self.pressure = points[:count], pressure[:count]
 
-    def log_stretch(self, pressure: np.ndarray) -> np.ndarray:
+    def log_stretch_at_pressure_or_nan(self, pressure: np.ndarray) -> np.ndarray:
         """Return the logarithm of the stretch at nominal pressures, Pa, shape (n,); NaN beyond the branch."""
         result = np.full(pressure.shape, np.nan)
         if self.pressure.size < 2:
@@ -265,8 +265,8 @@ class _CompressiveBranch:
         return result
 
 
-def _compute_slice_stretches_and_weights(law: Law, values: np.ndarray, top: np.ndarray,
-                                         base: np.ndarray) -> tuple[np.ndarray, ...]:
+def _compute_slice_stretches_weights_softness(law: Law, values: np.ndarray, top: np.ndarray,
+                                              base: np.ndarray) -> tuple[np.ndarray, ...]:
     """Compute the stretches of the slices and their quadrature weights.
 
     Args:

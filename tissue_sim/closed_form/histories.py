@@ -18,7 +18,7 @@ from tissue_sim.laws import Law
 from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import Prony, compute_internal_stress
+from tissue_sim.material.viscoelasticity import Prony, compute_internal_stress_history_over_g
 
 #: Largest change of log(stretch), or of the shear strain, in a step within which S is linear in time; longer steps are
 #: divided. The error of the force is proportional to its square: 3e-6 of the largest force in a ramp, hold and return
@@ -69,7 +69,7 @@ class HomogeneousHistory:
                              field="stretch")
 
     @cached_property
-    def _divided_history(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _divided_steps_strains_and_samples(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Time steps and strains of the divided history, and indices of the samples in it."""
         strain = np.concatenate([[_REST[self.mode]], self.strain])
         time = np.concatenate([self.time[:1], self.time])
@@ -83,24 +83,26 @@ class HomogeneousHistory:
         return np.repeat(np.diff(time) / parts, parts), fine, last - 1
 
     @cached_property
-    def _stress_weights(self) -> np.ndarray:
+    def _nominal_stress_component_weights(self) -> np.ndarray:
         """d(nominal stress)/d(two components of S) at every point of the divided history, shape (points, 2)."""
-        strain = self._divided_history[1]
+        strain = self._divided_steps_strains_and_samples[1]
         if self.mode == "uniaxial":
             return np.stack([strain, -1.0 / strain**2], axis=-1)
         return np.stack([np.ones_like(strain), strain], axis=-1)
 
-    def _compute_elastic_stress(self, law: Law, values, factor: float, softening: Softening | None) -> np.ndarray:
+    def _compute_softened_second_piola_stress(self, law: Law, values, factor: float,
+                                              softening: Softening | None) -> np.ndarray:
         """Compute the two components of the elastic stress S with softening, without relaxation, Pa, (points, 2)."""
-        strain = self._divided_history[1]
+        strain = self._divided_steps_strains_and_samples[1]
         if self.mode == "uniaxial":
             side = strain**-0.5
-            energy, tau = law.principal_response(np.stack([strain, side, side], axis=-1), values)
+            energy, tau = law.compute_energy_and_kirchhoff_stresses(np.stack([strain, side, side], axis=-1), values)
             S = np.stack([tau[:, 0] / strain**2, tau[:, 1] * strain], axis=-1)
         else:
             # Principal stretches l, 1/l with l - 1/l = gamma; the first axis lies along (l, 1).
             l1 = np.hypot(1.0, strain / 2.0) + strain / 2.0
-            energy, tau = law.principal_response(np.stack([l1, 1.0 / l1, np.ones_like(l1)], axis=-1), values)
+            energy, tau = law.compute_energy_and_kirchhoff_stresses(np.stack([l1, 1.0 / l1, np.ones_like(l1)], axis=-1),
+                                                                    values)
             tau12 = (tau[:, 0] - tau[:, 1]) * l1 / (1.0 + l1**2)
             tau22 = (tau[:, 0] + tau[:, 1] * l1**2) / (1.0 + l1**2)
             S = np.stack([tau12 - strain * tau22, tau22], axis=-1)
@@ -121,11 +123,11 @@ class HomogeneousHistory:
             factor: instantaneous moduli over those of `values`.
         """
         tau = np.zeros(0) if prony is None else prony.tau
-        elastic, relaxing = self.compute_stress_parts(law, values, tau, softening, factor)
+        elastic, relaxing = self.compute_elastic_and_relaxing_stress(law, values, tau, softening, factor)
         return elastic if prony is None else (1.0 - prony.relaxing_fraction) * elastic + relaxing @ prony.g
 
-    def compute_stress_parts(self, law: Law, values, tau: np.ndarray, softening: Softening | None = None,
-              factor: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    def compute_elastic_and_relaxing_stress(self, law: Law, values, tau: np.ndarray, softening: Softening | None = None,
+                                            factor: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Compute the elastic and relaxing contributions to P = (1 - sum g_i) elastic + sum g_i relaxing_i.
 
         Args:
@@ -138,9 +140,11 @@ class HomogeneousHistory:
         Returns:
             `elastic`, shape (n,), and `relaxing`, shape (n, terms), both in Pa at the samples.
         """
-        dt, _, samples = self._divided_history
-        stress, weights = self._compute_elastic_stress(law, values, factor, softening), self._stress_weights[samples]
-        relaxing = compute_internal_stress(dt, stress, tau)[samples]
+        dt, _, samples = self._divided_steps_strains_and_samples
+        stress, weights = self._compute_softened_second_piola_stress(law, values, factor,
+                                                                     softening), self._nominal_stress_component_weights[
+                                                                         samples]
+        relaxing = compute_internal_stress_history_over_g(dt, stress, tau)[samples]
         return np.sum(weights * stress[samples], axis=1), np.einsum("nc,nct->nt", weights, relaxing)
 
 
@@ -196,4 +200,4 @@ def compute_stress_history(mode: str, material: Material, time, strain, contact_
                          field=f"effects.{added[0]}")
     prony = material.relaxation(contact_radius)
     return history.nominal_stress(material.energy_law, material.values, prony, material.softening,
-                                  material.instantaneous_factor)
+                                  material.instantaneous_over_law_modulus_ratio)

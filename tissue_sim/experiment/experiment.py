@@ -12,10 +12,10 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.adhesion import Adhesion
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.contact_law import ContactLaw
-from tissue_sim.experiment.interfaces import AS_TOOL, LARGEST_FRICTION, validate_interface
+from tissue_sim.experiment.interfaces import AS_TOOL, LARGEST_FRICTION, validate_and_normalise_interface
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.public_names import OldName
@@ -69,14 +69,15 @@ class Experiment:
 
     def __post_init__(self):
         if not isinstance(self.tool, Tool):
-            raise InputError(f"must be one Tool; got {_describe_value_type(self.tool)}. An experiment has one tool: "
-                             "make one experiment for each.", field="tool")
+            raise InputError(
+                f"must be one Tool; got {_describe_type_and_length(self.tool)}. An experiment has one tool: "
+                "make one experiment for each.", field="tool")
         given = self.contact_laws.values() if isinstance(self.contact_laws, Mapping) else self.contact_laws
-        object.__setattr__(self, "contact_laws", make_read_only_copy({law.name: law for law in given}))
+        object.__setattr__(self, "contact_laws", make_shallow_read_only_copy({law.name: law for law in given}))
         if self.friction_base is None:
-            object.__setattr__(self, "friction_base", self._choose_base_interface())
+            object.__setattr__(self, "friction_base", self._make_default_base_interface())
         for name in ("friction", "friction_base", "friction_wall"):
-            object.__setattr__(self, name, validate_interface(getattr(self, name), name))
+            object.__setattr__(self, name, validate_and_normalise_interface(getattr(self, name), name))
         if self.friction_wall == "bonded":
             raise InputError("must not be 'bonded': tissue meets the shaft during the test. Use 'stick', "
                              "'frictionless' or a coefficient of friction", field="friction_wall")
@@ -126,15 +127,15 @@ class Experiment:
             raise InputError("tissue cannot slide around a sharp edge, where the edge has no tangent; give the tool an "
                              "edge radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
         if self.slip:
-            self.with_free_faces()
+            self.with_slipping_faces_frictionless()
 
-    def _choose_base_interface(self) -> str:
+    def _make_default_base_interface(self) -> str:
         """Return the interface of the base if the experiment does not state one."""
         if not self.tool.is_plate or not self.specimen.is_flat:
             return "bonded"
         return self.friction if isinstance(self.friction, str) else AS_TOOL
 
-    def with_free_faces(self) -> Experiment:
+    def with_slipping_faces_frictionless(self) -> Experiment:
         """Return the experiment without slip fraction and with frictionless instead of bonded faces.
 
         The face of the tool becomes frictionless; between plates, a bonded base becomes frictionless too.
@@ -142,7 +143,7 @@ class Experiment:
         Raises:
             InputError: tissue would slide around a sharp edge.
         """
-        base = "frictionless" if self.tool.is_plate and self.base_interface == "bonded" else self.friction_base
+        base = "frictionless" if self.tool.is_plate and self.resolved_base_interface == "bonded" else self.friction_base
         return replace(self, friction="frictionless", friction_base=base, slip=None)
 
     @property
@@ -163,7 +164,7 @@ class Experiment:
         return wrench[2] if self.approach is None else self.approach.resistance(wrench)
 
     @property
-    def base_interface(self) -> str | float:
+    def resolved_base_interface(self) -> str | float:
         """Interface of the base, with ``"as_tool"`` replaced by that of the tool."""
         return self.friction if self.friction_base == AS_TOOL else self.friction_base
 
@@ -183,16 +184,16 @@ class Experiment:
     def is_path_dependent(self) -> bool:
         """Whether the force depends on the path of the tool, because of friction, adhesion or other contact laws."""
         return self.adhesion is not None or bool(self.contact_laws) or any(isinstance(value, float) for value in (
-            self.friction, self.base_interface, self.friction_wall))
+            self.friction, self.resolved_base_interface, self.friction_wall))
 
     @property
     def homogeneous(self) -> bool:
         """Whether a specimen of one material deforms homogeneously, so that closed forms are valid."""
-        return (self.tool.is_plate and self.friction == self.base_interface == "frictionless"
+        return (self.tool.is_plate and self.friction == self.resolved_base_interface == "frictionless"
                 and self.specimen.is_prism and not self.specimen.specific_weight and not self.contact_laws)
 
 
-def _describe_value_type(value: object) -> str:
+def _describe_type_and_length(value: object) -> str:
     """Description of a value's type for messages: ``list of 2``, ``str``."""
     name = type(value).__name__
     return f"{name} of {len(value)}" if isinstance(value, list | tuple | set | dict) else name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numbers import Real
 
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 
 #: Named interfaces: ``"bonded"`` (no relative motion), ``"stick"`` (no slip, but lift-off is possible), and
 #: ``"frictionless"``. A number is Coulomb's coefficient of friction. All but the bonded one permit lift-off from the
@@ -16,7 +16,7 @@ AS_TOOL = "as_tool"
 LARGEST_FRICTION = 10.0
 
 
-def validate_interface(value: str | float, name: str) -> str | float:
+def validate_and_normalise_interface(value: str | float, name: str) -> str | float:
     """Check an interface and return it; a coefficient of friction of 0 becomes ``"frictionless"``.
 
     Args:
@@ -28,8 +28,9 @@ def validate_interface(value: str | float, name: str) -> str | float:
     """
     if isinstance(value, str):
         if value not in INTERFACES and not (value == AS_TOOL and name == "friction_base"):
-            raise InputError(f"{value!r} is not an interface{suggest_known_word(value, INTERFACES)}, or a coefficient "
-                             "of friction", field=name)
+            raise InputError(
+                f"{value!r} is not an interface{make_hint_with_similar_or_known_words(value, INTERFACES)}, or a "
+                "coefficient of friction", field=name)
         return value
     number = isinstance(value, Real) and not isinstance(value, bool)
     if not (number and 0 <= value <= LARGEST_FRICTION):

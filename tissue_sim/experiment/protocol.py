@@ -9,7 +9,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError, require_positive_length
 from tissue_sim.experiment.protocol_text import parse_protocol
-from tissue_sim.experiment.segments import MotionLeg, expand_legs, protocol_error
+from tissue_sim.experiment.segments import MotionLeg, iterate_motion_legs, protocol_error
 from tissue_sim.public_names import OldName
 
 #: Tool speed of the reference study, m/s.
@@ -61,7 +61,7 @@ class Protocol:
 
     def __post_init__(self):
         for name in ("time", "displacement"):
-            self._set_read_only(name, np.array(getattr(self, name), dtype=float))
+            self._store_read_only_array(name, np.array(getattr(self, name), dtype=float))
         if self.time.ndim != 1 or self.time.shape != self.displacement.shape or self.time.size == 0:
             raise InputError(f"time and displacement must be two lists of the same length; got {self.time.shape} and "
                              f"{self.displacement.shape}.", field="protocol")
@@ -76,17 +76,17 @@ class Protocol:
             labels = np.array(getattr(self, name))
             if labels.shape != self.time.shape or labels.dtype.kind not in kind:
                 raise InputError(f"expected {self.time.size} {words}, one for each sample", field=f"protocol.{name}")
-            self._set_read_only(name, labels)
+            self._store_read_only_array(name, labels)
 
-    def _set_read_only(self, name: str, array: np.ndarray) -> None:
+    def _store_read_only_array(self, name: str, array: np.ndarray) -> None:
         """Store an array as the attribute `name` of this frozen object, and make the array read-only."""
         array.flags.writeable = False
         object.__setattr__(self, name, array)
 
     #: Old name.
-    at = OldName("interpolate_motion")
+    at = OldName("resample_at_fractional_samples")
 
-    def interpolate_motion(self, samples: np.ndarray) -> Protocol:
+    def resample_at_fractional_samples(self, samples: np.ndarray) -> Protocol:
         """Return the protocol interpolated at fractional sample numbers.
 
         Args:
@@ -142,13 +142,13 @@ class Protocol:
         segment: list[str] = []
         cycle: list[int] = []
         now, step = 0.0, math.inf
-        for leg in expand_legs(parse_protocol(text), speed):
+        for leg in iterate_motion_legs(parse_protocol(text), speed):
             if not time:
                 time, displacement, segment, cycle = [now], [leg.start], [leg.segment.kind], [leg.cycle]
-            samples, since = _sample_leg(leg, now, points, step)
+            samples, since = _sample_leg_displacements_and_times(leg, now, points, step)
             if len(time) + since.size > MOST_SAMPLES:
                 raise protocol_error(leg.segment.position, f"the protocol has more than {MOST_SAMPLES} samples at this "
-                                                           "segment; shorten it or use fewer points")
+                                     "segment; shorten it or use fewer points")
             if leg.speed:
                 step = float(since[-1] / since.size)
             time += (now + since).tolist()
@@ -169,7 +169,8 @@ class Protocol:
         return {name: values for name in ("segment", "cycle") if (values := getattr(self, name)) is not None}
 
 
-def _sample_leg(leg: MotionLeg, now: float, points: int, step: float) -> tuple[np.ndarray, np.ndarray]:
+def _sample_leg_displacements_and_times(leg: MotionLeg, now: float, points: int,
+                                        step: float) -> tuple[np.ndarray, np.ndarray]:
     """Return displacements and times of the samples of a leg, without the sample at its start.
 
     Args:

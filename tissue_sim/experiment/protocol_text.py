@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from decimal import Decimal
 from typing import Any
 
-from tissue_sim.errors import suggest_known_word
+from tissue_sim.errors import make_hint_with_similar_or_known_words
 from tissue_sim.experiment.segments import KINDS, ProtocolRepeat, ProtocolSegment, protocol_error
 from tissue_sim.public_names import make_getattr_for_old_names
 
@@ -55,12 +55,13 @@ def format_protocol(steps: Sequence[ProtocolSegment | ProtocolRepeat]) -> str:
 
 def _format_segment(segment: ProtocolSegment) -> str:
     """Return the text of a segment with its lengths in mm, speed in mm/s and time in s."""
-    def format_milli(value: float) -> str:
+    def format_metres_as_mm(value: float) -> str:
         return f"{Decimal(repr(float(value))) * 1000:g}mm"
 
     hold = KINDS[segment.kind][0] == "time"
-    amount = "" if segment.amount is None else f" {segment.amount!r}s" if hold else f" {format_milli(segment.amount)}"
-    return f"{segment.kind}{amount}{'' if segment.speed is None else f' @{format_milli(segment.speed)}/s'}"
+    amount = "" if segment.amount is None else f" {segment.amount!r}s" if hold \
+        else f" {format_metres_as_mm(segment.amount)}"
+    return f"{segment.kind}{amount}{'' if segment.speed is None else f' @{format_metres_as_mm(segment.speed)}/s'}"
 
 
 class _ProtocolParser:
@@ -80,10 +81,10 @@ class _ProtocolParser:
         """Read steps up to the end, or up to a closing bracket, which is not consumed."""
         steps: list[ProtocolSegment | ProtocolRepeat] = []
         while True:
-            if steps and self.is_at_end():
+            if steps and self.is_at_end_or_closing_bracket():
                 return tuple(steps)
             steps.append(self.read_step(repeated))
-            if self.is_at_end():
+            if self.is_at_end_or_closing_bracket():
                 return tuple(steps)
             if not self.match_sign_and_advance(";"):
                 raise self._make_error(self.at, "expected ';' between two segments")
@@ -92,7 +93,7 @@ class _ProtocolParser:
         """Read a segment or a repeat; `repeated`: inside a repeat, where no other repeat is allowed."""
         self.skip_blanks()
         start = self.at
-        word = self.match_and_advance(_WORD)
+        word = self.match_text_or_none_and_advance(_WORD)
         if word != "repeat":
             return self.read_segment(start, word)
         if repeated:
@@ -105,45 +106,45 @@ class _ProtocolParser:
             raise self._make_error(start, f"expected a segment, one of {', '.join(KINDS)} or repeat")
         if word not in KINDS:
             raise self._make_error(start, f"unknown segment {_quote_shortened_text(word)}"
-                                          f"{suggest_known_word(word, (*KINDS, 'repeat'))}")
+                                   f"{make_hint_with_similar_or_known_words(word, (*KINDS, 'repeat'))}")
         quantity, needed = KINDS[word]
-        amount = self.read_amount(quantity, needed=needed, zero=word == "unload", after=word)
+        amount = self.read_amount_or_none(quantity, needed=needed, zero=word == "unload", after=word)
         speed = None
         sign = self.at
         if self.match_sign_and_advance("@"):
             if word == "hold":
                 raise self._make_error(sign, "a hold has no speed; remove it")
-            speed = self.read_amount("speed", needed=True, zero=False, after="@")
-        return ProtocolSegment(word, amount, speed, position=self.describe_position(start))
+            speed = self.read_amount_or_none("speed", needed=True, zero=False, after="@")
+        return ProtocolSegment(word, amount, speed, position=self.describe_line_and_column(start))
 
     def read_repeat(self, start: int) -> ProtocolRepeat:
         """Read number and segments of a repeat; its word ``repeat`` begins at index `start` of the text."""
         self.skip_blanks()
         at = self.at
-        count = self.match_and_advance(_NUMBER)
+        count = self.match_text_or_none_and_advance(_NUMBER)
         if count is None or not count.isdecimal() or not 1 <= float(count) <= 1e9:
             raise self._make_error(at, "expected the number of repetitions, an integer of at least 1, as in repeat 3 "
-                                       "(ramp 5mm; unload)")
+                                   "(ramp 5mm; unload)")
         if not self.match_sign_and_advance("("):
             raise self._make_error(self.at, "expected the repeated segments in brackets, as in repeat 3 (ramp 5mm; "
-                                            "unload)")
+                                   "unload)")
         segments = self.read_steps(repeated=True)
         if not self.match_sign_and_advance(")"):
             raise self._make_error(start, "the brackets of this repeat are not closed; add ')'")
         return ProtocolRepeat(int(count), segments)
 
-    def read_amount(self, quantity: str, *, needed: bool, zero: bool, after: str) -> float | None:
+    def read_amount_or_none(self, quantity: str, *, needed: bool, zero: bool, after: str) -> float | None:
         """Read a number with its unit; returns the value in SI, or None if there is no number."""
         self.skip_blanks()
         start, units = self.at, _UNITS[quantity]
-        number = self.match_and_advance(_NUMBER)
+        number = self.match_text_or_none_and_advance(_NUMBER)
         if number is None:
             if needed:
                 raise self._make_error(start, f"expected a {quantity} after {after!r}, such as {_EXAMPLES[quantity]}")
             return None
         self.skip_blanks()
         at = self.at
-        unit = self.match_and_advance(_WORD)
+        unit = self.match_text_or_none_and_advance(_WORD)
         if unit is None:
             comma = self.text[at:at + 1] == ","
             problem = ("the decimal mark must be a point, not a comma" if comma
@@ -152,8 +153,8 @@ class _ProtocolParser:
         entry = units.get(unit.replace("µ", "u").replace("μ", "u"))
         if entry is None:
             raise self._make_error(at, f"{_quote_shortened_text(unit)} is not a unit of {quantity}; use "
-                                       f"{', '.join(list(units)[:5])}")
-        value = _convert_to_si(number, *entry)
+                                   f"{', '.join(list(units)[:5])}")
+        value = _convert_decimal_text_to_si(number, *entry)
         if not (0 < value < math.inf or (zero and value == 0)):
             remedy = "; use retract for a height above the touch" if quantity == "length" else ""
             raise self._make_error(start,
@@ -161,7 +162,7 @@ class _ProtocolParser:
         self.skip_blanks()
         return value
 
-    def is_at_end(self) -> bool:
+    def is_at_end_or_closing_bracket(self) -> bool:
         """Return whether the text or the bracket ends at the present position."""
         self.skip_blanks()
         return self.at == len(self.text) or self.text[self.at] == ")"
@@ -173,7 +174,7 @@ class _ProtocolParser:
         self.at += found
         return found
 
-    def match_and_advance(self, pattern: re.Pattern) -> str | None:
+    def match_text_or_none_and_advance(self, pattern: re.Pattern) -> str | None:
         """Return the match of a pattern at the present position, and move past the match; None without a match."""
         match = pattern.match(self.text, self.at)
         if match:
@@ -182,9 +183,9 @@ class _ProtocolParser:
 
     def skip_blanks(self) -> None:
         """Move past white space."""
-        self.match_and_advance(_BLANKS)
+        self.match_text_or_none_and_advance(_BLANKS)
 
-    def describe_position(self, at: int) -> str:
+    def describe_line_and_column(self, at: int) -> str:
         """Return the column (from 1), and the line of a text with several lines, of an index of the text."""
         column = f"column {at - self.text.rfind(chr(10), 0, at)}"
         return f"line {1 + self.text.count(chr(10), 0, at)}, {column}" if "\n" in self.text.strip() else column
@@ -193,14 +194,14 @@ class _ProtocolParser:
         """Return the error for a problem at the index `at` of the text; the caller raises it."""
         rest = self.text[at:].strip()
         found = f"at {_quote_shortened_text(rest)}" if rest else "at the end"
-        return protocol_error(f"{self.describe_position(at)}, {found}", problem)
+        return protocol_error(f"{self.describe_line_and_column(at)}, {found}", problem)
 
 
 def _quote_shortened_text(text: str) -> str:
     return repr(text if len(text) <= _QUOTED else f"{text[:_QUOTED]}...")
 
 
-def _convert_to_si(number: str, factor: str, divisor: str) -> float:
+def _convert_decimal_text_to_si(number: str, factor: str, divisor: str) -> float:
     """Return number * factor / divisor, rounded once, so that 0.248 mm/s is 0.248e-3 m/s to the last digit."""
     value = float(number)
     if value == 0 or not math.isfinite(value):

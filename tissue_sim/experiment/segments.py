@@ -63,7 +63,7 @@ class MotionLeg:
     cycle: int
 
 
-def expand_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed: float) -> Iterator[MotionLeg]:
+def iterate_motion_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed: float) -> Iterator[MotionLeg]:
     """Yield the legs of a protocol, one for each segment, with repeats expanded.
 
     Args:
@@ -74,10 +74,10 @@ def expand_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed: float)
         InputError: a segment that cannot follow the one before, such as an unload at the touch.
     """
     here, deepest, cycle, withdrawn, begun = 0.0, 0.0, 1, False, False
-    for segment in _expand_repeats(steps):
+    for segment in _iterate_segments_with_repeats(steps):
         speed = speed if segment.speed is None else segment.speed
         if segment.kind == "approach" and not begun:
-            here = -_find_approach_start(segment)
+            here = -_require_approach_height(segment)
         begun = True
         end = _find_end_displacement(segment, here, deepest)
         if end > here and withdrawn:
@@ -96,18 +96,18 @@ def protocol_error(position: str, problem: str) -> InputError:
     return InputError(f"{position + ': ' if position else ''}{problem}{example}", field="protocol")
 
 
-def _expand_repeats(steps: Sequence[ProtocolSegment | ProtocolRepeat]) -> Iterator[ProtocolSegment]:
+def _iterate_segments_with_repeats(steps: Sequence[ProtocolSegment | ProtocolRepeat]) -> Iterator[ProtocolSegment]:
     """Yield the segments in order; yield those of a repeat as often as the repeat states."""
     for step in steps:
         for _ in range(step.times if isinstance(step, ProtocolRepeat) else 1):
             yield from step.segments if isinstance(step, ProtocolRepeat) else (step,)
 
 
-def _find_approach_start(segment: ProtocolSegment) -> float:
+def _require_approach_height(segment: ProtocolSegment) -> float:
     """Return the height above the touch at which an approach starts, m; raise an error if none is given."""
     if segment.amount is None:
         raise protocol_error(segment.position, "the first approach needs the height above the touch at which it "
-                                               "starts, such as approach 2mm")
+                             "starts, such as approach 2mm")
     return segment.amount
 
 
@@ -121,24 +121,24 @@ def _find_end_displacement(segment: ProtocolSegment, here: float, deepest: float
             if here >= 0 or (amount is not None and not math.isclose(amount, -here, rel_tol=1e-9)):
                 height = "above the touch" if amount is None else f"{_format_mm(amount)} above the touch"
                 raise protocol_error(segment.position, f"an approach starts {height}, but the tool is at "
-                                                       f"{_format_mm(here)}; retract to that height first")
+                                     f"{_format_mm(here)}; retract to that height first")
             return 0.0
         case "ramp" | "reload":
             if amount is None and deepest <= 0:
                 raise protocol_error(segment.position, "a reload needs an earlier ramp or a depth; ramp first, or name "
-                                                       "a depth")
+                                     "a depth")
             end = deepest if amount is None else amount
             if end <= here:
                 raise protocol_error(segment.position, f"a {kind} must go deeper, but the tool is at "
-                                                       f"{_format_mm(here)} already; name a larger depth, or unload "
-                                                       "before it")
+                                     f"{_format_mm(here)} already; name a larger depth, or unload "
+                                     "before it")
             return end
         case "unload" | "retract":
             end = (-1.0 if kind == "retract" else 1.0) * (amount or 0.0)
             if end >= here:
                 article = "an" if kind == "unload" else "a"
                 raise protocol_error(segment.position, f"{article} {kind} must go outwards, but the tool is at "
-                                                       f"{_format_mm(here)} already; its end is {_format_mm(end)}")
+                                     f"{_format_mm(here)} already; its end is {_format_mm(end)}")
             return end
     raise protocol_error(segment.position, f"unknown segment {kind!r}")
 

@@ -40,7 +40,7 @@ def export(material: Material) -> str:
         if part:
             raise InputError(f"Abaqus has no form for {what}; remove it from the material", field="to")
     moduli = "" if material.viscoelastic is None else material.viscoelastic.moduli.upper().replace("_", " ")
-    keyword, terms = _format_hyperelastic_options(material.law)
+    keyword, terms = _get_law_keyword_and_volumetric_count(material.law)
     K = material.bulk_modulus
     volumetric = [0.0] * terms if material.bulk.kind == "incompressible" else [2.0 / K, *[_ABSENT] * (terms - 1)]
     law = material.energy_law
@@ -58,7 +58,7 @@ def export(material: Material) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _format_hyperelastic_options(name: str) -> tuple[str, int]:
+def _get_law_keyword_and_volumetric_count(name: str) -> tuple[str, int]:
     """Return the options of the keyword *HYPERELASTIC for a law, and the number of volumetric terms."""
     if name in _POLYNOMIALS:
         return f"POLYNOMIAL, N={_POLYNOMIALS[name]}", _POLYNOMIALS[name]

@@ -11,7 +11,7 @@ STICK = -1.0
 ALL_POINTS = 1_000_000
 
 
-class ContactBond(IntEnum):
+class ContactBondState(IntEnum):
     """State of the bond between a contact point of the tissue and a rigid body.
 
     Attributes:
@@ -26,7 +26,7 @@ class ContactBond(IntEnum):
 
 
 @dataclass(frozen=True)
-class ContactTolerances:
+class RelativeContactTolerances:
     """Largest violation of a contact condition (penetration, or slip of a point that sticks) at an equilibrium.
 
     Attributes:
@@ -75,6 +75,6 @@ class ActiveSetSettings:
 
 
 #: Tolerances of all solvers.
-TOLERANCES = ContactTolerances()
+TOLERANCES = RelativeContactTolerances()
 #: Penalty stiffness of the solid and of its condensed contact.
 SOLID_PENALTY = PenaltySettings(normal=3e5, stick_factor=3.0)

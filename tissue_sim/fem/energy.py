@@ -6,7 +6,7 @@ The functions work on scalars (one point) and on vectors (several points at once
 from functools import cache
 from typing import TYPE_CHECKING
 
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.laws.derivation import load_or_derive_function
 from tissue_sim.public_names import LazyModule
@@ -20,19 +20,19 @@ else:
 _NEAR = 0.3
 
 
-def make_expression_function(derive_expressions, cache_key: tuple | None, source: str):
+def make_taichi_expression_builder(derive_arguments_and_expressions, cache_key: tuple | None, source: str):
     """Return a Python function that builds Taichi expressions from symbolic (sympy) expressions.
 
     A kernel calls the function while it is compiled, on Taichi variables.
 
     Args:
-        derive_expressions: function that returns the arguments and the expressions (sympy).
+        derive_arguments_and_expressions: function that returns the arguments and the expressions (sympy).
         cache_key: key of the function in the cache; None: not cached.
-        source: file that defines `derive_expressions`; see `tissue_sim.laws.derivation`.
+        source: file that defines `derive_arguments_and_expressions`; see `tissue_sim.laws.derivation`.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
     names = {name: getattr(ti, name) for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "tanh")}
-    return load_or_derive_function(derive_expressions, cache_key=cache_key, source=source, names=names)
+    return load_or_derive_function(derive_arguments_and_expressions, cache_key=cache_key, source=source, names=names)
 
 
 def make_invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
@@ -45,26 +45,28 @@ def make_invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
     Returns:
         Python function of (I1, I2, coefficients) -> W, W1, W2, W11, W12, W22.
     """
-    def derive_expressions():
+    def derive_arguments_and_expressions():
         """Return the arguments (I1, I2, coefficients) and the expressions of W and its derivatives (sympy)."""
         W, (I1, I2) = energy.energy, energy.variables
         second = [sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3
         return (I1, I2, energy.coefficients), [W, sp.diff(W, I1), sp.diff(W, I2), *second]
 
-    return make_expression_function(derive_expressions, _derivation_cache_key(energy, tangents), __file__)
+    return make_taichi_expression_builder(derive_arguments_and_expressions,
+                                          _derivation_cache_key_or_none(energy, tangents), __file__)
 
 
 def make_stretch_derivatives(energy: KernelEnergy):
     """Return a function (stretch, coefficients) -> (w', w'', w) of a law W = sum of w over the isochoric stretches."""
-    def derive_expressions():
+    def derive_arguments_and_expressions():
         """Return the arguments (stretch, coefficients) and the expressions w', w'' and w (sympy)."""
         W, (stretch,) = energy.energy, energy.variables
         return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]
 
-    return make_expression_function(derive_expressions, _derivation_cache_key(energy), __file__)
+    return make_taichi_expression_builder(derive_arguments_and_expressions, _derivation_cache_key_or_none(energy),
+                                          __file__)
 
 
-def _derivation_cache_key(energy: KernelEnergy, *what) -> tuple | None:
+def _derivation_cache_key_or_none(energy: KernelEnergy, *what) -> tuple | None:
     """Return the cache key of the derivatives of an energy; None if they are not cached."""
     return None if energy.cache_key is None else (*energy.cache_key, "energy", *what)
 
@@ -72,7 +74,7 @@ def _derivation_cache_key(energy: KernelEnergy, *what) -> tuple | None:
 @cache
 def make_inverse_cube_root_function():
     """Return the Taichi function ``inverse_cube_root(J)``: J^(-1/3) of a vector, by Newton's method for J near 1."""
-    ti = initialise()
+    ti = get_initialised_taichi()
 
     @ti.func
     def inverse_cube_root(J):
@@ -88,7 +90,7 @@ def make_inverse_cube_root_function():
     return inverse_cube_root
 
 
-def packed_symmetric_indices(size: int) -> tuple[tuple[int, int], ...]:
+def list_lower_triangle_index_pairs(size: int) -> tuple[tuple[int, int], ...]:
     """Return row and column of each entry of a symmetric matrix in packed storage: lower triangle, row by row."""
     return tuple((m, n) for m in range(size) for n in range(m + 1))
 
@@ -98,10 +100,10 @@ def make_softening_function(size: int):
     """Return the Taichi function ``apply_softening(W, largest, loss, modulus, share, P, A) -> (P, A)``.
 
     Args:
-        size: number of stress components P; A is the tangent in packed storage, see `packed_symmetric_indices`.
+        size: number of stress components P; A is the tangent in packed storage, see `list_lower_triangle_index_pairs`.
     """
-    ti = initialise()
-    entries = packed_symmetric_indices(size)
+    ti = get_initialised_taichi()
+    entries = list_lower_triangle_index_pairs(size)
 
     @ti.func
     def apply_softening(W, largest, loss, modulus, share, P, A):

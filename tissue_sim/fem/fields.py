@@ -26,7 +26,7 @@ def volume_quantile(values: np.ndarray, weights: np.ndarray, share: float) -> fl
     return float(values.ravel()[order][np.searchsorted(below, share * below[-1]).clip(0, below.size - 1)])
 
 
-def extrapolate_to_nodes(mesh: Any, values: np.ndarray) -> np.ndarray:
+def extrapolate_to_nodes_and_average(mesh: Any, values: np.ndarray) -> np.ndarray:
     """Extrapolate values from the quadrature points to the nodes and average them over the elements of a node.
 
     Args:

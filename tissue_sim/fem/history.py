@@ -10,7 +10,7 @@ from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony
 
 
-class MemoryCoefficient(IntEnum):
+class RelaxationSofteningCoefficient(IntEnum):
     """Indices of `MaterialMemory.past`: coefficients of relaxation and softening in this step, equal at all points."""
 
     #: Instantaneous stress over the stress of the law, 1.
@@ -34,7 +34,7 @@ class MaterialMemory:
         components: number of components of a symmetric tensor.
 
     Attributes:
-        past: coefficients of the stresses in this step, see `MemoryCoefficient`, shape (5,).
+        past: coefficients of the stresses in this step, see `RelaxationSofteningCoefficient`, shape (5,).
         inherited: contribution of earlier steps to the isochoric second Piola-Kirchhoff stress, Pa, shape
             (elements, q, components).
         largest: largest isochoric energy density so far, J/m3, shape (elements, q).
@@ -66,8 +66,9 @@ class MaterialMemory:
         terms = 0 if relaxation is None else len(relaxation.terms)
         if len(self.internal) != terms:
             self.internal = np.zeros((terms, *self.stresses.shape))
-        self.past[MemoryCoefficient.FACTOR] = factor
-        self.past[[MemoryCoefficient.LOSS, MemoryCoefficient.LOSS_MODULUS, MemoryCoefficient.LOSS_SHARE]] = (
+        self.past[RelaxationSofteningCoefficient.FACTOR] = factor
+        self.past[[RelaxationSofteningCoefficient.LOSS, RelaxationSofteningCoefficient.LOSS_MODULUS,
+                   RelaxationSofteningCoefficient.LOSS_SHARE]] = (
             (0.0, 1.0, 0.0) if softening is None else (softening.loss, softening.modulus, softening.share))
         self.works = relaxation is not None or softening is not None
         if relaxation is None:
@@ -82,11 +83,11 @@ class MaterialMemory:
         """
         self.dt = dt
         if self._prony is None:
-            self.past[MemoryCoefficient.INSTANT] = 1.0
+            self.past[RelaxationSofteningCoefficient.INSTANT] = 1.0
             return
         if dt != self._known:
             self._increment, self._known = self._prony.compute_recursion_coefficients(dt), dt
-        self.past[MemoryCoefficient.INSTANT], decay, gain = self._increment
+        self.past[RelaxationSofteningCoefficient.INSTANT], decay, gain = self._increment
         self.step = decay, gain
         np.multiply(self.before, -gain.sum(), out=self.inherited)
         for term, left in zip(self.internal, decay, strict=True):
@@ -107,7 +108,7 @@ class MaterialMemory:
             self.before[:] = self.stresses
         np.maximum(self.largest, self.energies, out=self.largest)
 
-    def total_stress(self) -> np.ndarray:
+    def compute_committed_relaxed_stress(self) -> np.ndarray:
         """Return the isochoric stress of the last committed step with relaxation, Pa, shape (elements, q, components).
 
         The second Piola-Kirchhoff stress is (1 - sum g) S + sum Q_i.

@@ -16,7 +16,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class SecondOrderStepRatios:
+class SecondOrderStepRatioLimits:
     """Ratios of a time step to the step before for which the step is of second order.
 
     Attributes:
@@ -28,7 +28,7 @@ class SecondOrderStepRatios:
     largest: float = 2.0
 
 
-_RATIOS = SecondOrderStepRatios()
+_RATIOS = SecondOrderStepRatioLimits()
 
 
 class InertialMotion:
@@ -109,9 +109,8 @@ class InertialMotion:
         self._earlier_place[:] = before[:size]
         self._before[:] = dt
 
-    def predict_inertial_force_change(self, state: np.ndarray, dt: float, mass: np.ndarray,
-                                      direction: np.ndarray) -> tuple[
-            np.ndarray, np.ndarray]:
+    def predict_inertial_force_and_stiffness_change(self, state: np.ndarray, dt: float, mass: np.ndarray,
+                                                    direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predict the change of the inertial forces in a next step without motion, after a committed inertial step.
 
         The next step must call `prepare_step` again.

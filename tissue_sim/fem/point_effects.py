@@ -7,8 +7,8 @@ from itertools import chain
 
 import numpy as np
 
-from tissue_sim.errors import InputError, add_location_to_errors
-from tissue_sim.fem.taichi.trace import TRIED, KernelFormula, trace_values
+from tissue_sim.errors import InputError, located_and_converted_errors
+from tissue_sim.fem.taichi.trace import TRIED, FormulaClassAndConstants, wrap_as_traced_numbers
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
 #: Longest time step that is passed to a formula, s, because kernels have no infinity.
@@ -28,7 +28,7 @@ class PointEffects:
 
     def __init__(self, points: tuple[int, int]):
         self._points = points
-        self.formulas: tuple[KernelFormula[PointEffect], ...] = ()
+        self.formulas: tuple[FormulaClassAndConstants[PointEffect], ...] = ()
         self.settings = np.zeros(1)
         self._allocate_states(())
 
@@ -47,7 +47,7 @@ class PointEffects:
             InputError: a kernel cannot execute a formula, or a formula returns other shapes than required.
         """
         points = [effect for effect in effects if isinstance(effect, PointEffect)]
-        formulas = tuple(KernelFormula.from_instance(effect) for effect in points)
+        formulas = tuple(FormulaClassAndConstants.from_law_or_effect(effect) for effect in points)
         if formulas != self.formulas:
             for formula in formulas:
                 require_valid_formula(formula)
@@ -70,23 +70,24 @@ class PointEffects:
             self.states[:] = self.found
 
     @property
-    def total_stress(self) -> np.ndarray:
+    def committed_effect_stress(self) -> np.ndarray:
         """Sum of the stresses of all effects at the last committed step, Pa, shape (elements, q, 4)."""
         return self.states[..., -4:]
 
 
-def require_valid_formula(formula: KernelFormula[PointEffect]) -> None:
+def require_valid_formula(formula: FormulaClassAndConstants[PointEffect]) -> None:
     """Check a formula of a point effect: execute it once outside of a kernel and check the shapes of its result.
 
     Raises:
         InputError: the formula uses an operation that kernels do not support, or returns other shapes.
     """
     kind, field = formula.kind, f"effects.{formula.kind.name}"
-    parameters = trace_values([TRIED] * len(formula.parameter_names), lanes=False)
-    C, state, (dt,) = trace_values([TRIED] * 6,
-                                   True), trace_values([TRIED] * len(kind.rest), True), trace_values([TRIED], False)
-    with add_location_to_errors(field=field):
-        stress, tangent, found = formula.with_parameters(parameters).response(C, state, dt)
+    parameters = wrap_as_traced_numbers([TRIED] * len(formula.parameter_names), lanes=False)
+    C, state, (dt,) = wrap_as_traced_numbers([TRIED] * 6,
+                                             True), wrap_as_traced_numbers([TRIED] * len(kind.rest),
+                                                                           True), wrap_as_traced_numbers([TRIED], False)
+    with located_and_converted_errors(field=field):
+        stress, tangent, found = formula.build_unchecked_instance(parameters).response(C, state, dt)
     shape = len(stress), len(tangent), {len(row) for row in tangent}, len(found)
     if shape != (6, 6, {6}, len(kind.rest)):
         raise InputError(f"the response of {kind.__name__} must return 6 stresses, 6 rows of 6 tangent entries and "

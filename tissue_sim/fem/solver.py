@@ -24,7 +24,7 @@ from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.public_names import OldName, adopt_old_names, make_getattr_for_old_names
 from tissue_sim.registry import Registry
-from tissue_sim.tool_force import Matrix, PredictedForce, make_axial_stiffness_matrix, make_axial_wrench
+from tissue_sim.tool_force import Matrix, PredictedForceOfNextStep, make_axial_stiffness_matrix, make_axial_wrench
 
 #: Members of `Solver` that plug-ins may still define by their old names: old name -> new name.
 _OLD_MEMBERS = {"doubts": "warnings", "follow": "project_pose", "takes": "accepts_pose",
@@ -35,8 +35,9 @@ _OLD_MEMBERS = {"doubts": "warnings", "follow": "project_pose", "takes": "accept
                 "identity": "mesh_digest", "height_above": "height_above_tissue",
                 "place_tool": "place_tool_at_first_touch", "stand_still": "stop_tissue_motion"}
 __getattr__ = make_getattr_for_old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimate",
-                                   "OwnStiffness": "StaticStiffnessRequest", "Derivatives": "ForceDerivatives",
-                                   "SpatialDerivatives": "ForceVectorDerivatives"})
+                                                    "OwnStiffness": "StaticStiffnessRequest",
+                                                    "Derivatives": "ForceDerivatives",
+                                                    "SpatialDerivatives": "ForceVectorDerivatives"})
 
 
 class StepStatus(IntEnum):
@@ -76,7 +77,7 @@ class StaticStiffnessRequest(IntEnum):
     RESERVED = 2
 
     @staticmethod
-    def is_stiffness_due(request: int, has_left: bool) -> bool:
+    def needs_stiffness_given_spare_solve(request: int, has_left: bool) -> bool:
         """Return whether a converged step computes the stiffness; `has_left`: one of its linear solves is unused."""
         return request == StaticStiffnessRequest.RESERVED or (bool(request) and has_left)
 
@@ -173,7 +174,7 @@ class ForceDerivatives(Protocol):
 
     force: np.ndarray
 
-    def pop_contact_change(self) -> bool:
+    def pop_contact_changed_flag(self) -> bool:
         """Return whether the contact changed since the last call, which is a kink of the force; then reset the flag."""
 
 
@@ -322,7 +323,7 @@ class Solver(FreeTool, ABC):
         """
         return False
 
-    def predict_next_force(self, dt: float) -> PredictedForce | None:
+    def predict_next_force(self, dt: float) -> PredictedForceOfNextStep | None:
         """Predict the force of the next step, directly after an inertial step that converged.
 
         Args:
@@ -391,6 +392,6 @@ class SolverMaker(Protocol):
 #: Name -> class or function that makes a solver.
 SOLVERS: Registry[SolverMaker] = Registry(
     "solver", "tissue_sim.solvers", {"axisymmetric": "tissue_sim.fem.axisymmetric.discretisation:make_solver",
-                                   "solid": "tissue_sim.fem.solid.discretisation:make_solver",
-                                   "reduced": "tissue_sim.fem.reduced.solver:make_solver"})
+                                     "solid": "tissue_sim.fem.solid.discretisation:make_solver",
+                                     "reduced": "tissue_sim.fem.reduced.solver:make_solver"})
 

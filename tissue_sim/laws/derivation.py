@@ -27,7 +27,7 @@ _NAME = "_lambdifygenerated"
 
 def load_or_derive_function(derive: Callable[[], tuple[Any, Any] | None], *, cache_key: tuple | None,
                             source: str | None = None,
-            names: Mapping[str, Any] | None = None) -> Callable | None:
+                            names: Mapping[str, Any] | None = None) -> Callable | None:
     """Return a function of expressions that sympy derives, from the cache if possible.
 
     Args:
@@ -40,7 +40,7 @@ def load_or_derive_function(derive: Callable[[], tuple[Any, Any] | None], *, cac
         The function; None if `derive` returns None.
     """
     namespace = dict(vars(np) if names is None else names)
-    path = _make_cache_path(cache_key, source)
+    path = _make_cache_path_or_none(cache_key, source)
     if path is not None:
         try:
             exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), namespace)
@@ -59,7 +59,7 @@ def load_or_derive_function(derive: Callable[[], tuple[Any, Any] | None], *, cac
 
 def load_or_print_text(write: Callable[[], str], *, cache_key: tuple | None) -> str:
     """Return a text that sympy prints, from the cache if possible; `cache_key` as in `load_or_derive_function`."""
-    path = _make_cache_path(cache_key)
+    path = _make_cache_path_or_none(cache_key)
     if path is not None:
         with suppress(OSError, ValueError):
             if text := path.read_text(encoding="utf-8"):
@@ -69,7 +69,7 @@ def load_or_print_text(write: Callable[[], str], *, cache_key: tuple | None) -> 
     return text
 
 
-def _make_cache_path(cache_key: tuple | None, source: str | None = None) -> Path | None:
+def _make_cache_path_or_none(cache_key: tuple | None, source: str | None = None) -> Path | None:
     """Return the path of a cached function or text; None for the key None, which is not cached."""
     if cache_key is None:
         return None

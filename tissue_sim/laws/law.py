@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.laws.derivation import load_or_derive_function, load_or_print_text
 from tissue_sim.public_names import LazyModule
 
@@ -123,7 +123,7 @@ class Law:
         if isinstance(values, Mapping):
             for name in values:
                 if name not in self.units:
-                    hint = suggest_known_word(name, self.parameters)
+                    hint = make_hint_with_similar_or_known_words(name, self.parameters)
                     raise InputError(f"law {self.name} has no parameter {name!r}{hint}", field=f"parameters.{name}")
             for name in self.parameters:
                 if name not in values:
@@ -147,10 +147,10 @@ class Law:
         """Convert parameters to name -> value, without the replacements of `as_array` at a limit of the formula."""
         return {name: float(value) for name, value in zip(self.parameters, Law.as_array(self, values), strict=True)}
 
-    def _evaluate_mode(self, mode, stretch, values) -> list[np.ndarray]:
+    def _evaluate_stress_slope_and_derivatives(self, mode, stretch, values) -> list[np.ndarray]:
         """Return [nominal stress, its slope, its derivative by each parameter], each with the shape of `stretch`."""
         stretch = np.asarray(stretch, dtype=float)
-        results = _compile_mode_functions(self, mode)(stretch, *self.as_array(values))
+        results = _compile_mode_stress_function(self, mode)(stretch, *self.as_array(values))
         return [np.broadcast_to(np.asarray(item, dtype=float), stretch.shape) for item in results]
 
     def nominal_stress(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
@@ -168,17 +168,17 @@ class Law:
             >>> find_law("neo_hooke").nominal_stress([0.9, 1.0, 1.1], {"C10": 1000.0}).round(1)
             array([-669.1,    0. ,  547.1])
         """
-        return np.array(self._evaluate_mode(mode, stretch, values)[0])
+        return np.array(self._evaluate_stress_slope_and_derivatives(mode, stretch, values)[0])
 
     def nominal_stress_slope(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
         """d(nominal stress)/d(stretch), Pa, shape of `stretch`; arguments as in `nominal_stress`."""
-        return np.array(self._evaluate_mode(mode, stretch, values)[1])
+        return np.array(self._evaluate_stress_slope_and_derivatives(mode, stretch, values)[1])
 
     def nominal_stress_derivatives(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
         """d(nominal stress)/d(parameter), shape (*stretch.shape, m); arguments as in `nominal_stress`."""
-        return np.stack(self._evaluate_mode(mode, stretch, values)[2:], axis=-1)
+        return np.stack(self._evaluate_stress_slope_and_derivatives(mode, stretch, values)[2:], axis=-1)
 
-    def principal_response(self, stretches, values) -> tuple[np.ndarray, np.ndarray]:
+    def compute_energy_and_kirchhoff_stresses(self, stretches, values) -> tuple[np.ndarray, np.ndarray]:
         """Return energy density and deviatoric Kirchhoff stresses tau_i = l_i dW/dl_i of the isochoric part.
 
         Args:
@@ -193,7 +193,7 @@ class Law:
         """
         stretches = np.asarray(stretches, dtype=float)
         bar = stretches * np.prod(stretches, axis=-1, keepdims=True) ** (-1.0 / 3.0)
-        energy, *slopes = _compile_principal_functions(self)(*np.moveaxis(bar, -1, 0), *self.as_array(values))
+        energy, *slopes = _compile_energy_and_log_stretch_slopes(self)(*np.moveaxis(bar, -1, 0), *self.as_array(values))
         tau = np.stack([np.broadcast_to(slope, bar.shape[:-1]) for slope in slopes], axis=-1)
         return np.broadcast_to(energy, bar.shape[:-1]).copy(), tau - tau.mean(axis=-1, keepdims=True)
 
@@ -216,7 +216,7 @@ class Law:
     def _print_formula(self, by: str) -> str:
         """Return the energy as text, from the printer function of sympy with the name `by`: "sstr" or "latex"."""
         return load_or_print_text(lambda: self._print_in_parameter_order(getattr(sp, by)),
-                                cache_key=None if self.cache_key is None else (*self.cache_key, by))
+                                  cache_key=None if self.cache_key is None else (*self.cache_key, by))
 
     def _print_in_parameter_order(self, write) -> str:
         """Return the energy as text by the function `write`, with its terms in the order of the parameters."""
@@ -232,12 +232,12 @@ class Law:
 
 
 @lru_cache
-def _compile_mode_functions(law: Law, mode: str):
+def _compile_mode_stress_function(law: Law, mode: str):
     """Return one compiled function: stretch, parameters -> [nominal stress, slope, parameter derivatives]."""
-    return law.derive_function(mode, lambda: _derive_mode_stress(law, mode))
+    return law.derive_function(mode, lambda: _derive_mode_stress_and_derivatives(law, mode))
 
 
-def _derive_mode_stress(law: Law, mode: str):
+def _derive_mode_stress_and_derivatives(law: Law, mode: str):
     """Return symbols (stretch, *parameters), and expressions [nominal stress, slope, *parameter derivatives]."""
     if mode == "simple_shear":
         # Principal stretches of simple shear gamma: l and 1/l with l - 1/l = gamma.
@@ -254,12 +254,12 @@ def _derive_mode_stress(law: Law, mode: str):
 
 
 @lru_cache
-def _compile_principal_functions(law: Law):
+def _compile_energy_and_log_stretch_slopes(law: Law):
     """Return one compiled function: three stretches, parameters -> [energy, its three derivatives by ln(stretch)]."""
-    return law.derive_function("principal", lambda: _derive_principal_slopes(law))
+    return law.derive_function("principal", lambda: _derive_energy_and_log_stretch_slopes(law))
 
 
-def _derive_principal_slopes(law: Law):
+def _derive_energy_and_log_stretch_slopes(law: Law):
     """Return symbols (*stretches, *parameters), and expressions [energy, *derivatives by ln(stretch)]."""
     l1, l2, l3 = stretches = sp.symbols("l1:4", positive=True)
     energy = law.energy_of_stretches(l1, l2, l3, law.symbols)
@@ -288,7 +288,7 @@ class InvariantLaw(Law):
         """Return the symbolic energy W of I1, I2 and the parameters."""
         return sp.sympify(self.energy(*_invariant_symbols(), *self.symbols))
 
-    def _polynomial_coefficients(self):
+    def _derive_polynomial_coefficients_or_none(self):
         """Return symbols, and coefficients of (I1-3)^i (I2-3)^j as expressions of them; None for another formula."""
         x, y = sp.symbols("x y", real=True)
         try:
@@ -301,22 +301,22 @@ class InvariantLaw(Law):
         return self.symbols, [sp.sympify(terms.get(power, 0)) for power in POWERS]
 
     @cached_property
-    def _polynomial_function(self):
+    def _polynomial_coefficient_function_or_none(self):
         """Compiled function: parameters -> coefficients of the polynomial; None for another formula."""
-        return self.derive_function("polynomial", self._polynomial_coefficients)
+        return self.derive_function("polynomial", self._derive_polynomial_coefficients_or_none)
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
         """Energy of the kernel; polynomials up to degree three share one kernel."""
-        if self._polynomial_function is not None:
+        if self._polynomial_coefficient_function_or_none is not None:
             return _POLYNOMIAL
         return KernelEnergy(self.name, "invariants", _invariant_symbols(), self.symbols, self.formula_expression())
 
     def kernel_coefficients(self, values) -> np.ndarray:
         """Return the coefficients of the kernel for the parameters, shape (coefficients,)."""
-        if self._polynomial_function is None:
+        if self._polynomial_coefficient_function_or_none is None:
             return self.as_array(values)
-        return np.array(self._polynomial_function(*self.as_array(values)), dtype=float)
+        return np.array(self._polynomial_coefficient_function_or_none(*self.as_array(values)), dtype=float)
 
 
 class StretchLaw(Law):

@@ -59,16 +59,16 @@ class StabilityRange:
 
 
 @lru_cache
-def _compile_hessian(law: Law):
+def _compile_log_strain_hessian_entries(law: Law):
     """Return one compiled function: three stretches' logarithmic strains, parameters -> six entries of the Hessian.
 
     The entries d2W/(de_i de_j) are in the order 11, 22, 33, 12, 13, 23.
     """
-    return law.derive_function("hessian", lambda: _derive_hessian(law))
+    return law.derive_function("hessian", lambda: _derive_log_strain_hessian_entries(law))
 
 
-def _derive_hessian(law: Law):
-    """Return the arguments and the six Hessian entries as symbols; see `_compile_hessian`."""
+def _derive_log_strain_hessian_entries(law: Law):
+    """Return the arguments and the six Hessian entries as symbols; see `_compile_log_strain_hessian_entries`."""
     import sympy as sp
 
     e = sp.symbols("e1:4", real=True)
@@ -78,13 +78,13 @@ def _derive_hessian(law: Law):
     return (*e, *law.symbols), entries
 
 
-def _is_stable(law: Law, values: np.ndarray, strains: np.ndarray) -> np.ndarray:
+def _is_stable_at_log_strains(law: Law, values: np.ndarray, strains: np.ndarray) -> np.ndarray:
     """Return whether d(tau) : d(e) > 0 for every volume-preserving d(e), shape (n,), at strains of shape (n, 3).
 
     The strains are logarithmic. A number that overflows counts as stable.
     """
     with np.errstate(all="ignore"):
-        entries = _compile_hessian(law)(*strains.T, *values)
+        entries = _compile_log_strain_hessian_entries(law)(*strains.T, *values)
         h = np.empty((3, 3, len(strains)))
         for (i, k), entry in zip(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), entries, strict=True):
             h[i, k] = h[k, i] = entry
@@ -131,7 +131,8 @@ def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRET
 
     def is_stable(stretch, mode):
         """Return whether the law is stable at each stretch of a mode, shape (n,)."""
-        return _is_stable(law, array, np.multiply.outer(np.log(np.atleast_1d(stretch)), directions[mode]))
+        return _is_stable_at_log_strains(law, array,
+                                         np.multiply.outer(np.log(np.atleast_1d(stretch)), directions[mode]))
 
     def limit(end, mode):
         """Return the last stable stretch from 1 towards `end`; `end` itself if the law is stable on the whole range."""

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissue_sim.parameters import make_declared_class_check
+from tissue_sim.parameters import make_declared_class_predicate
 from tissue_sim.registry import Registry
 
 
@@ -138,7 +138,7 @@ class ReducedForceFactor:
         here = self._make_history_at(depth, dt)
         return prod((effect.share(here) for effect in self._effects), start=1.0)
 
-    def accept_depth(self, depth: float, dt: float = 0.0) -> float:
+    def record_depth_and_get_force_factor(self, depth: float, dt: float = 0.0) -> float:
         """Record a depth, m, reached dt s after the last one, in `history`; return the factor on the force at it.
 
         The factor is the product over all effects in reduced form.
@@ -155,5 +155,5 @@ class ReducedForceFactor:
 EFFECTS: Registry[type[TissueEffect]] = Registry(
     "effect of the tissue", "tissue_sim.effects",
     {"stiffness_scale": "tissue_sim.material.stiffness_scale:StiffnessScale"},
-                                                 accepts=make_declared_class_check(TissueEffect),
+                                                 accepts=make_declared_class_predicate(TissueEffect),
     expected="a frozen dataclass that derives from tissue_sim.TissueEffect and declares its parameters")

@@ -18,22 +18,26 @@ from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import (
     convert_to_json_types,
     decode_struct,
-    read_json,
-    require_file_schema,
+    read_json_value,
+    require_schema_kind_and_max_version,
     require_valid_json_values,
 )
-from tissue_sim.errors import InputError, add_location_to_errors, suggest_known_word
+from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
 from tissue_sim.laws import Law, check_stability, find_law
 from tissue_sim.material.law_entry import (
     BulkEntry,
     MaterialFileEntry,
     ParameterEntry,
-    convert_parameters_to_si,
-    list_parameter_values,
-    make_law_entries,
+    convert_entries_to_si_with_factors,
+    get_parameter_values_by_name,
+    make_law_bulk_and_parameter_entries,
 )
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.material.population import PopulationEntry, check_and_convert_population, make_population_entry
+from tissue_sim.material.population import (
+    PopulationEntry,
+    make_checked_population_entry_in_si,
+    make_population_entry_from_si_fields,
+)
 from tissue_sim.material.schema import (
     CovarianceEntry,
     LayerEntry,
@@ -47,9 +51,9 @@ from tissue_sim.material.schema import (
     ViscoelasticEntry,
     check_covariance,
     make_component_entries,
-    make_components_from_entries,
+    make_material_arguments_from_entries,
 )
-from tissue_sim.parameters import Parameter, parameters, split_parameter_path
+from tissue_sim.parameters import Parameter, parameters, split_path_into_names_and_indices
 from tissue_sim.version import __version__
 
 #: Version of the format; files of version 1 (law and bulk response only) are valid files of version 2.
@@ -112,13 +116,14 @@ class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
             >>> file.standard_errors
             {'C10': 20.0}
         """
-        law, known = material.energy_law, _list_parameters_with_errors(material)
+        law, known = material.energy_law, _get_parameters_except_bulk_by_path(material)
         errors = {name: float(error) for name, error in (standard_errors or {}).items()}
         for name in (*errors, *others):
             if name not in known:
                 field = f"standard_errors.{name}" if name in errors else "covariance.order"
-                raise InputError(f"this material has no parameter {name!r}{suggest_known_word(name, known)}",
-                                 field=field)
+                raise InputError(
+                    f"this material has no parameter {name!r}{make_hint_with_similar_or_known_words(name, known)}",
+                    field=field)
         stated = None
         if covariance is not None:
             matrix = np.asarray(covariance, dtype=float)
@@ -127,14 +132,14 @@ class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
             errors = errors or dict(zip(order, np.sqrt(np.diag(matrix)).tolist(), strict=True))
             factors = np.array([known[name].declaration.factor for name in order])
             stated = CovarianceEntry(order=tuple(known[name].path_in_file for name in order),
-                                     matrix=_convert_lists_to_tuples(matrix / np.outer(factors, factors)))
+                                     matrix=_convert_matrix_to_tuples(matrix / np.outer(factors, factors)))
         stability = check_stability(law, material.values)
-        specimens = None if population is None else make_population_entry(population, known)
+        specimens = None if population is None else make_population_entry_from_si_fields(population, known)
         given = convert_to_json_types(provenance or {})
         history = {"software": "tissue-sim", "version": __version__,
                    "date": datetime.now(UTC).isoformat(timespec="seconds"), **given}
-        return check_material_file(cls(
-            schema=SCHEMA, name=material.name, **make_law_entries(material, errors),
+        return check_and_convert_material_file_to_si(cls(
+            schema=SCHEMA, name=material.name, **make_law_bulk_and_parameter_entries(material, errors),
             covariance=stated, population=specimens, **make_component_entries(material, errors),
             density_kg_m3=material.density,
             valid_range=decode_struct(convert_to_json_types(valid_range), ValidRange | None, "valid_range"),
@@ -145,16 +150,16 @@ class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
     @property
     def material(self) -> Material:
         """Material that the file describes; the file must be read or checked, so that its parameters are in SI."""
-        return Material(self.law, list_parameter_values(self.parameters), self.bulk.make_bulk(), self.density_kg_m3,
-                        self.name,
-                        **make_components_from_entries(self._effects))
+        return Material(self.law, get_parameter_values_by_name(self.parameters), self.bulk.make_bulk(),
+                        self.density_kg_m3, self.name,
+                        **make_material_arguments_from_entries(self._component_entries_by_key))
 
     @property
     def standard_errors(self) -> dict[str, float]:
         """Standard errors that the file states, SI, by path of the parameter; the file must be read or checked."""
         stated, content = {}, msgspec.to_builtins(self)
-        for path, each in _list_parameters_with_errors(self.material).items():
-            *place, key = split_parameter_path(each.path_in_file)
+        for path, each in _get_parameters_except_bulk_by_path(self.material).items():
+            *place, key = split_path_into_names_and_indices(each.path_in_file)
             entry = reduce(getitem, place, content)
             own = entry.get("parameters", {})
             error = own[key].get("standard_error") if key in own else entry.get("standard_errors", {}).get(key)
@@ -167,13 +172,13 @@ class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
         """Paths of m parameters, and their covariance, SI, shape (m, m); None if the file states no covariance."""
         if self.covariance is None:
             return None
-        known = {each.path_in_file: each for each in _list_parameters_with_errors(self.material).values()}
+        known = {each.path_in_file: each for each in _get_parameters_except_bulk_by_path(self.material).values()}
         stated = [known[name] for name in self.covariance.order]
         factors = np.array([each.declaration.factor for each in stated])
         return tuple(each.path for each in stated), np.outer(factors, factors) * np.array(self.covariance.matrix)
 
     @property
-    def _effects(self) -> dict[str, Any]:
+    def _component_entries_by_key(self) -> dict[str, Any]:
         """Entries of the material's components by key, in the units of the file; None for components it lacks."""
         return {key: getattr(self, key) for key in EFFECTS}
 
@@ -191,9 +196,9 @@ def read_material_file(path: str | Path) -> MaterialFile:
             range; with the file and the dotted path of the field.
     """
     path = Path(path)
-    data = read_json(path, "a material file (JSON)")
-    with add_location_to_errors(file=path):
-        return decode_material_file(data)
+    data = read_json_value(path, "a material file (JSON)")
+    with located_and_converted_errors(file=path):
+        return make_material_file_from_json_data(data)
 
 
 def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
@@ -209,29 +214,29 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
         >>> load_material("gel.material.json") == gel
         True
     """
-    with add_location_to_errors(file=path):
-        data = msgspec.to_builtins(check_material_file(material_file))
+    with located_and_converted_errors(file=path):
+        data = msgspec.to_builtins(check_and_convert_material_file_to_si(material_file))
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     # Lists of numbers on one line: a line break inside brackets is never part of a JSON string.
     text = re.sub(r"\[\n([^\[\]{}\"]*)\n\s*\]", lambda match: f"[{' '.join(match[1].split())}]", text)
     write_text(path, text + "\n")
 
 
-def decode_material_file(data: Any) -> MaterialFile:
+def make_material_file_from_json_data(data: Any) -> MaterialFile:
     """Check the decoded JSON of a material file and return it as a `MaterialFile` in SI; see `read_material_file`."""
-    require_file_schema(data, "material", VERSION)
-    _decode_map_values(data, "parameters", ParameterEntry)
+    require_schema_kind_and_max_version(data, "material", VERSION)
+    _require_decodable_map_values(data, "parameters", ParameterEntry)
     regions = data.get("regions")
     if isinstance(regions, dict):
         for name, entry in regions.items():
-            with add_location_to_errors(field=f"regions.{name}"):
+            with located_and_converted_errors(field=f"regions.{name}"):
                 if isinstance(entry, dict):
-                    _decode_map_values(entry, "parameters", ParameterEntry)
+                    _require_decodable_map_values(entry, "parameters", ParameterEntry)
                 decode_struct(entry, RegionEntry)
-    return check_material_file(decode_struct(data, MaterialFile, ""))
+    return check_and_convert_material_file_to_si(decode_struct(data, MaterialFile, ""))
 
 
-def _decode_map_values(data: dict[str, Any], key: str, kind: type[MaterialFileEntry]) -> None:
+def _require_decodable_map_values(data: dict[str, Any], key: str, kind: type[MaterialFileEntry]) -> None:
     """Require that each value of the map `data[key]` can be decoded; an error names the key of the value."""
     entries = data.get(key)
     if isinstance(entries, dict):
@@ -239,23 +244,23 @@ def _decode_map_values(data: dict[str, Any], key: str, kind: type[MaterialFileEn
             decode_struct(entry, kind, f"{key}.{name}")
 
 
-def check_material_file(file: MaterialFile) -> MaterialFile:
+def check_and_convert_material_file_to_si(file: MaterialFile) -> MaterialFile:
     """Check a material file and return it with the parameters of its laws, covariance and population in SI.
 
     Raises:
         InputError: an invalid value, with the dotted path of the field.
     """
     content = msgspec.to_builtins(file)
-    require_file_schema(content, "material", VERSION)
+    require_schema_kind_and_max_version(content, "material", VERSION)
     require_valid_json_values(content)
     law = find_law(file.law)
-    parameters, factors = convert_parameters_to_si(law.name, file.parameters)
+    parameters, factors = convert_entries_to_si_with_factors(law.name, file.parameters)
     regions = {}
     for name, region in (file.regions or {}).items():
-        regions[name], more = region.convert_to_si(f"regions.{name}")
+        regions[name], more = region.convert_to_si_with_factors(f"regions.{name}")
         factors |= more
     _ = file.bulk.make_bulk()
-    _check_ranges(file)
+    _require_ordered_valid_ranges(file)
     if file.provenance is not None and file.provenance.date is not None:
         try:
             datetime.fromisoformat(file.provenance.date)
@@ -267,7 +272,7 @@ def check_material_file(file: MaterialFile) -> MaterialFile:
     if file.covariance is not None:
         order = file.covariance.order
         _check_parameter_order(order, law, [each.path_in_file
-                                            for each in _list_parameters_with_errors(file.material).values()])
+                                            for each in _get_parameters_except_bulk_by_path(file.material).values()])
         scale = np.array([factors.get(name, 1.0) for name in order])
         if (lengths := [len(row) for row in file.covariance.matrix]) != [len(order)] * len(order):
             raise InputError(f"must have {len(order)} rows of {len(order)} numbers; got rows of {lengths}.",
@@ -275,16 +280,16 @@ def check_material_file(file: MaterialFile) -> MaterialFile:
         matrix = np.outer(scale, scale) * np.array(file.covariance.matrix, dtype=float)
         check_covariance(matrix, len(order))
         file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order,
-                                                                        matrix=_convert_lists_to_tuples(matrix)))
+                                                                        matrix=_convert_matrix_to_tuples(matrix)))
     if file.population is not None:
         known = {each.path_in_file: factors.get(each.path_in_file, 1.0)
-                 for each in _list_parameters_with_errors(file.material).values()}
-        file = msgspec.structs.replace(file, population=check_and_convert_population(file.population, known))
+                 for each in _get_parameters_except_bulk_by_path(file.material).values()}
+        file = msgspec.structs.replace(file, population=make_checked_population_entry_in_si(file.population, known))
     require_valid_json_values(msgspec.to_builtins(file))  # a number near 1e308 MPa overflows in Pa
     return file
 
 
-def _list_parameters_with_errors(material: Material) -> dict[str, Parameter]:
+def _get_parameters_except_bulk_by_path(material: Material) -> dict[str, Parameter]:
     """Return path -> parameter for all parameters except the bulk response, whose uncertainty a file cannot state."""
     return {path: each for path, each in parameters(material).items() if each.part is not Bulk}
 
@@ -297,16 +302,17 @@ def _check_parameter_order(order: Sequence[str], law: Law, known: Sequence[str])
                          f"others, each once; got {', '.join(order)}.", field="covariance.order")
     for name in order[m:]:
         if name not in known:
-            raise InputError(f"this material has no parameter {name!r}{suggest_known_word(name, known)}",
-                             field="covariance.order")
+            raise InputError(
+                f"this material has no parameter {name!r}{make_hint_with_similar_or_known_words(name, known)}",
+                field="covariance.order")
 
 
-def _convert_lists_to_tuples(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+def _convert_matrix_to_tuples(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     """Return the rows of a matrix as tuples of floats."""
     return tuple(map(tuple, matrix.tolist()))
 
 
-def _check_ranges(file: MaterialFile) -> None:
+def _require_ordered_valid_ranges(file: MaterialFile) -> None:
     """Require lowest <= highest in the valid ranges and in the range of stability, and stretches above 0."""
     ranges = {f"valid_range.{name}": value for name, value in
               (msgspec.structs.asdict(file.valid_range) if file.valid_range else {}).items() if value is not None}

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from tissue_sim.errors import InputError, add_location_to_errors, suggest_known_word
+from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
 from tissue_sim.laws import find_law
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.units import UNITS, get_si_factor_and_offset
@@ -47,7 +47,7 @@ class BulkEntry(MaterialFileEntry, frozen=True, kw_only=True):
         return Bulk(kind, None if kind == "incompressible" else value)
 
 
-def make_law_entries(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
+def make_law_bulk_and_parameter_entries(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
     """Return the values of the keys ``law``, ``bulk`` and ``parameters`` of a file, in SI.
 
     The argument `errors` contains the standard errors by path, SI.
@@ -59,8 +59,8 @@ def make_law_entries(material: Material, errors: Mapping[str, float]) -> dict[st
                 float(errors[name]) if name in errors else None)) for name, value in material.parameters.items()}}
 
 
-def convert_parameters_to_si(law: str, parameters: Mapping[str, ParameterEntry]) -> tuple[
-        dict[str, ParameterEntry], dict[str, float]]:
+def convert_entries_to_si_with_factors(
+        law: str, parameters: Mapping[str, ParameterEntry]) -> tuple[dict[str, ParameterEntry], dict[str, float]]:
     """Return the entries of the parameters of a law in SI, and the factor of the unit of each entry.
 
     Args:
@@ -77,9 +77,10 @@ def convert_parameters_to_si(law: str, parameters: Mapping[str, ParameterEntry])
     factors, in_SI = {}, {}
     for name, entry in parameters.items():
         if name not in found.units:
-            raise InputError(f"law {law} has no parameter {name!r}{suggest_known_word(name, found.parameters)}",
-                             field=f"parameters.{name}")
-        with add_location_to_errors(field=f"parameters.{name}.unit"):
+            raise InputError(
+                f"law {law} has no parameter {name!r}{make_hint_with_similar_or_known_words(name, found.parameters)}",
+                field=f"parameters.{name}")
+        with located_and_converted_errors(field=f"parameters.{name}.unit"):
             factor, _ = get_si_factor_and_offset(entry.unit, UNITS[found.units[name]][0])
         error = entry.standard_error
         if error is not None and error < 0:
@@ -91,6 +92,6 @@ def convert_parameters_to_si(law: str, parameters: Mapping[str, ParameterEntry])
     return in_SI, factors
 
 
-def list_parameter_values(parameters: Mapping[str, ParameterEntry]) -> dict[str, float]:
+def get_parameter_values_by_name(parameters: Mapping[str, ParameterEntry]) -> dict[str, float]:
     """Return name -> value of the entries, which must be in SI already."""
     return {name: entry.value for name, entry in parameters.items()}

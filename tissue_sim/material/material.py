@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.laws import Law, find_law
 from tissue_sim.material.effect import ReducedEffect, TissueEffect
 from tissue_sim.material.layer import Layer
@@ -35,7 +35,7 @@ MEMORY_TIMES = 5.0
 EXPONENT_BOUND = 50.0
 
 
-def get_ratio_of_incompressible_material(radius: float, height: float) -> float:
+def compute_finite_bulk_to_shear_ratio(radius: float, height: float) -> float:
     """Return the finite ratio K / mu0 that replaces infinity for a cylinder of an incompressible material.
 
     Compressibility reduces the force in proportion to (radius / height)^2 mu0 / K. With this ratio bonded compression
@@ -136,7 +136,7 @@ class Material:
     regions: Mapping[str, Material] = field(default_factory=dict)
 
     def __post_init__(self):
-        object.__setattr__(self, "regions", make_read_only_copy(dict(self.regions)))
+        object.__setattr__(self, "regions", make_shallow_read_only_copy(dict(self.regions)))
         for name, own in self.regions.items():
             if not name or set(name) & set(".[]"):
                 raise InputError(f"the name of a region must not be empty or contain dots or brackets, which separate "
@@ -145,15 +145,15 @@ class Material:
             if own.layers or own.regions or own.effects or own.puncture is not None:
                 raise InputError("a region has no layers, regions, effects or puncture; leave them out",
                                  field=f"regions.{name}")
-        object.__setattr__(self, "effects", make_read_only_copy(_index_effects_by_name(self.effects)))
-        object.__setattr__(self, "parameters", make_read_only_copy(self.energy_law.as_mapping(self.parameters)))
+        object.__setattr__(self, "effects", make_shallow_read_only_copy(_index_effects_by_name(self.effects)))
+        object.__setattr__(self, "parameters", make_shallow_read_only_copy(self.energy_law.as_mapping(self.parameters)))
         object.__setattr__(self, "layers", tuple(self.layers))
         if not self.mu0 > 0:
             raise InputError(f"must give a positive shear modulus at rest; got {self.mu0:g} Pa.",
                              field="parameters")
         if self.density is not None and not (np.isfinite(self.density) and self.density > 0):
             raise InputError(f"must be positive and finite; got {self.density}.", field="density_kg_m3")
-        if self._drained > 0:
+        if self._drained_stiffness_fraction > 0:
             if self.viscoelastic is not None and len(self.viscoelastic.terms) == MOST_TERMS:
                 raise InputError(f"drainage is one of the at most {MOST_TERMS} relaxing terms of a material; give at "
                                  f"most {MOST_TERMS - 1} viscoelastic terms", field="poroelasticity")
@@ -184,7 +184,7 @@ class Material:
                 or any(effect.remembers for effect in self.effects.values())
                 or any(own.remembers for own in self.regions.values()))
 
-    def reduced_effects(self, *, plate: bool) -> tuple[ReducedEffect, ...]:
+    def list_acting_reduced_effects(self, *, plate: bool) -> tuple[ReducedEffect, ...]:
         """Return the effects in reduced form, puncture included, that act under a plate (needle if not `plate`)."""
         return tuple(part for part in (self.puncture, *self.effects.values())
                      if isinstance(part, ReducedEffect) and (part.under_plates or not plate))
@@ -200,20 +200,20 @@ class Material:
         return self.energy_law.as_array(self.parameters)
 
     @property
-    def instantaneous_factor(self) -> float:
+    def instantaneous_over_law_modulus_ratio(self) -> float:
         """Ratio of the instantaneous stress to the stress of the law: 1, or more if `parameters` are long-term."""
-        return 1.0 if self.viscoelastic is None else self.viscoelastic.instantaneous_factor
+        return 1.0 if self.viscoelastic is None else self.viscoelastic.instantaneous_over_law_modulus_ratio
 
     @cached_property
     def mu0(self) -> float:
         """Initial shear modulus in instantaneous loading, Pa."""
-        return self.instantaneous_factor * self.energy_law.mu0(self.parameters)
+        return self.instantaneous_over_law_modulus_ratio * self.energy_law.mu0(self.parameters)
 
     @property
     def mu_long_term(self) -> float:
         """Initial shear modulus in very slow loading, Pa: all terms relaxed, pores drained; mu0 (1 - sum g - phi)."""
         relaxing = 0.0 if self.viscoelastic is None else self.viscoelastic.relaxing_fraction
-        return self.mu0 * (1.0 - relaxing - self._drained)
+        return self.mu0 * (1.0 - relaxing - self._drained_stiffness_fraction)
 
     @property
     def E0(self) -> float:
@@ -230,7 +230,7 @@ class Material:
         """Bulk modulus K, Pa; infinite for an incompressible material."""
         return self.bulk.modulus(self.mu0)
 
-    def memory_time(self, contact_radius: float | None) -> float:
+    def compute_memory_time(self, contact_radius: float | None) -> float:
         """Return the time after which unloaded tissue has relaxed, s: `MEMORY_TIMES` relaxation times.
 
         Args:
@@ -243,7 +243,8 @@ class Material:
             return math.inf
         prony = self.relaxation(contact_radius)
         longest = max((term.tau for term in prony.terms), default=0.0) if prony is not None else 0.0
-        return max([MEMORY_TIMES * longest, *(own.memory_time(contact_radius) for own in self.regions.values())])
+        return max([MEMORY_TIMES * longest,
+                    *(own.compute_memory_time(contact_radius) for own in self.regions.values())])
 
     def relaxation(self, contact_radius: float | None) -> Prony | None:
         """Return the Prony series of all relaxing terms in a test: viscoelastic terms, then drainage.
@@ -263,7 +264,7 @@ class Material:
         return Prony(terms) if terms else None
 
     @property
-    def _drained(self) -> float:
+    def _drained_stiffness_fraction(self) -> float:
         """Fraction of the instantaneous stiffness that is lost by drainage; 0 without poroelasticity."""
         return 0.0 if self.poroelasticity is None else self.poroelasticity.phi
 
@@ -273,7 +274,7 @@ class Material:
         return 3.0 * mu if np.isinf(K) else 9.0 * K * mu / (3.0 * K + mu)
 
 
-def get_bulk_declaration(kind: str) -> Declaration | None:
+def find_bulk_declaration_or_none(kind: str) -> Declaration | None:
     """Return the declaration of the number of a kind of bulk response; None for ``incompressible``."""
     return _BULK.get(kind)
 

@@ -7,16 +7,22 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from tissue_sim.errors import InputError, add_location_to_errors, suggest_known_word
+from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
 from tissue_sim.laws import LAWS
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.material.layer import Layer
-from tissue_sim.material.material import Bulk, Material, get_bulk_declaration, get_law_parameter_declaration
+from tissue_sim.material.material import Bulk, Material, find_bulk_declaration_or_none, get_law_parameter_declaration
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony, PronyTerm
-from tissue_sim.parameters import Declaration, list_field_declarations, parameters, split_parameter_path, with_values
+from tissue_sim.parameters import (
+    Declaration,
+    list_field_declarations,
+    parameters,
+    split_path_into_names_and_indices,
+    with_values,
+)
 
 #: Path -> class of the parts that a material has at most once.
 SINGLE: dict[str, type] = {"softening": Softening, "poroelasticity": Poroelasticity, "puncture": Puncture}
@@ -32,7 +38,7 @@ _EXAMPLES = (*(f"{place}[0].{name}" for place, kind in SEVERAL.items() for name 
              "bulk.bulk_ratio")
 
 
-def find_material_declaration(path: str) -> tuple[str, Declaration]:
+def find_parameter_path_and_declaration(path: str) -> tuple[str, Declaration]:
     """Return the full path and the declaration of a parameter that a material may have besides its law's parameters.
 
     Args:
@@ -46,15 +52,16 @@ def find_material_declaration(path: str) -> tuple[str, Declaration]:
         InputError: no material has such a parameter; the message names the nearest.
     """
     if (of_region := _OF_REGION.fullmatch(path)) is not None:
-        return path, _find_law_declaration(of_region[2], path)
+        return path, _find_declaration_in_any_law(of_region[2], path)
     place, _, last = path.rpartition(".")
-    if place == "bulk" and (found := get_bulk_declaration(last)) is not None:
+    if place == "bulk" and (found := find_bulk_declaration_or_none(last)) is not None:
         return path, found
-    kind = _find_component_class(place)
+    kind = _find_component_class_or_none(place)
     for name, found in (list_field_declarations(kind) if kind else {}).items():
         if last in (name, found.key):
             return f"{place}.{name}", found
-    raise InputError(f"no material has a parameter {path!r}{suggest_known_word(path, _EXAMPLES)}", field=path)
+    raise InputError(f"no material has a parameter {path!r}{make_hint_with_similar_or_known_words(path, _EXAMPLES)}",
+                     field=path)
 
 
 def find_region_name(path: str) -> str | None:
@@ -65,7 +72,7 @@ def find_region_name(path: str) -> str | None:
 
 def make_material_from_numbers(law: str, parameters: Mapping[str, float], others: Mapping[str, float],
                                bulk: Bulk | None = None,
-                  **options: Any) -> Material:
+                               **options: Any) -> Material:
     """Make a material from a law and numbers by path.
 
     Args:
@@ -85,7 +92,7 @@ def make_material_from_numbers(law: str, parameters: Mapping[str, float], others
     effects: dict[str, dict[str, float]] = {}
     regions: dict[str, dict[str, float]] = {}
     for path, value in others.items():
-        *place, last = split_parameter_path(find_material_declaration(path)[0])
+        *place, last = split_path_into_names_and_indices(find_parameter_path_and_declaration(path)[0])
         match place:
             case ["bulk"]:
                 response = Bulk(str(last), value)
@@ -98,17 +105,17 @@ def make_material_from_numbers(law: str, parameters: Mapping[str, float], others
             case _:
                 single.setdefault(str(place[0]), {})[str(last)] = value
     parts: dict[str, Any] = {place: _make_component(SINGLE[place], place, numbers) for place, numbers in single.items()}
-    prony = tuple(_sort_numbered_terms(terms, "viscoelastic.terms"))
+    prony = tuple(_make_components_in_index_order(terms, "viscoelastic.terms"))
     if prony:
-        with add_location_to_errors(field="viscoelastic"):
+        with located_and_converted_errors(field="viscoelastic"):
             parts["viscoelastic"] = Prony(prony)
     added = {name: _make_component(EFFECTS[name], f"effects.{name}", numbers) for name, numbers in effects.items()}
-    return Material(law, parameters, response, layers=tuple(_sort_numbered_terms(terms, "layers")), effects=added,
-                    regions={name: _make_region_material(name, numbers, response)
-                             for name, numbers in regions.items()}, **parts, **options)
+    return Material(law, parameters, response, layers=tuple(_make_components_in_index_order(terms, "layers")),
+                    effects=added, regions={name: _make_region_material_by_parameter_names(name, numbers, response)
+                                            for name, numbers in regions.items()}, **parts, **options)
 
 
-def with_material_parameters(material: Material, values: Mapping[str, float]) -> Material:
+def with_changed_or_added_parameters(material: Material, values: Mapping[str, float]) -> Material:
     """Return a copy of a material with changed parameters; components that the material lacks are added.
 
     Args:
@@ -126,16 +133,16 @@ def with_material_parameters(material: Material, values: Mapping[str, float]) ->
     several: dict[str, tuple] = {"viscoelastic.terms": getattr(material.viscoelastic, "terms", ()),
                                  "layers": material.layers}
 
-    def renumbered(path: str) -> str:
+    def renumber_path_after_existing_terms(path: str) -> str:
         """Return a path of a new component with its index counted from the end of the present components."""
-        place, _, last = find_material_declaration(path)[0].rpartition(".")
+        place, _, last = find_parameter_path_and_declaration(path)[0].rpartition(".")
         if (numbered := _NUMBERED.fullmatch(place)) is None:
             return path
         return f"{numbered[1]}[{int(place[len(numbered[1]) + 1:-1]) - len(several[numbered[1]])}].{last}"
 
     made = make_material_from_numbers("neo_hooke", {"C10": 1.0},
-                                      {renumbered(path): value for path, value in new.items()},
-                         material.bulk)
+                                      {renumber_path_after_existing_terms(path): value for path, value in new.items()},
+                                      material.bulk)
     changes: dict[str, Any] = {name: part for name in SINGLE if (part := getattr(made, name)) is not None}
     if made.viscoelastic is not None:
         series = material.viscoelastic or made.viscoelastic
@@ -146,7 +153,7 @@ def with_material_parameters(material: Material, values: Mapping[str, float]) ->
                    regions={**material.regions, **made.regions}, **changes)
 
 
-def _find_component_class(place: str) -> type | None:
+def _find_component_class_or_none(place: str) -> type | None:
     """Return the class of the component at a path, such as ``layers[0]``; None if no component has the path."""
     numbered = _NUMBERED.fullmatch(place)
     if numbered:
@@ -156,16 +163,16 @@ def _find_component_class(place: str) -> type | None:
     return SINGLE.get(place)
 
 
-def _find_law_declaration(name: str, path: str) -> Declaration:
+def _find_declaration_in_any_law(name: str, path: str) -> Declaration:
     """Return the declaration of a parameter that at least one registered law has."""
     for law in LAWS.values():
         if name in law.parameters:
             return get_law_parameter_declaration(law, name)
     known = dict.fromkeys(each for law in LAWS.values() for each in law.parameters)
-    raise InputError(f"no law has a parameter {name!r}{suggest_known_word(name, known)}", field=path)
+    raise InputError(f"no law has a parameter {name!r}{make_hint_with_similar_or_known_words(name, known)}", field=path)
 
 
-def _make_region_material(name: str, numbers: Mapping[str, float], bulk: Bulk) -> Material:
+def _make_region_material_by_parameter_names(name: str, numbers: Mapping[str, float], bulk: Bulk) -> Material:
     """Make the material of a region from its numbers; its law is the registered one with exactly these parameters."""
     law = next((name for name, law in LAWS.items() if set(law.parameters) == set(numbers)), None)
     if law is None:
@@ -177,7 +184,8 @@ def _make_region_material(name: str, numbers: Mapping[str, float], bulk: Bulk) -
         raise InputError(refused.problem, field=f"regions.{name}.{refused.field}") from None
 
 
-def _sort_numbered_terms(terms: Mapping[str, Mapping[int, Mapping[str, float]]], place: str) -> Iterator[Any]:
+def _make_components_in_index_order(terms: Mapping[str, Mapping[int, Mapping[str, float]]],
+                                    place: str) -> Iterator[Any]:
     """Yield the components of a list in the order of their indices, which must be 0, 1, ... without gaps."""
     numbered = terms[place]
     if sorted(numbered) != list(range(len(numbered))):

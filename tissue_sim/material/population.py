@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.decode import convert_to_json_types, decode_struct
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.material.law_entry import MaterialFileEntry
 from tissue_sim.material.schema import Range, check_covariance
 from tissue_sim.parameters import Parameter
@@ -33,7 +33,7 @@ class PopulationEntry(MaterialFileEntry, frozen=True, kw_only=True):
     mean_interval95: tuple[Range, ...] | None = None
     spread_interval95: tuple[Range, ...] | None = None
 
-    def convert_units(self, order: Sequence[str], factors: Sequence[float]) -> PopulationEntry:
+    def with_renamed_and_scaled_parameters(self, order: Sequence[str], factors: Sequence[float]) -> PopulationEntry:
         """Return a copy of the entry with the names `order`, and with each parameter's values times its factor."""
         sizes = np.asarray(factors)
         lists = {key: None if getattr(self, key) is None else (np.transpose(getattr(self, key)) * sizes).T.tolist()
@@ -46,7 +46,7 @@ class PopulationEntry(MaterialFileEntry, frozen=True, kw_only=True):
             PopulationEntry, "population")
 
 
-def make_population_entry(stated: Mapping[str, Any], known: Mapping[str, Parameter]) -> PopulationEntry:
+def make_population_entry_from_si_fields(stated: Mapping[str, Any], known: Mapping[str, Parameter]) -> PopulationEntry:
     """Check the stated fields of a population and convert them to an entry in the units and names of the file.
 
     Args:
@@ -58,11 +58,11 @@ def make_population_entry(stated: Mapping[str, Any], known: Mapping[str, Paramet
     """
     entry = decode_struct(convert_to_json_types(stated), PopulationEntry, "population")
     _check_population_entry(entry, known)
-    return entry.convert_units([known[name].path_in_file for name in entry.order],
-                        [1.0 / known[name].declaration.factor for name in entry.order])
+    return entry.with_renamed_and_scaled_parameters([known[name].path_in_file for name in entry.order],
+                                                    [1.0 / known[name].declaration.factor for name in entry.order])
 
 
-def check_and_convert_population(entry: PopulationEntry, known: Mapping[str, float]) -> PopulationEntry:
+def make_checked_population_entry_in_si(entry: PopulationEntry, known: Mapping[str, float]) -> PopulationEntry:
     """Check an entry of a file, and return a copy in SI.
 
     Args:
@@ -73,15 +73,16 @@ def check_and_convert_population(entry: PopulationEntry, known: Mapping[str, flo
         InputError: an unknown parameter, a wrong shape, or a matrix that is not a covariance.
     """
     _check_population_entry(entry, known)
-    return entry.convert_units(entry.order, [known[name] for name in entry.order])
+    return entry.with_renamed_and_scaled_parameters(entry.order, [known[name] for name in entry.order])
 
 
 def _check_population_entry(entry: PopulationEntry, known: Mapping[str, Any]) -> None:
     """Require known parameters, one number for each of them in every row, disjoint specimens, and a covariance."""
     for name in entry.order:
         if name not in known:
-            raise InputError(f"this material has no parameter {name!r}{suggest_known_word(name, known)}",
-                             field="population.order")
+            raise InputError(
+                f"this material has no parameter {name!r}{make_hint_with_similar_or_known_words(name, known)}",
+                field="population.order")
     rows: dict[str, Any] = {key: getattr(entry, key) for key in _LISTS if getattr(entry, key) is not None}
     rows |= {f"specimens.{name}": values for name, values in entry.specimens.items()}
     for key, values in (*rows.items(), *((f"between_specimens[{i}]", row)

@@ -14,15 +14,15 @@ import msgspec
 import numpy as np
 
 from tissue_sim.decode import decode_struct
-from tissue_sim.errors import InputError, add_location_to_errors
+from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.material.law_entry import (
     BulkEntry,
     MaterialFileEntry,
     ParameterEntry,
-    convert_parameters_to_si,
-    list_parameter_values,
-    make_law_entries,
+    convert_entries_to_si_with_factors,
+    get_parameter_values_by_name,
+    make_law_bulk_and_parameter_entries,
 )
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import Material
@@ -162,7 +162,7 @@ class ViscoelasticEntry(MaterialFileEntry, frozen=True, kw_only=True, omit_defau
     def make_component(self, field: str) -> Prony:
         """Make the Prony series; errors as in `ComponentEntry.make_component`."""
         terms = tuple(term.make_component(f"{field}.terms[{i}]") for i, term in enumerate(self.terms))
-        with add_location_to_errors(field=field):
+        with located_and_converted_errors(field=field):
             return Prony(terms, self.moduli)
 
 
@@ -189,7 +189,7 @@ def make_component_entries(material: Material, errors: Mapping[str, float]) -> d
                         for name, own in material.regions.items()} or None}
 
 
-def make_components_from_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
+def make_material_arguments_from_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keyword arguments of `Material`, except law and bulk response, from the entries of a file.
 
     Errors are those of `ComponentEntry.make_component`.
@@ -224,24 +224,25 @@ class RegionEntry(MaterialFileEntry, frozen=True, kw_only=True):
         mine = {path.removeprefix(f"{place}."): error for path, error in errors.items()
                 if path.startswith(f"{place}.")}
         parts = {key: entry for key, entry in make_component_entries(material, mine).items() if entry is not None}
-        return cls(name=material.name, **make_law_entries(material, mine), **parts, density_kg_m3=material.density)
+        return cls(name=material.name, **make_law_bulk_and_parameter_entries(material, mine), **parts,
+                   density_kg_m3=material.density)
 
-    def convert_to_si(self, field: str) -> tuple[RegionEntry, dict[str, float]]:
+    def convert_to_si_with_factors(self, field: str) -> tuple[RegionEntry, dict[str, float]]:
         """Return the entry in SI, and by path of the parameter the value in SI of one unit of the file.
 
-        Errors are those of `convert_parameters_to_si`.
+        Errors are those of `convert_entries_to_si_with_factors`.
         """
-        with add_location_to_errors(field=field):
-            parameters, factors = convert_parameters_to_si(self.law, self.parameters)
+        with located_and_converted_errors(field=field):
+            parameters, factors = convert_entries_to_si_with_factors(self.law, self.parameters)
         return (msgspec.structs.replace(self, parameters=parameters),
                 {f"{field}.{name}": factor for name, factor in factors.items()})
 
     def make_component(self, field: str) -> Material:
         """Make the material of an entry in SI; errors as in `ComponentEntry.make_component` and `Material`."""
-        with add_location_to_errors(field=field):
+        with located_and_converted_errors(field=field):
             parts = {key: entry.make_component(key) for key in ("viscoelastic", "softening", "poroelasticity")
                      if (entry := getattr(self, key)) is not None}
-            return Material(self.law, list_parameter_values(self.parameters), self.bulk.make_bulk(),
+            return Material(self.law, get_parameter_values_by_name(self.parameters), self.bulk.make_bulk(),
                             self.density_kg_m3, self.name,
                             **parts)
 

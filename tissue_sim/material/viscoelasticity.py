@@ -90,7 +90,7 @@ class Prony:
         return float(sum(term.g for term in self.terms))
 
     @property
-    def instantaneous_factor(self) -> float:
+    def instantaneous_over_law_modulus_ratio(self) -> float:
         """Ratio of the instantaneous modulus to the law's: 1, or 1 / (1 - sum g_i) for long-term parameters."""
         return 1.0 if self.moduli == "instantaneous" else 1.0 / (1.0 - self.relaxing_fraction)
 
@@ -112,12 +112,12 @@ class Prony:
         Source: decay_i = exp(-dt/tau_i), gain_i = g_i (1 - exp(-dt/tau_i)) tau_i/dt (Taylor, Pister and Goudreau,
         IJNME 2 (1970) 45).
         """
-        decay, gain = _compute_step_coefficients(dt, self.tau)
+        decay, gain = _compute_decay_and_gain_over_g(dt, self.tau)
         gain = self.g * gain
         return 1.0 - self.relaxing_fraction + gain.sum(axis=-1), decay, gain
 
 
-def compute_internal_stress(dt: np.ndarray, elastic: np.ndarray, tau: np.ndarray) -> np.ndarray:
+def compute_internal_stress_history_over_g(dt: np.ndarray, elastic: np.ndarray, tau: np.ndarray) -> np.ndarray:
     """Return Q_i / g_i at all points of a history of the elastic stress S, which is linear between the points.
 
     The stress is zero before the first point.
@@ -130,7 +130,7 @@ def compute_internal_stress(dt: np.ndarray, elastic: np.ndarray, tau: np.ndarray
     Returns:
         Pa, shape (n, components, terms).
     """
-    decay, gain = _compute_step_coefficients(dt, tau)
+    decay, gain = _compute_decay_and_gain_over_g(dt, tau)
     change = np.diff(elastic, axis=0, prepend=np.zeros_like(elastic[:1]))
     decay, Q = decay[:, None, :], gain[:, None, :] * change[:, :, None]
     # The recursion is a composition of affine maps; doubling the length of the compositions takes log2 n passes.
@@ -142,7 +142,7 @@ def compute_internal_stress(dt: np.ndarray, elastic: np.ndarray, tau: np.ndarray
     return Q
 
 
-def _compute_step_coefficients(dt, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _compute_decay_and_gain_over_g(dt, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return decay_i and gain_i / g_i of steps of length dt, s; shapes (*dt.shape, terms)."""
     x = np.asarray(dt, dtype=float)[..., None] / tau
     return np.exp(-x), np.where(x > 0, -np.expm1(-x) / np.where(x > 0, x, 1.0), 1.0)

@@ -31,19 +31,19 @@ class Mesh:
     connectivity: np.ndarray
     sets: dict[str, np.ndarray] = field(default_factory=dict)
 
-    def select_edges(self, name: str) -> np.ndarray:
+    def select_edges_in_node_set(self, name: str) -> np.ndarray:
         """Return the element edges with all nodes in the named node set, as node numbers, shape (m, nodes of an edge).
 
         The first and the last number of a row are the ends of the edge.
         """
-        sides = self.connectivity[:, np.array(self.element.edge_nodes)].reshape(-1, self.element.order + 1)
+        sides = self.connectivity[:, np.array(self.element.local_edge_node_indices)].reshape(-1, self.element.order + 1)
         return sides[np.isin(sides, self.sets[name]).all(axis=1)]
 
     def scale_height(self, factor: float) -> Mesh:
         """Return a copy of the mesh with all heights z multiplied by `factor`."""
         return replace(self, nodes=self.nodes * [1.0, factor])
 
-    def move_mesh_lines(self, r: tuple[np.ndarray, np.ndarray], z: tuple[np.ndarray, np.ndarray]) -> Mesh:
+    def with_moved_mesh_lines(self, r: tuple[np.ndarray, np.ndarray], z: tuple[np.ndarray, np.ndarray]) -> Mesh:
         """Return the mesh with moved mesh lines; positions between the stated lines are interpolated linearly.
 
         Args:

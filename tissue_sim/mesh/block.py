@@ -11,9 +11,9 @@ from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.section import PlanarMesh, make_quarter_circle, make_rectangle_side
 from tissue_sim.mesh.solid import (
     SolidMesh,
-    add_tool_node_sets,
-    compute_ring_radii,
-    create_block_mesh,
+    add_face_and_free_node_sets,
+    compute_core_ring_radius_fractions,
+    create_block_mesh_from_boundaries,
     extrude_section_to_mesh,
 )
 
@@ -52,8 +52,8 @@ def block_under_plate(length: float, width: float, height: float, grading: Gradi
     grading = replace(grading, smallest=_MESH.edge_size * grading.smallest,
                       growth=max(grading.growth, _MESH.edge_growth))
     x, y, z = (grading.divide_line_from_both_ends(size) for size in (length, width, height))
-    return create_block_mesh(x - 0.5 * length, y - 0.5 * width, grading.insert_interface_heights(z - height, height),
-                             grading.element)
+    return create_block_mesh_from_boundaries(x - 0.5 * length, y - 0.5 * width,
+                                             grading.insert_interface_heights(z - height, height), grading.element)
 
 
 def block_under_tool(length: float, width: float, height: float, grading: Grading) -> SolidMesh:
@@ -78,11 +78,12 @@ def block_under_tool(length: float, width: float, height: float, grading: Gradin
     half_widths = np.where(distances < _MESH.near * reach, distances, reach)
     low, high = centre - half_widths[:, 0], centre + half_widths[:, 1]
     section = PlanarMesh(grading.element.order)
-    section.add_disc(centre, radius, compute_ring_radii(grading, radius), grading.around)
+    section.add_disc(centre, radius, compute_core_ring_radius_fractions(grading, radius), grading.around)
     outward = grading.divide_line(float(half_widths.max()) - radius)
     for quarter in range(4):
-        section.add_ring(make_quarter_circle(quarter, radius, centre), make_rectangle_side(quarter, low, high, centre),
-                         outward / outward[-1], grading.around)
+        section.add_elements_between_curves(make_quarter_circle(quarter, radius, centre),
+                                            make_rectangle_side(quarter, low, high, centre),
+                                            outward / outward[-1], grading.around)
     last = min(max(outward[-1] - outward[-2], grading.smallest) * grading.growth, grading.largest)
     parts = []
     for axis in range(2):
@@ -98,4 +99,4 @@ def block_under_tool(length: float, width: float, height: float, grading: Gradin
                 section.add_rectangle(x, y)
     mesh = extrude_section_to_mesh(section, grading.insert_interface_heights(-grading.divide_line(height)[::-1],
                                                                              height), grading.element)
-    return add_tool_node_sets(mesh, radius, grading.centre)
+    return add_face_and_free_node_sets(mesh, radius, grading.centre)

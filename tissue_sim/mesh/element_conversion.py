@@ -29,8 +29,8 @@ class SharedNodeSettings:
 _SHARED = SharedNodeSettings()
 
 
-def merge_shared_nodes(element: SolidElement, corners: np.ndarray,
-                       positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def number_nodes_by_shared_corners(element: SolidElement, corners: np.ndarray,
+                                   positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Number the nodes of elements so that elements with the same corners of an edge or face share the nodes there.
 
     Args:
@@ -46,7 +46,7 @@ def merge_shared_nodes(element: SolidElement, corners: np.ndarray,
         InputError: two elements have different positions of the middle of a shared edge or face.
     """
     # A node is identified by the corners on which it depends: two for an edge, those of a face, all for the interior.
-    depends = element.corner_function_values > _SHARED.min_weight
+    depends = element.corner_functions_at_nodes > _SHARED.min_weight
     keys = np.sort(np.where(depends, corners[:, None], -1), axis=-1).reshape(-1, corners.shape[1])
     _, first, numbers = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     nodes, connectivity = positions.reshape(-1, 3)[first], numbers.reshape(len(corners), -1)
@@ -70,23 +70,24 @@ def split_hexahedra(mesh: SolidMesh, element: Tetrahedron) -> SolidMesh:
         element: element type of the tetrahedra.
     """
     given = mesh.element
-    corners = mesh.connectivity[:, given.corner_nodes]
-    sides = given.face_nodes[:, given.face_corners]
-    local = {node: index for index, node in enumerate(given.corner_nodes.tolist())}
+    corners = mesh.connectivity[:, given.local_corner_indices]
+    sides = given.local_face_node_indices[:, given.corner_indices_within_face]
+    local = {node: index for index, node in enumerate(given.local_corner_indices.tolist())}
     sides = np.vectorize(local.get)(sides)
     cut = np.array([_split_hexahedron(each, sides)
                     for each in corners])  # indices of the element's corners, (elements, 6, 4)
-    vertices = given.reference_nodes[given.corner_nodes][cut]
+    vertices = given.reference_nodes[given.local_corner_indices][cut]
     is_inverted = np.linalg.det(vertices[..., 1:, :] - vertices[..., :1, :]) < 0.0
     cut[is_inverted] = cut[is_inverted][:, [0, 2, 1, 3]]
-    vertices = given.reference_nodes[given.corner_nodes][cut]
-    inside = np.einsum("nc,etci->etni", element.corner_function_values, vertices)
+    vertices = given.reference_nodes[given.local_corner_indices][cut]
+    inside = np.einsum("nc,etci->etni", element.corner_functions_at_nodes, vertices)
     values, _ = given.evaluate_shape_functions(inside.reshape(-1, 3))
     positions = np.einsum("etng,egi->etni", values.reshape(*inside.shape[:-1], -1), mesh.nodes[mesh.connectivity])
     if element.order == 1:  # straight edges
-        positions = np.einsum("nc,etci->etni", element.corner_function_values, positions[:, :, element.corner_nodes])
+        positions = np.einsum("nc,etci->etni", element.corner_functions_at_nodes,
+                              positions[:, :, element.local_corner_indices])
     numbers = np.take_along_axis(corners[:, None], cut, axis=2).reshape(-1, 4)
-    nodes, connectivity = merge_shared_nodes(element, numbers, positions.reshape(-1, element.node_count, 3))
+    nodes, connectivity = number_nodes_by_shared_corners(element, numbers, positions.reshape(-1, element.node_count, 3))
     return create_mesh_with_surface_sets(element, nodes, connectivity)
 
 

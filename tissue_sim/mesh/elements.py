@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 
-def evaluate_lagrange(x: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+def evaluate_equidistant_lagrange(x: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
     """Evaluate the one-dimensional Lagrange polynomials with order + 1 evenly spaced nodes in [-1, 1].
 
     Args:
@@ -63,7 +63,7 @@ class QuadrilateralElement:
         return np.array([*corners, (0, -1), (1, 0), (0, 1), (-1, 0), (0, 0)], dtype=float)
 
     @property
-    def edge_nodes(self) -> tuple[tuple[int, ...], ...]:
+    def local_edge_node_indices(self) -> tuple[tuple[int, ...], ...]:
         """Local node indices along each edge, in order; the first and the last index are the ends of the edge."""
         if self.order == 1:
             return (0, 1), (1, 2), (2, 3), (3, 0)
@@ -84,7 +84,7 @@ class QuadrilateralElement:
 
     def evaluate_shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 2) at reference points (q, 2)."""
-        (vx, sx), (vy, sy) = (evaluate_lagrange(points[:, axis], self.order) for axis in range(2))
+        (vx, sx), (vy, sy) = (evaluate_equidistant_lagrange(points[:, axis], self.order) for axis in range(2))
         indices = np.rint((self.reference_nodes + 1.0) * 0.5 * self.order).astype(int)
         i, j = indices[:, 0], indices[:, 1]
         return vx[:, i] * vy[:, j], np.stack([sx[:, i] * vy[:, j], vx[:, i] * sy[:, j]], axis=-1)

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from tissue_sim.mesh.elements import evaluate_lagrange
+from tissue_sim.mesh.elements import evaluate_equidistant_lagrange
 from tissue_sim.mesh.solid_element import SolidElement
 
 
@@ -28,12 +28,12 @@ class Hexahedron(SolidElement):
         return np.linspace(-1.0, 1.0, self.order + 1)[self._lattice_indices]
 
     @cached_property
-    def corner_nodes(self) -> np.ndarray:
+    def local_corner_indices(self) -> np.ndarray:
         """Local indices of the corner nodes in the element, shape (8,)."""
         return np.flatnonzero(np.abs(self.reference_nodes).all(axis=1))
 
     @cached_property
-    def face_nodes(self) -> np.ndarray:
+    def local_face_node_indices(self) -> np.ndarray:
         """Local node indices of each face, shape (6, nodes of a face), in the order -x, +x, -y, +y, -z, +z.
 
         Nodes are numbered along two directions, the first varying faster; the cross product of the directions points
@@ -51,13 +51,13 @@ class Hexahedron(SolidElement):
         return np.array(sides)
 
     @cached_property
-    def face_corners(self) -> np.ndarray:
+    def corner_indices_within_face(self) -> np.ndarray:
         """Indices of the corners among the nodes of a face, in order around the face, shape (4,)."""
         side = self.order + 1
         return np.array([0, side - 1, side**2 - 1, side**2 - side])
 
     @cached_property
-    def face_edge_midpoints(self) -> np.ndarray:
+    def edge_midpoint_indices_within_face(self) -> np.ndarray:
         """Indices of the midpoints of the edges among the nodes of a face, shape (4,); empty for order 1."""
         return np.array([1, 5, 7, 3] if self.order == 2 else [], dtype=np.intp)
 
@@ -83,7 +83,8 @@ class Hexahedron(SolidElement):
 
     def evaluate_shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
-        values, slopes = zip(*(evaluate_lagrange(points[:, axis], self.order) for axis in range(3)), strict=True)
+        values, slopes = zip(*(evaluate_equidistant_lagrange(points[:, axis], self.order) for axis in range(3)),
+                             strict=True)
         factors = [(values[axis][:, self._lattice_indices[:, axis]], slopes[axis][:, self._lattice_indices[:, axis]])
                    for axis in range(3)]
         (vx, sx), (vy, sy), (vz, sz) = factors
@@ -91,7 +92,7 @@ class Hexahedron(SolidElement):
 
     def evaluate_corner_functions(self, points: np.ndarray) -> np.ndarray:
         """Return the values of the trilinear functions in the order of `corner_nodes`, shape (q, 8)."""
-        signs = self.reference_nodes[self.corner_nodes]
+        signs = self.reference_nodes[self.local_corner_indices]
         return (0.5 * (1.0 + signs * points[:, None])).prod(axis=-1)
 
 

@@ -22,7 +22,7 @@ class Circle(NamedTuple):
     centre: tuple[float, float]
 
 
-class RingedCylinder(NamedTuple):
+class CylinderWithTopCircle(NamedTuple):
     """Cylinder with a circle on its top, meshed with an O-grid around the circle.
 
     Attributes:
@@ -38,7 +38,7 @@ class RingedCylinder(NamedTuple):
     centre: tuple[float, float]
 
 
-def map_cylinder(mesh: SolidMesh, before: RingedCylinder, after: RingedCylinder) -> SolidMesh:
+def map_cylinder(mesh: SolidMesh, before: CylinderWithTopCircle, after: CylinderWithTopCircle) -> SolidMesh:
     """Map the mesh of a cylinder to another cylinder; the nodes depend smoothly on the sizes.
 
     The circle is mapped to the circle, the side to the side, and straight lines between them to straight lines.

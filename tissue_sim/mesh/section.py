@@ -50,7 +50,9 @@ class PlanarMesh:
 
     def add_rectangle(self, x: np.ndarray, y: np.ndarray) -> None:
         """Add a rectangle with these element boundaries along x and y, ascending, m."""
-        self.add_patch(lambda s, t: np.stack([_interpolate_line(x, s), _interpolate_line(y, t)], axis=-1),
+        self.add_patch(lambda s,
+                       t: np.stack([_interpolate_piecewise_linearly(x, s), _interpolate_piecewise_linearly(y, t)],
+                                   axis=-1),
                        np.linspace(0, 1, x.size), np.linspace(0, 1, y.size))
 
     def add_disc(self, centre: Point, radius: float, rings: np.ndarray, around: int,
@@ -74,11 +76,12 @@ class PlanarMesh:
 
         self.add_patch(map_core, line, line)
         for quarter in range(4):
-            self.add_ring(_make_core_side(quarter, core, origin), make_quarter_circle(quarter, radius, centre),
-                          (rings - rings[0]) / (1.0 - rings[0]), around, through)
+            self.add_elements_between_curves(_make_core_side(quarter, core, origin),
+                                             make_quarter_circle(quarter, radius, centre),
+                                             (rings - rings[0]) / (1.0 - rings[0]), around, through)
 
-    def add_ring(self, near: Curve, far: Curve, fractions: np.ndarray, around: int,
-                 through: Callable[[np.ndarray], np.ndarray] = lambda points: points) -> None:
+    def add_elements_between_curves(self, near: Curve, far: Curve, fractions: np.ndarray, around: int,
+                                    through: Callable[[np.ndarray], np.ndarray] = lambda points: points) -> None:
         """Add the elements between an inner and an outer curve, such as a quarter of a ring.
 
         Args:
@@ -104,7 +107,7 @@ class PlanarMesh:
         Returns:
             Nodes, m, shape (n, 3), and node numbers of the hexahedra.
         """
-        plane, quads = _merge_coincident_points(np.concatenate(self._nodes), np.array(self._quads))
+        plane, quads = _merge_points_and_renumber(np.concatenate(self._nodes), np.array(self._quads))
         heights = self._insert_midpoint_heights(z)
         count, order = len(plane), self._order
         nodes = np.concatenate([np.column_stack([plane, np.full(count, height)]) for height in heights])
@@ -151,7 +154,7 @@ def make_rectangle_side(quarter: int, low: Point, high: Point, centre: Point) ->
     return evaluate_curve
 
 
-def _merge_coincident_points(points: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _merge_points_and_renumber(points: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Merge coincident points; return the points that are kept, and `numbers` renumbered to these points."""
     from scipy.spatial import cKDTree
 
@@ -162,7 +165,7 @@ def _merge_coincident_points(points: np.ndarray, numbers: np.ndarray) -> tuple[n
     return points[kept], inverse[numbers]
 
 
-def _interpolate_line(line: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+def _interpolate_piecewise_linearly(line: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     """Return values of a piecewise linear function with equally spaced nodes `line`, at positions in [0, 1]."""
     return np.interp(fraction, np.linspace(0, 1, line.size), line)
 

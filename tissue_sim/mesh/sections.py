@@ -61,20 +61,21 @@ def cut_tetrahedra(cells: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossing
         pairs.append(ends.reshape(-1, 2))
         corners += [numbers[:, [0, k, k + 1]] for k in range(1, len(of_nodes) - 1)]
         before += numbers.size
-    crossings, point = _find_crossings(np.concatenate(pairs), heights)
-    return crossings, _remove_degenerate_triangles(point[np.concatenate(corners)])
+    crossings, point = _find_distinct_crossings_and_indices(np.concatenate(pairs), heights)
+    return crossings, _drop_triangles_with_repeated_nodes(point[np.concatenate(corners)])
 
 
 def intersect_triangles(triangles: np.ndarray, heights: np.ndarray) -> EdgeCrossings:
     """Return the k line segments at which triangles cross height zero: 2 k points, two successive ones for each."""
-    _, pairs = _find_cut_triangles(triangles, heights)
-    crossings, number = _find_crossings(pairs, heights)
+    _, pairs = _find_cut_triangles_and_edges(triangles, heights)
+    crossings, number = _find_distinct_crossings_and_indices(pairs, heights)
     lines = number.reshape(-1, 2)
     lines = lines[lines[:, 0] != lines[:, 1]].ravel()
     return EdgeCrossings(crossings.ends[lines], crossings.share[lines])
 
 
-def cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossings, np.ndarray, np.ndarray]:
+def split_triangles_below_and_above(triangles: np.ndarray,
+                                    heights: np.ndarray) -> tuple[EdgeCrossings, np.ndarray, np.ndarray]:
     """Cut triangles at height zero into triangles below and above.
 
     Args:
@@ -87,8 +88,8 @@ def cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[EdgeCross
     """
     nodes = len(heights)
     count = (heights[triangles] > 0.0).sum(axis=1)
-    turned, pairs = _find_cut_triangles(triangles, heights)
-    crossings, number = _find_crossings(pairs, heights)
+    turned, pairs = _find_cut_triangles_and_edges(triangles, heights)
+    crossings, number = _find_distinct_crossings_and_indices(pairs, heights)
     p, q = (nodes + number).reshape(-1, 2).T
     # A crossing at a node is replaced by the node.
     at_node = np.concatenate([np.arange(nodes), np.where(crossings.share == 0.0, crossings.ends[:, 0],
@@ -100,10 +101,10 @@ def cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[EdgeCross
     twice = np.concatenate([tip_is_above, tip_is_above])
     below = np.concatenate([triangles[count == 0], tip[~tip_is_above], rest[twice]])
     above = np.concatenate([triangles[count == 3], tip[tip_is_above], rest[~twice]])
-    return crossings, _remove_degenerate_triangles(below), _remove_degenerate_triangles(above)
+    return crossings, _drop_triangles_with_repeated_nodes(below), _drop_triangles_with_repeated_nodes(above)
 
 
-def _find_cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _find_cut_triangles_and_edges(triangles: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the triangles that cross height zero, and the edges of these triangles that cross height zero.
 
     Returns:
@@ -122,7 +123,7 @@ def _find_cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[np.
     return turned, pairs.reshape(-1, 2)
 
 
-def _find_crossings(pairs: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossings, np.ndarray]:
+def _find_distinct_crossings_and_indices(pairs: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossings, np.ndarray]:
     """Return the distinct crossing points of edges, given as node pairs, and for each pair the index of its point."""
     low, high = heights[pairs[:, 0]], heights[pairs[:, 1]]
     ends = np.where((low == 0.0)[:, None], pairs[:, :1], pairs)
@@ -138,7 +139,7 @@ def _is_odd_permutation(order: np.ndarray) -> np.ndarray:
     return (order[:, first] > order[:, second]).sum(axis=1) % 2 == 1
 
 
-def _remove_degenerate_triangles(triangles: np.ndarray) -> np.ndarray:
+def _drop_triangles_with_repeated_nodes(triangles: np.ndarray) -> np.ndarray:
     """Return the triangles without those in which a node occurs twice, shape (k, 3)."""
     a, b, c = triangles.T
     return triangles[(a != b) & (b != c) & (c != a)]

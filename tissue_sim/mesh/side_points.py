@@ -12,7 +12,7 @@ _DEGREE = 4
 _HALF_STEP = 1e-4
 
 
-class FaceInterpolation:
+class FacePolynomialMaps:
     """Faces of elements in 3D as polynomial maps from the unit square to positions.
 
     Args:
@@ -28,14 +28,14 @@ class FaceInterpolation:
     """
 
     def __init__(self, element: SolidElement, nodes: np.ndarray):
-        corners = element.reference_nodes[element.face_nodes[0][element.face_corners]]
+        corners = element.reference_nodes[element.local_face_node_indices[0][element.corner_indices_within_face]]
         # For a triangle one edge of the square is collapsed to one corner.
         corners = corners if len(corners) == 4 else corners[[0, 0, 1, 2]]
         line = np.linspace(0.0, 1.0, _DEGREE + 1)
         u, v = (each.ravel() for each in np.meshgrid(line, line, indexing="ij"))
         self.squares = np.stack([u, v], axis=-1)
         reference = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1) @ corners
-        values = element.evaluate_shape_functions(reference)[0][:, element.face_nodes[0]]
+        values = element.evaluate_shape_functions(reference)[0][:, element.local_face_node_indices[0]]
         self.lattice = np.einsum("qn,mni->mqi", values, nodes)
         self.middles = self.lattice[:, len(u) // 2]
         self.radii = np.linalg.norm(self.lattice - self.middles[:, None], axis=-1).max(axis=1)
@@ -46,7 +46,7 @@ class FaceInterpolation:
         powers = np.linalg.inv(np.vander(line, increasing=True))
         self._factors = np.einsum("ai,bj,mijd->mabd", powers, powers, grid, optimize=True)
 
-    def interpolate_positions(self, sides: np.ndarray, places: np.ndarray) -> np.ndarray:
+    def evaluate_face_positions(self, sides: np.ndarray, places: np.ndarray) -> np.ndarray:
         """Evaluate the polynomials of k faces at q points each; return the positions, m, shape (k, q, 3).
 
         Args:
@@ -62,6 +62,6 @@ class FaceInterpolation:
         # The normal is undefined on the collapsed edge of a triangle: keep a distance from the edges.
         u, v = np.clip(place, 2.0 * _HALF_STEP, 1.0 - 2.0 * _HALF_STEP)
         around = np.array([[[u - _HALF_STEP, v], [u + _HALF_STEP, v], [u, v - _HALF_STEP], [u, v + _HALF_STEP]]])
-        left, right, below, above = self.interpolate_positions(np.array([side]), around)[0]
+        left, right, below, above = self.evaluate_face_positions(np.array([side]), around)[0]
         normal = np.cross(right - left, above - below)
         return normal / np.linalg.norm(normal)

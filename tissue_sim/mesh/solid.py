@@ -33,7 +33,7 @@ class SolidMesh:
             of the top under the flat face of the needle, and ``free``, the rest of the top; both include the nodes at
             the edge.
         faces: element faces on the surface by the names ``base``, ``top`` and ``side``, as node numbers, shape (m,
-            nodes of a face); see `SolidElement.face_nodes`.
+            nodes of a face); see `SolidElement.local_face_node_indices`.
         regions: disjoint sets of element numbers by name, which may have separate materials.
         depths: depth of the centre of each element below the top, m, shape (elements,); None: computed from z.
     """
@@ -59,11 +59,11 @@ class SolidMesh:
         return -self.nodes[self.connectivity, 2].mean(axis=1)
 
     @property
-    def node_areas(self) -> np.ndarray:
+    def surface_node_areas(self) -> np.ndarray:
         """Tributary area of each node on the whole surface, m2, shape (n,); 0 for nodes in the interior."""
-        return self.compute_node_areas(*self.faces)
+        return self.compute_node_areas_of_named_faces(*self.faces)
 
-    def compute_node_areas(self, *names: str) -> np.ndarray:
+    def compute_node_areas_of_named_faces(self, *names: str) -> np.ndarray:
         """Return the tributary area of each node on the faces with these names, m2, shape (n,); 0 elsewhere."""
         areas = np.zeros(len(self.nodes))
         for name in names:
@@ -77,17 +77,17 @@ class SolidMesh:
         The area is half of the norm of the contour integral of x cross dx, computed with Simpson's rule, which is exact
         on quadratic edges.
         """
-        start = self.nodes[faces[:, self.element.face_corners]]
+        start = self.nodes[faces[:, self.element.corner_indices_within_face]]
         end = np.roll(start, -1, axis=1)
-        middles = self.element.face_edge_midpoints
+        middles = self.element.edge_midpoint_indices_within_face
         middle = self.nodes[faces[:, middles]] if middles.size else 0.5 * (start + end)
         contour = (np.cross(start, 4.0 * middle - 3.0 * start - end) + 4.0 * np.cross(middle, end - start)
                    + np.cross(end, start - 4.0 * middle + 3.0 * end)).sum(axis=1) / 6.0
         return 0.5 * np.linalg.norm(contour, axis=1)
 
 
-def create_block_mesh(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray, z: Sequence[float] | np.ndarray,
-                      element: Hexahedron) -> SolidMesh:
+def create_block_mesh_from_boundaries(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray,
+                                      z: Sequence[float] | np.ndarray, element: Hexahedron) -> SolidMesh:
     """Create the mesh of a rectangular block from its element boundaries.
 
     Args:
@@ -98,7 +98,7 @@ def create_block_mesh(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.n
 
     Examples:
         >>> from tissue_sim.mesh.hexahedra import HEX8P0
-        >>> cube = create_block_mesh([0.0, 0.01], [0.0, 0.01], [-0.01, 0.0], HEX8P0)
+        >>> cube = create_block_mesh_from_boundaries([0.0, 0.01], [0.0, 0.01], [-0.01, 0.0], HEX8P0)
         >>> cube.nodes.shape, sorted(cube.sets)
         ((8, 3), ['base', 'side', 'top'])
     """
@@ -132,9 +132,10 @@ def create_cylinder_mesh(radius: float, height: float, element: Hexahedron, *, a
     section = PlanarMesh(element.order)
     section.add_disc(centre, face_radius, np.asarray(inward, dtype=float), around)
     for quarter in range(4):
-        section.add_ring(make_quarter_circle(quarter, face_radius, centre), make_quarter_circle(quarter, radius),
-                         np.asarray(outward, dtype=float), around)
-    return add_tool_node_sets(extrude_section_to_mesh(section, z, element), face_radius, centre)
+        section.add_elements_between_curves(make_quarter_circle(quarter, face_radius, centre),
+                                            make_quarter_circle(quarter, radius),
+                                            np.asarray(outward, dtype=float), around)
+    return add_face_and_free_node_sets(extrude_section_to_mesh(section, z, element), face_radius, centre)
 
 
 def create_needle_mesh(radius: float, height: float, face_radius: float, element: Hexahedron, *, smallest: float,
@@ -156,7 +157,7 @@ def create_needle_mesh(radius: float, height: float, face_radius: float, element
     """
     return create_graded_cylinder_mesh(radius, height,
                                        Grading(element, smallest, growth, largest, around, radius=face_radius,
-                                                               centre=centre, interfaces=tuple(interfaces)))
+                                               centre=centre, interfaces=tuple(interfaces)))
 
 
 def create_graded_cylinder_mesh(radius: float, height: float, grading: Grading) -> SolidMesh:
@@ -174,19 +175,19 @@ def create_graded_cylinder_mesh(radius: float, height: float, grading: Grading) 
                           largest=0.3 * factor * grading.largest)
     outward, z = grading.divide_line(radius - face), -grading.divide_line(height)[::-1]
     return create_cylinder_mesh(radius, height, grading.element, around=grading.around,
-                                inward=compute_ring_radii(grading, face),
-                          outward=outward / outward[-1], z=grading.insert_interface_heights(z, height),
+                                inward=compute_core_ring_radius_fractions(grading, face),
+                                outward=outward / outward[-1], z=grading.insert_interface_heights(z, height),
                                 face_radius=face,
                                 centre=grading.centre)
 
 
-def compute_ring_radii(grading: Grading, radius: float) -> np.ndarray:
+def compute_core_ring_radius_fractions(grading: Grading, radius: float) -> np.ndarray:
     """Return the radii of the ring boundaries from the core to a circle, as fractions of its radius `radius`, m."""
     inward = grading.divide_line((1.0 - O_GRID.core) * radius)
     return 1.0 - inward[::-1] / radius
 
 
-def add_tool_node_sets(mesh: SolidMesh, radius: float, centre: tuple[float, float]) -> SolidMesh:
+def add_face_and_free_node_sets(mesh: SolidMesh, radius: float, centre: tuple[float, float]) -> SolidMesh:
     """Return the mesh with the node sets ``face`` (top inside a circle, m, in projection along z) and ``free``."""
     top = mesh.sets["top"]
     distance = np.hypot(*(mesh.nodes[top, :2] - np.array(centre)).T) - radius
@@ -207,7 +208,7 @@ def create_mesh_with_surface_sets(element: SolidElement, nodes: np.ndarray, conn
         nodes: coordinates, m, shape (n, 3).
         connectivity: node numbers, shape (elements, nodes of the element).
     """
-    sides = connectivity[:, element.face_nodes].reshape(-1, element.face_nodes.shape[1])
+    sides = connectivity[:, element.local_face_node_indices].reshape(-1, element.local_face_node_indices.shape[1])
     _, first, times = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
     outer = sides[np.sort(first[times == 1])]
     heights = nodes[outer, 2]

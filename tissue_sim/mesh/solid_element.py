@@ -35,25 +35,26 @@ class SolidElement(ABC):
 
     @property
     @abstractmethod
-    def corner_nodes(self) -> np.ndarray:
+    def local_corner_indices(self) -> np.ndarray:
         """Local indices in the element of the nodes that are vertices, shape (corners,)."""
 
     @property
     @abstractmethod
-    def face_nodes(self) -> np.ndarray:
+    def local_face_node_indices(self) -> np.ndarray:
         """Local node indices of each face, shape (faces, nodes of a face); corners counter-clockwise from outside."""
 
     @property
     @abstractmethod
-    def face_corners(self) -> np.ndarray:
+    def corner_indices_within_face(self) -> np.ndarray:
         """Indices of the corners among the nodes of one face, in circumferential order, shape (corners of a face,)."""
 
     @property
     @abstractmethod
-    def face_edge_midpoints(self) -> np.ndarray:
-        """Indices of the edge midpoints among the nodes of a face, from each of `face_corners` to the next.
+    def edge_midpoint_indices_within_face(self) -> np.ndarray:
+        """Indices of the edge midpoints among the nodes of a face.
 
-        The array is empty for elements with straight edges.
+        Each is the midpoint from a corner of `corner_indices_within_face` to the next. The array is empty for
+        elements with straight edges.
         """
 
     @property
@@ -80,6 +81,6 @@ class SolidElement(ABC):
         """Return the values (q, corners) of the lowest-order shape functions, one for each corner."""
 
     @cached_property
-    def corner_function_values(self) -> np.ndarray:
+    def corner_functions_at_nodes(self) -> np.ndarray:
         """Values of the corner functions at the nodes, shape (nodes, corners)."""
         return self.evaluate_corner_functions(self.reference_nodes)

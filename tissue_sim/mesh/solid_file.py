@@ -12,10 +12,10 @@ import numpy as np
 
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.bounded import run_in_sandbox
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.files import read_bytes
-from tissue_sim.mesh.element_conversion import merge_shared_nodes
-from tissue_sim.mesh.formats.checks import require_specimen_size, require_valid_mesh, select_volume_cells
+from tissue_sim.mesh.element_conversion import number_nodes_by_shared_corners
+from tissue_sim.mesh.formats.checks import get_volume_cells_of_one_kind, require_specimen_size, require_valid_mesh
 from tissue_sim.mesh.formats.content import FACES, SIDES, CellBlock, MeshContent
 from tissue_sim.mesh.formats.inp import read_inp
 from tissue_sim.mesh.formats.through_meshio import read_through_meshio
@@ -79,7 +79,8 @@ def read_file_mesh(path: str | Path, unit: str = "mm") -> FileMesh:
     """
     path = Path(path)
     if unit not in MESH_UNITS:
-        raise InputError(f"unknown unit {unit!r}{suggest_known_word(unit, MESH_UNITS)}", field="mesh_unit")
+        raise InputError(f"unknown unit {unit!r}{make_hint_with_similar_or_known_words(unit, MESH_UNITS)}",
+                         field="mesh_unit")
     if path.suffix.lower() not in ENDINGS:
         raise InputError(f"has the ending {path.suffix!r}, expected a mesh with one of {', '.join(ENDINGS)}", file=path)
     data = read_bytes(path, "a mesh", LARGEST_MESH)
@@ -88,30 +89,30 @@ def read_file_mesh(path: str | Path, unit: str = "mm") -> FileMesh:
         copy = Path(folder) / path.name
         write_bytes(copy, data)
         try:
-            mesh: FileMesh = run_in_sandbox(_read, copy, unit, file=copy)
+            mesh: FileMesh = run_in_sandbox(_read_and_check_file_mesh, copy, unit, file=copy)
         except InputError as error:
             raise InputError(error.problem.replace(str(copy), path.name), file=path, line=error.line,
                              field=error.field) from None
     return replace(mesh, digest=hashlib.sha256(data).hexdigest())
 
 
-def _read(path: Path, unit: str) -> FileMesh:
+def _read_and_check_file_mesh(path: Path, unit: str) -> FileMesh:
     """Read and check a mesh file inside the sandbox, and return its mesh in m, without the digest."""
     reader = read_inp if path.suffix.lower() == ".inp" else read_through_meshio
     content = reader(path, LARGEST_MESH)
-    cells = select_volume_cells(content)
+    cells = get_volume_cells_of_one_kind(content)
     points = content.points * MESH_UNITS[unit]
     # Nodes that belong only to lines and surfaces are also not part of the volume.
     require_specimen_size(points, unit)
     require_valid_mesh(cells, points, content.point_numbers)
-    return _name_faces_and_regions(content, cells, points)
+    return _make_file_mesh_with_named_sets(content, cells, points)
 
 
-def _name_faces_and_regions(content: MeshContent, cells: CellBlock, points: np.ndarray) -> FileMesh:
+def _make_file_mesh_with_named_sets(content: MeshContent, cells: CellBlock, points: np.ndarray) -> FileMesh:
     """Make the `FileMesh` of checked elements, with named surface faces and regions from the sets of the file."""
     sides = np.array(SIDES[cells.cell_shape])
     all_faces = cells.corner_nodes[:, sides].reshape(-1, sides.shape[1])
-    keys = _number_faces(all_faces, len(points))
+    keys = _compute_face_keys_from_corners(all_faces, len(points))
     _, inverse, times = np.unique(keys, return_inverse=True, return_counts=True)
     outer = times[inverse] == 1
     surface, outer_keys = all_faces[outer], keys[outer]
@@ -131,7 +132,7 @@ def _name_faces_and_regions(content: MeshContent, cells: CellBlock, points: np.n
         regions[name] = np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *members])).astype(np.intp)
         for block, chosen in zip(content.cells, blocks, strict=True):
             if block.kind in FACES and len(chosen) and block.corner_nodes.shape[1] == sides.shape[1]:
-                face_keys = _number_faces(block.corner_nodes[chosen], len(points))
+                face_keys = _compute_face_keys_from_corners(block.corner_nodes[chosen], len(points))
                 at = np.minimum(np.searchsorted(outer_keys, face_keys, sorter=order), len(order) - 1)
                 found.setdefault(name, []).append(order[at[outer_keys[order[at]] == face_keys]])
     for name, rows in content.side_sets.items():
@@ -148,7 +149,7 @@ def _name_faces_and_regions(content: MeshContent, cells: CellBlock, points: np.n
                     _keep_disjoint_sets(regions, len(cells.nodes)))
 
 
-def _number_faces(sides: np.ndarray, points: int) -> np.ndarray:
+def _compute_face_keys_from_corners(sides: np.ndarray, points: int) -> np.ndarray:
     """Return an identifying integer for each face, computed from three of its corners, shape (m,).
 
     Two faces of a valid mesh have the same integer only if they are the same face.
@@ -183,32 +184,34 @@ def convert_file_mesh(mesh: FileMesh, order: int = 2, *, base: str | None = None
     cells, points = mesh.cells, mesh.points
     element = _ELEMENTS[cells.cell_shape][order]
     corners = cells.corner_nodes[:, _CORNERS[cells.cell_shape]]
-    values = _evaluate_shape_functions(cells.kind if order == 2 else cells.cell_shape, element.reference_nodes)
+    values = _evaluate_file_element_functions(cells.kind if order == 2 else cells.cell_shape, element.reference_nodes)
     given = cells.nodes if order == 2 else cells.corner_nodes
-    nodes, connectivity = merge_shared_nodes(element, corners, np.einsum("ng,egi->eni", values, points[given]))
+    nodes, connectivity = number_nodes_by_shared_corners(element, corners,
+                                                         np.einsum("ng,egi->eni", values, points[given]))
     _require_positive_element_volumes(element, nodes, connectivity, cells)
     # Corners are first, in the order of the file.
     number = np.full(len(points), -1)
     number[np.unique(corners)] = np.arange(np.unique(corners).size)
     held, met = find_base_and_top(mesh, base, top)
     chosen = {"base": mesh.sides[held], "top": mesh.sides[met], "side": np.delete(mesh.sides, np.union1d(held, met), 0)}
-    nodes = nodes - find_top_centre(mesh, met)
-    all_faces = connectivity[:, element.face_nodes].reshape(-1, element.face_nodes.shape[1])
-    keys = _number_faces(all_faces[:, element.face_corners], len(points))
+    nodes = nodes - find_top_box_centre_and_height(mesh, met)
+    all_faces = connectivity[:, element.local_face_node_indices].reshape(-1, element.local_face_node_indices.shape[1])
+    keys = _compute_face_keys_from_corners(all_faces[:, element.corner_indices_within_face], len(points))
     sorter = np.argsort(keys)
-    faces = {name: all_faces[sorter[np.searchsorted(keys, _number_faces(number[sides], len(points)), sorter=sorter)]]
+    faces = {name: all_faces[
+        sorter[np.searchsorted(keys, _compute_face_keys_from_corners(number[sides], len(points)), sorter=sorter)]]
              for name, sides in chosen.items()}
     return SolidMesh(element, nodes, connectivity, {name: np.unique(each) for name, each in faces.items()}, faces,
                      dict(mesh.regions))
 
 
-def find_top_centre(mesh: FileMesh, met: np.ndarray) -> np.ndarray:
+def find_top_box_centre_and_height(mesh: FileMesh, met: np.ndarray) -> np.ndarray:
     """Return the centre (x, y) of the bounding box of the top and the height of its highest node, m, shape (3,)."""
     high = mesh.points[np.unique(mesh.sides[met])]
     return np.array([*(0.5 * (high.min(axis=0) + high.max(axis=0)))[:2], high[:, 2].max()])
 
 
-def _evaluate_shape_functions(kind: str, positions: np.ndarray) -> np.ndarray:
+def _evaluate_file_element_functions(kind: str, positions: np.ndarray) -> np.ndarray:
     """Return the shape functions of an element type of a file at reference positions of the solver's element.
 
     Args:
@@ -228,11 +231,11 @@ def _evaluate_shape_functions(kind: str, positions: np.ndarray) -> np.ndarray:
     most = {8: 0, 20: 1, 27: 3}[count]
     powers = [each for each in powers if each.count(2) <= most]
 
-    def products(points: np.ndarray) -> np.ndarray:
+    def evaluate_monomials(points: np.ndarray) -> np.ndarray:
         """Return the monomials with the exponents `powers` at points, shape (q, monomials)."""
         return np.stack([(points ** np.array(each)).prod(axis=1) for each in powers], axis=-1)
 
-    return products(positions) @ np.linalg.inv(products(_HEXAHEDRON[:count]))
+    return evaluate_monomials(positions) @ np.linalg.inv(evaluate_monomials(_HEXAHEDRON[:count]))
 
 
 def _require_positive_element_volumes(element: SolidElement, nodes: np.ndarray, connectivity: np.ndarray,
@@ -274,7 +277,8 @@ def _find_named_faces(mesh: FileMesh, name: str, field: str) -> np.ndarray:
     """Return the indices in `FileMesh.sides` of the faces with a name, in any case; an `InputError` if unknown."""
     known = {each.upper(): members for each, members in mesh.named_sides.items()}
     if name.upper() not in known:
-        hint = suggest_known_word(name, mesh.named_sides) if mesh.named_sides else "; the file names none"
+        hint = make_hint_with_similar_or_known_words(name, mesh.named_sides) if mesh.named_sides \
+            else "; the file names none"
         raise InputError(f"no sides on the surface of the mesh are named {name!r}{hint}", field=field)
     return known[name.upper()]
 

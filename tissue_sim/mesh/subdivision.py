@@ -26,7 +26,7 @@ class DivisibleElement(Protocol):
         """Reference coordinates of a convex body, shape (nodes, 3)."""
 
     @property
-    def face_nodes(self) -> np.ndarray:
+    def local_face_node_indices(self) -> np.ndarray:
         """Local node indices of each face, in the same order with outward orientation, shape (faces, face nodes)."""
 
 
@@ -40,10 +40,10 @@ def subdivide_into_tetrahedra(element: DivisibleElement) -> np.ndarray:
     nodes = element.reference_nodes
     middle = _find_central_node(nodes)
     if middle is None:
-        cells = _triangulate_nodes(nodes)
+        cells = _compute_delaunay_simplices(nodes)
     else:
         # From the central node to the triangles of all faces, so that neighbours divide their common face equally.
-        triangles = element.face_nodes[:, subdivide_face_into_triangles(element)].reshape(-1, 3)
+        triangles = element.local_face_node_indices[:, subdivide_face_into_triangles(element)].reshape(-1, 3)
         cells = np.column_stack([np.full(len(triangles), middle), triangles])
     edges = nodes[cells[:, 1:]] - nodes[cells[:, :1]]
     volumes = np.linalg.det(edges)
@@ -58,15 +58,16 @@ def subdivide_face_into_triangles(element: DivisibleElement) -> np.ndarray:
     """Subdivide a face of an element into triangles between its nodes.
 
     Returns:
-        Indices among the nodes of a row of `face_nodes`, shape (k, 3), read-only; the normals point outwards.
+        Indices among the nodes of a row of `local_face_node_indices`, shape (k, 3), read-only; the normals point
+        outwards.
     """
-    nodes = element.reference_nodes[element.face_nodes[0]]
+    nodes = element.reference_nodes[element.local_face_node_indices[0]]
     # Two coordinates are sufficient, because a reference face is plane.
     normal = np.abs(np.linalg.svd(nodes - nodes.mean(axis=0))[2][2])
     kept = np.delete(np.arange(3), int(np.argmax(normal)))
     middle = _find_central_node(nodes)
     if middle is None:
-        triangles = _triangulate_nodes(nodes[:, kept])
+        triangles = _compute_delaunay_simplices(nodes[:, kept])
     else:
         # Triangles around the central node do not depend on the node at which the face of a neighbour begins.
         x, y = (nodes[:, kept] - nodes[middle, kept]).T
@@ -84,8 +85,11 @@ def subdivide_face_into_triangles(element: DivisibleElement) -> np.ndarray:
 
 
 @cache
-def find_face_edges(element: DivisibleElement) -> np.ndarray:
-    """Return the outline edges of a face as index pairs among the nodes of a row of `face_nodes`, (k, 2), read-only."""
+def find_outline_edges_of_face(element: DivisibleElement) -> np.ndarray:
+    """Return the outline edges of a face, shape (k, 2), read-only.
+
+    The entries are indices among the nodes of a row of `SolidElement.local_face_node_indices`.
+    """
     triangles = subdivide_face_into_triangles(element)
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     different, times = np.unique(edges, axis=0, return_counts=True)
@@ -114,7 +118,7 @@ def _find_central_node(nodes: np.ndarray) -> int | None:
     return nearest if distance[nearest] < 0.1 * distance.max() else None
 
 
-def _triangulate_nodes(nodes: np.ndarray) -> np.ndarray:
+def _compute_delaunay_simplices(nodes: np.ndarray) -> np.ndarray:
     """Return the Delaunay simplices of nodes as node indices, in any orientation; unique for nodes on a lattice."""
     from scipy.spatial import Delaunay
 

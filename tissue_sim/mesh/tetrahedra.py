@@ -1,8 +1,8 @@
 """Mixed displacement-pressure tetrahedra of the solid.
 
 Nodes are in the order of VTK, Abaqus and CalculiX: corners, then the midpoints of the edges 01, 12, 20, 03, 13, 23
-(quadratic elements), then the centres of the faces in the order of `Tetrahedron.face_nodes`, then the centre of the
-element.
+(quadratic elements), then the centres of the faces in the order of `Tetrahedron.local_face_node_indices`, then the
+centre of the element.
 
 A node at the centre of each face (bubble function) changes the volume of the adjacent elements independently of other
 nodes. Elements with constant pressure need this for inf-sup stability; without it they lock or their pressures
@@ -53,12 +53,12 @@ class Tetrahedron(SolidElement):
         return self._node_barycentric_coordinates[:, 1:]
 
     @cached_property
-    def corner_nodes(self) -> np.ndarray:
+    def local_corner_indices(self) -> np.ndarray:
         """Local indices of the corner nodes in the element, shape (4,)."""
         return np.arange(4)
 
     @cached_property
-    def face_nodes(self) -> np.ndarray:
+    def local_face_node_indices(self) -> np.ndarray:
         """Local node indices of each face, (4, face nodes): corners, edge midpoints in the same order, centre."""
         if self.order == 1:
             return np.column_stack([_SIDES, np.arange(4, 8)])
@@ -67,12 +67,12 @@ class Tetrahedron(SolidElement):
         return np.column_stack([_SIDES, edges, np.arange(10, 14)])
 
     @cached_property
-    def face_corners(self) -> np.ndarray:
+    def corner_indices_within_face(self) -> np.ndarray:
         """Indices of the corners among the nodes of a face, shape (3,)."""
         return np.arange(3)
 
     @cached_property
-    def face_edge_midpoints(self) -> np.ndarray:
+    def edge_midpoint_indices_within_face(self) -> np.ndarray:
         """Indices of the midpoints of the edges among the nodes of a face, shape (3,); empty for order 1."""
         return np.arange(3, 6) if self.order == 2 else np.zeros(0, dtype=np.intp)
 
@@ -101,14 +101,14 @@ class Tetrahedron(SolidElement):
 
         The values are fitted by a polynomial of the element's order (least squares).
         """
-        powers = _compute_barycentric_coordinates if self.order == 1 else _evaluate_quadratic_polynomials
+        powers = _compute_barycentric_coordinates if self.order == 1 else _evaluate_barycentric_products
         return powers(self.reference_nodes) @ np.linalg.pinv(powers(self.quadrature[0]))
 
     def evaluate_shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
         barycentric = _compute_barycentric_coordinates(points)
         # Derivatives by the four barycentric coordinates, taken as independent, then by the reference coordinates.
-        slopes = self._evaluate_basis_derivatives(barycentric)
+        slopes = self._differentiate_basis_by_barycentric(barycentric)
         values = self._evaluate_basis_polynomials(barycentric) @ self._shape_function_coefficients
         return values, np.einsum("qmk,mn->qnk", slopes[..., 1:] - slopes[..., :1], self._shape_function_coefficients)
 
@@ -133,7 +133,7 @@ class Tetrahedron(SolidElement):
         """Return the polynomials of the basis, shape (q, nodes)."""
         return np.stack([barycentric[:, list(factors)].prod(axis=1) for factors in self._basis_factor_indices], axis=-1)
 
-    def _evaluate_basis_derivatives(self, barycentric: np.ndarray) -> np.ndarray:
+    def _differentiate_basis_by_barycentric(self, barycentric: np.ndarray) -> np.ndarray:
         """Return the derivatives of the basis with respect to the barycentric coordinates, shape (q, nodes, 4)."""
         slopes = np.zeros((len(barycentric), self.node_count, 4))
         for number, factors in enumerate(self._basis_factor_indices):
@@ -148,7 +148,7 @@ def _compute_barycentric_coordinates(points: np.ndarray) -> np.ndarray:
     return np.concatenate([1.0 - points.sum(axis=1, keepdims=True), points], axis=1)
 
 
-def _evaluate_quadratic_polynomials(points: np.ndarray) -> np.ndarray:
+def _evaluate_barycentric_products(points: np.ndarray) -> np.ndarray:
     """Return ten products that span the quadratic polynomials at reference points, shape (q, 10)."""
     barycentric = _compute_barycentric_coordinates(points)
     return np.stack([barycentric[:, i] * barycentric[:, k] for i in range(4) for k in range(i + 1)], axis=-1)

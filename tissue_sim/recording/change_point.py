@@ -60,9 +60,9 @@ class LoadingWindow:
     @cached_property
     def coarse_window(self) -> LoadingWindow:
         """This window averaged to at most `ChangePointSettings.coarse_samples` samples, for the coarse search."""
-        return self.average_neighbouring_samples(_SETTINGS.coarse_samples)
+        return self.average_down_to_sample_count(_SETTINGS.coarse_samples)
 
-    def average_neighbouring_samples(self, samples: int) -> LoadingWindow:
+    def average_down_to_sample_count(self, samples: int) -> LoadingWindow:
         """Return a window of at most `samples` samples, each the mean of neighbouring samples of this window."""
         each = -(-self.time.size // samples)
         if each == 1:
@@ -185,7 +185,7 @@ class ChangePointFit:
             return np.concatenate([self.compute_sums_of_squares(places[k], powers[k], bounded=bounded) for k in blocks])
         terms = self._evaluate_law_terms(places, powers)
         columns = [self._remove_drift(self._whiten_noise(column)) for column in terms]
-        answer, coefficients = _solve_least_squares(columns, self._data)
+        answer, coefficients = _solve_for_squares_and_coefficients(columns, self._data)
         answer, leading = answer.reshape(powers.shape), coefficients[0].reshape(powers.shape)
         if bounded:
             end = ((self.part.displacement[-1] - places) / self._scale)[:, None]
@@ -214,18 +214,19 @@ class ChangePointFit:
                 inside = (left - 2 * centre + right > 0) & (np.abs(shift) <= 1)
             guess = np.where(inside, powers[rows, middle] + np.where(inside, shift, 0.0) * half, best)
             half, reach = (half / 4, 2) if level == 0 else (half / 8, 1)
-            powers = (np.clip(guess, low + reach * half, high - reach * half)[:, None]
-                      + half * np.arange(-reach, reach + 1))
+            guess = np.clip(guess, low + reach * half, high - reach * half)
+            powers = guess[:, None] + half * np.arange(-reach, reach + 1)
         return found, best
 
-    def estimate_contact_coarsely(self) -> tuple[float, float]:
+    def estimate_contact_and_exponent_coarsely(self) -> tuple[float, float]:
         """Return displacement of contact, m, and exponent of the law, of the best fit of the averaged samples."""
         coarse = ChangePointFit(self.part.coarse_window, self.terms, self.exponents)
         low, high = coarse.part.start, max(coarse.latest, coarse.part.start + coarse.part.step)
         samples = np.quantile(coarse.part.displacement, np.linspace(0, 1, 22), method="nearest").clip(low, high)
-        return coarse.fit_contact(None, np.union1d(np.linspace(low, high, 22), samples))
+        return coarse.fit_contact_and_exponent(None, np.union1d(np.linspace(low, high, 22), samples))
 
-    def fit_contact(self, best: tuple[float, float] | None, places: np.ndarray | None = None) -> tuple[float, float]:
+    def fit_contact_and_exponent(self, best: tuple[float, float] | None,
+                                 places: np.ndarray | None = None) -> tuple[float, float]:
         """Return displacement of contact, m, and exponent of the law, of the best fit near an estimate.
 
         The best of the trial places is refined twice between its neighbours.
@@ -293,13 +294,10 @@ class ChangePointFit:
         return max(self.freedom * (1 - self.correlation) / (1 + self.correlation), 5.0)
 
     def estimate_noise_correlation(self, place: float, power: float) -> float:
-        """Return the correlation of the noise of neighbouring samples, 0 to 1, of a fit with these values.
-
-        Contact (`place`, m) and exponent (`power`) count as fitted parameters.
-        """
+        """Return noise correlation of adjacent samples, 0 to 1; contact `place`, m, and exponent `power` are fitted."""
         self.fit_linear_coefficients(place, power)
         design = np.vstack([self._design, *self._leading_terms_at_shifted_parameters(place, power)]).T
-        return _estimate_correlation(self.part.force - self.part.force[0], design)
+        return _estimate_correlation_by_reml(self.part.force - self.part.force[0], design)
 
     def compute_sum_of_squares_without_contact(self) -> float:
         """Return the sum of squares, N2, of a fit of a constant and a linear drift, without a contact force."""
@@ -313,7 +311,7 @@ class ChangePointFit:
         wanted = self._whiten_noise(self.part.force - self.part.force[0])
         return np.linalg.lstsq(self._whiten_noise(self._design).T, wanted, rcond=None)[0]
 
-    def compute_drift_error(self, place: float, power: float, variance: float) -> float:
+    def compute_drift_standard_error(self, place: float, power: float, variance: float) -> float:
         """Return the standard error of the drift over the whole window, N; contact and exponent are fitted, too.
 
         Args:
@@ -328,7 +326,7 @@ class ChangePointFit:
         covariance = np.linalg.pinv((weighed / size[:, None]) @ (weighed / size[:, None]).T)
         return float(np.sqrt(max(variance * covariance[1, 1], 0.0)) / size[1])
 
-    def fit_zero_without_drift(self, place: float, power: float) -> float:
+    def fit_zero_minus_first_force_without_drift(self, place: float, power: float) -> float:
         """Return the fitted zero of the force minus the first force, N, of a fit without drift."""
         self.fit_linear_coefficients(place, power)
         design = np.delete(self._design, 1, axis=0)
@@ -347,7 +345,7 @@ class ChangePointFit:
         return self.part.force - self.part.force[0] - coefficients @ self._design
 
 
-def _solve_least_squares(columns: list[np.ndarray], data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _solve_for_squares_and_coefficients(columns: list[np.ndarray], data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Solve m least-squares problems of data (n,) on columns, each (m, n).
 
     Returns:
@@ -374,7 +372,7 @@ def _solve_least_squares(columns: list[np.ndarray], data: np.ndarray) -> tuple[n
     return np.einsum("mn,mn->m", rest, rest), coefficients
 
 
-def _estimate_correlation(data: np.ndarray, design: np.ndarray) -> float:
+def _estimate_correlation_by_reml(data: np.ndarray, design: np.ndarray) -> float:
     """Estimate the correlation of the noise of neighbouring samples, at least 0, by the restricted likelihood.
 
     Args:
@@ -386,7 +384,7 @@ def _estimate_correlation(data: np.ndarray, design: np.ndarray) -> float:
     columns = np.column_stack([design / np.linalg.norm(design, axis=0).clip(1e-150), data])
     freedom, known = data.size - design.shape[1], design.shape[1]
 
-    def evaluate_restricted_likelihood(trial: float) -> float:
+    def compute_minus_twice_log_likelihood(trial: float) -> float:
         """Return -2 log of the restricted likelihood of a trial correlation, up to a constant; to be minimized."""
         new = np.vstack([np.sqrt(1 - trial**2) * columns[:1], columns[1:] - trial * columns[:-1]])
         size = np.abs(np.diag(np.linalg.qr(new, mode="r"))).clip(1e-150)
@@ -394,7 +392,7 @@ def _estimate_correlation(data: np.ndarray, design: np.ndarray) -> float:
 
     trials = _CORRELATIONS
     for _ in range(3):
-        at = int(np.argmin([evaluate_restricted_likelihood(trial) for trial in trials]))
+        at = int(np.argmin([compute_minus_twice_log_likelihood(trial) for trial in trials]))
         low, high = trials[max(at - 1, 0)], trials[min(at + 1, trials.size - 1)]
         trials = np.linspace(low, high, 5)
-    return float(trials[int(np.argmin([evaluate_restricted_likelihood(trial) for trial in trials]))])
+    return float(trials[int(np.argmin([compute_minus_twice_log_likelihood(trial) for trial in trials]))])

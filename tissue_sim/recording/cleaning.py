@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.first_sample import LOADS, estimate_first_sample_value
+from tissue_sim.recording.first_sample import LOADS, get_or_extrapolate_first_value_of_channel
 from tissue_sim.recording.measures import StrainOrStressMeasure, get_original_measures
-from tissue_sim.recording.outliers import describe_outliers, find_outliers
+from tissue_sim.recording.outliers import find_outliers_of_motion_and_load, make_left_out_samples_of_outliers
 from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
-from tissue_sim.recording.saturation import find_quantization_step, find_saturation
+from tissue_sim.recording.saturation import find_common_divisor_or_zero, find_saturated_runs
 from tissue_sim.recording.screening import LeftOutSamples, Saturation, Screening
 
 #: Channels of the motion. The first one in a recording is examined, and so is the first channel of the load.
@@ -44,8 +44,8 @@ def remove_outliers_and_saturation(recording: Recording, leave_out: Sequence[int
         return recording, Screening()
     channels = {name: recording.channel(name) for name in (motion, load)}
     try:
-        outliers = find_outliers(channels[motion], channels[load], is_counted=motion in zeroed)
-        found = describe_outliers(outliers, channels, format_channel_value)
+        outliers = find_outliers_of_motion_and_load(channels[motion], channels[load], is_counted=motion in zeroed)
+        found = make_left_out_samples_of_outliers(outliers, channels, format_channel_value)
     except InputError:
         # A list in the campaign states that all other samples are valid.
         if leave_out is None:
@@ -53,7 +53,7 @@ def remove_outliers_and_saturation(recording: Recording, leave_out: Sequence[int
         found = ()
     suspected: tuple[LeftOutSamples, ...] = ()
     if leave_out is not None:
-        found, suspected = _split_stated_outliers(recording, leave_out, found)
+        found, suspected = _split_outliers_by_campaign_list(recording, leave_out, found)
     is_kept = np.ones(len(recording), bool)
     is_kept[np.array([number - 1 for each in found for number in each.samples], int)] = False
     kept = np.flatnonzero(is_kept)
@@ -61,10 +61,10 @@ def remove_outliers_and_saturation(recording: Recording, leave_out: Sequence[int
         raise InputError(f"only {kept.size} of {len(recording)} samples are kept; at least {MIN_POINTS} are needed",
                          field="leave_out")
     rest = recording if kept.size == len(recording) else recording.select(kept)
-    saturation = () if controlled == "force" else _find_load_saturation(rest, kept, load, motion,
-                                                                    is_free=controlled == "displacement")
+    saturation = () if controlled == "force" else _list_load_saturations(rest, kept, load, motion,
+                                                                         is_free=controlled == "displacement")
     if controlled != "displacement":
-        saturation += _find_channel_saturation(rest, kept, motion, load, is_free=controlled == "force")
+        saturation += _list_channel_saturations(rest, kept, motion, load, is_free=controlled == "force")
     if saturation:
         is_kept[[number - 1 for each in saturation for number in each.samples]] = False
         kept = np.flatnonzero(is_kept)
@@ -74,12 +74,13 @@ def remove_outliers_and_saturation(recording: Recording, leave_out: Sequence[int
         rest = recording.select(kept)
     screening = Screening(found, saturation, suspected=suspected)
     if kept.size and kept[0] > 0:
-        rest = rest.with_channels(**{name: rest.channel(name) - _require_start_value(recording, screening, name)
+        rest = rest.with_channels(**{name: rest.channel(name)
+                                     - _get_required_first_sample_value(recording, screening, name)
                                      for name in zeroed if name in channels})
     return rest, screening
 
 
-def find_start_value(recording: Recording, screening: Screening, name: str) -> float | None:
+def find_first_sample_value_or_none(recording: Recording, screening: Screening, name: str) -> float | None:
     """Return the motion or load at the first sample, SI, also if this sample is left out; None if undetermined.
 
     Args:
@@ -91,16 +92,18 @@ def find_start_value(recording: Recording, screening: Screening, name: str) -> f
     partner = next((each for each in partners if each in recording), None)
     if partner is None:
         return float(recording.channel(name)[0])
-    return estimate_first_sample_value(recording, screening, name, partner)
+    return get_or_extrapolate_first_value_of_channel(recording, screening, name, partner)
 
 
-def _require_start_value(recording: Recording, screening: Screening, name: str) -> float:
-    """Return the value at the first sample for a channel that is counted from it; see `find_start_value`.
+def _get_required_first_sample_value(recording: Recording, screening: Screening, name: str) -> float:
+    """Return the value at the first sample for a channel that is counted from it.
+
+    See `find_first_sample_value_or_none`.
 
     Raises:
         InputError: the samples that are kept do not determine the value.
     """
-    found = find_start_value(recording, screening, name)
+    found = find_first_sample_value_or_none(recording, screening, name)
     if found is None:
         reason = "sample 1 is left out, and the other channel does not show where the " + name + " started"
         if not any(1 in each.samples and each.channel in LOADS for each in screening.left_out) and name in MOTIONS:
@@ -123,14 +126,14 @@ def subtract_start_values(recording: Recording, zeroed: Sequence[str]) -> Record
     if not named:
         return recording
     rest, screening = remove_outliers_and_saturation(recording)
-    starts = {name: find_start_value(recording, screening, name) for name in named}
+    starts = {name: find_first_sample_value_or_none(recording, screening, name) for name in named}
     return recording.with_channels(**{
         name: recording.channel(name) - (float(rest.channel(name)[0]) if start is None else start)
         for name, start in starts.items()})
 
 
-def _split_stated_outliers(recording: Recording, leave_out: Sequence[int], found: tuple[LeftOutSamples, ...]
-               ) -> tuple[tuple[LeftOutSamples, ...], tuple[LeftOutSamples, ...]]:
+def _split_outliers_by_campaign_list(recording: Recording, leave_out: Sequence[int], found: tuple[LeftOutSamples, ...]
+                                     ) -> tuple[tuple[LeftOutSamples, ...], tuple[LeftOutSamples, ...]]:
     """Return the samples that the campaign lists, and those found outliers that it does not list, with reasons."""
     for number in leave_out:
         if not 1 <= number <= len(recording):
@@ -142,9 +145,9 @@ def _split_stated_outliers(recording: Recording, leave_out: Sequence[int], found
     return (*confirmed, *stated), tuple(each for each in found if not listed.issuperset(each.samples))
 
 
-def _find_channel_saturation(recording: Recording, kept: np.ndarray, name: str, other: str,
-                             values: np.ndarray | None = None, title: str = "", rounding: float = 0.0, *,
-                             is_free: bool = False) -> tuple[Saturation, ...]:
+def _list_channel_saturations(recording: Recording, kept: np.ndarray, name: str, other: str,
+                              values: np.ndarray | None = None, title: str = "", rounding: float = 0.0, *,
+                              is_free: bool = False) -> tuple[Saturation, ...]:
     """Return the intervals in which a channel is saturated, with one sentence for each.
 
     Args:
@@ -154,14 +157,14 @@ def _find_channel_saturation(recording: Recording, kept: np.ndarray, name: str, 
         other: name of the channel that continues.
         values: values of another measure of the channel, shape (n,); None: the values of the channel.
         title: name of the other measure.
-        rounding: width of the interval of equal values; see `find_saturation`.
-        is_free: whether the channel is not controlled; see `find_saturation`.
+        rounding: width of the interval of equal values; see `find_saturated_runs`.
+        is_free: whether the channel is not controlled; see `find_saturated_runs`.
     """
     values = recording.channel(name) if values is None else values
     continuing = "motion" if other in MOTIONS else "load"
     found = []
-    for run in find_saturation(values, recording.channel(other), _get_time_if_present(recording), rounding=rounding,
-                               is_free=is_free):
+    for run in find_saturated_runs(values, recording.channel(other), _get_time_if_present(recording), rounding=rounding,
+                                   is_free=is_free):
         level = float(values[run.first])
         samples = tuple((kept[run.first:run.last + 1] + 1).tolist())
         found.append(Saturation(name, level, samples,
@@ -171,8 +174,8 @@ def _find_channel_saturation(recording: Recording, kept: np.ndarray, name: str, 
     return tuple(found)
 
 
-def _find_load_saturation(recording: Recording, kept: np.ndarray, load: str, motion: str, *, is_free: bool
-                      ) -> tuple[Saturation, ...]:
+def _list_load_saturations(recording: Recording, kept: np.ndarray, load: str, motion: str, *, is_free: bool
+                           ) -> tuple[Saturation, ...]:
     """Return the intervals in which the load is saturated, in the measure of the file, or in the nominal stress.
 
     A load cell at its limit gives a constant force, which is the nominal stress times the undeformed area. The true
@@ -180,15 +183,15 @@ def _find_load_saturation(recording: Recording, kept: np.ndarray, load: str, mot
     """
     measure = get_original_measures(recording).get(load)
     if measure is None or "stretch" not in recording:
-        return _find_channel_saturation(recording, kept, load, motion, is_free=is_free)
+        return _list_channel_saturations(recording, kept, load, motion, is_free=is_free)
     stretch = recording.channel("stretch")
     stated = measure.invert(recording.channel(load), stretch)
     # A product and its quotient differ in the last bits.
     bits = _PRODUCT_ERROR * np.finfo(float).eps * float(np.abs(stated).max())
-    return (_find_channel_saturation(recording, kept, load, motion, stated, measure.title, bits, is_free=is_free)
-            or _find_channel_saturation(recording, kept, load, motion, None,
-                                        f"nominal stress that follows from the {measure.title}",
-                                        _compute_nominal_stress_rounding(recording, measure), is_free=is_free))
+    return (_list_channel_saturations(recording, kept, load, motion, stated, measure.title, bits, is_free=is_free)
+            or _list_channel_saturations(recording, kept, load, motion, None,
+                                         f"nominal stress that follows from the {measure.title}",
+                                         _compute_nominal_stress_rounding(recording, measure), is_free=is_free))
 
 
 def _compute_nominal_stress_rounding(recording: Recording, measure: StrainOrStressMeasure) -> float:
@@ -202,11 +205,12 @@ def _compute_nominal_stress_rounding(recording: Recording, measure: StrainOrStre
     strain_measure = get_original_measures(recording).get("stretch")
     strain = recording.channel("stretch") if strain_measure is None else strain_measure.invert(
         recording.channel("stretch"))
-    step = find_quantization_step(strain)
+    step = find_common_divisor_or_zero(strain)
     strain = strain[large]
     moved = strain + step if strain_measure is None else strain_measure.convert(strain + step)
     stress = measure.invert(nominal, stretch)
-    digit = find_quantization_step(measure.invert(recording.channel("nominal stress"), recording.channel("stretch")))
+    digit = find_common_divisor_or_zero(measure.invert(recording.channel("nominal stress"),
+                                                       recording.channel("stretch")))
     return float((np.abs(measure.convert(stress + digit, stretch) - nominal)
                   + np.abs(measure.convert(stress, moved) - nominal)).max())
 

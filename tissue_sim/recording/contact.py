@@ -16,8 +16,8 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.public_names import OldName
 from tissue_sim.recording.change_point import ChangePointFit, LikelihoodProfile, LoadingWindow
-from tissue_sim.recording.resolution import find_rounding_step
-from tissue_sim.recording.segmentation import label_motion
+from tissue_sim.recording.resolution import find_rounding_step_or_zero
+from tissue_sim.recording.segmentation import label_samples_ramp_hold_unload
 
 #: Limits of the exponent of the force after contact: 1 for plates and flat punches, 3/2 for balls, 2 for cones.
 EXPONENTS = (1.0, 2.0)
@@ -117,7 +117,7 @@ class Contact:
 
     #: Old names.
     found = OldName("has_air_before_contact")
-    counted_from = OldName("subtract_contact_and_zero")
+    counted_from = OldName("get_motion_and_force_from_contact")
 
     @property
     def has_air_before_contact(self) -> bool:
@@ -129,8 +129,8 @@ class Contact:
         """Result as a sentence for the user, in mm and N; see `in_words`."""
         return self.in_words()
 
-    def subtract_contact_and_zero(self, displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None
-                                  ) -> tuple[np.ndarray, np.ndarray]:
+    def get_motion_and_force_from_contact(self, displacement: np.ndarray, force: np.ndarray,
+                                          time: np.ndarray | None = None ) -> tuple[np.ndarray, np.ndarray]:
         """Return the displacement from contact, m, and the force without zero and drift, N, shapes (n,).
 
         Args:
@@ -190,22 +190,22 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     if displacement.size < _SETTINGS.fewest:
         raise InputError(f"the search for contact needs at least {_SETTINGS.fewest} samples; got "
                          f"{displacement.size}. Record more samples", field="force")
-    loading = _FirstLoading.from_arrays(time, displacement, force)
-    if (latest := loading.find_immediate_rise()) is not None:
+    loading = _LoadingUpToFirstHold.from_arrays(time, displacement, force)
+    if (latest := loading.find_displacement_of_immediate_rise()) is not None:
         return Contact("before", loading.start, (-np.inf, latest), loading.zero, noise=loading.noise, step=loading.step)
     recorded, loading = loading, loading.averaged_loading
     part, terms, chance = loading.whole, _SETTINGS.terms, 0.0
-    parts = loading.list_fit_windows()
+    parts = loading.list_fit_windows_longest_first()
     judged = None
     for number, part in enumerate(parts):
-        chance, noise = judged or _compute_misfit_probability(part, terms, exponents)
+        chance, noise = judged or _compute_misfit_p_and_residual_deviation(part, terms, exponents)
         has_shorter = chance > _SETTINGS.adequate and part is not parts[-1]
-        judged = _compute_misfit_probability(parts[number + 1], terms, exponents) if has_shorter else None
+        judged = _compute_misfit_p_and_residual_deviation(parts[number + 1], terms, exponents) if has_shorter else None
         # A slow misfit of the law looks like correlated noise, and a shorter part has a smaller misfit.
         if chance > _SETTINGS.adequate and (judged is None or judged[1] > _SETTINGS.smaller_residual * noise):
             break
     fitted = ChangePointFit(part, terms + 1, exponents)
-    best = fitted.fit_contact(fitted.estimate_contact_coarsely())
+    best = fitted.fit_contact_and_exponent(fitted.estimate_contact_and_exponent_coarsely())
     fitted = ChangePointFit(part, terms + 1, exponents, fitted.estimate_noise_correlation(*best))
     found = _build_contact(loading, fitted, fitted.compute_likelihood_profile(best),
                            adequate=chance > _SETTINGS.doubtful)
@@ -215,16 +215,17 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
                    noise=found.noise * float(np.sqrt(each)))
 
 
-def _compute_misfit_probability(part: LoadingWindow, terms: int, exponents: tuple[float, float]) -> tuple[float, float]:
+def _compute_misfit_p_and_residual_deviation(part: LoadingWindow, terms: int,
+                                             exponents: tuple[float, float]) -> tuple[float, float]:
     """Return the p value of a chance misfit of the law in a window, and the residual's standard deviation, N."""
     from scipy import special
 
     part = part.coarse_window
     fitted = ChangePointFit(part, terms, exponents)
-    best = fitted.estimate_contact_coarsely()
+    best = fitted.estimate_contact_and_exponent_coarsely()
     richer = ChangePointFit(part, terms + 2, exponents, half=True)
     fitted = ChangePointFit(part, terms, exponents, richer.estimate_noise_correlation(*best))
-    best = fitted.fit_contact(best)
+    best = fitted.fit_contact_and_exponent(best)
     place, power = np.array([best[0]]), np.array([[best[1]]])
     larger = ChangePointFit(part, terms + 2, exponents, fitted.correlation, half=True)
     least, more = (fit.compute_sums_of_squares(place, power, bounded=False)[0, 0] for fit in (fitted, larger))
@@ -232,7 +233,7 @@ def _compute_misfit_probability(part: LoadingWindow, terms: int, exponents: tupl
     return float(special.fdtrc(3, larger.freedom, ratio)), float(np.std(fitted.compute_force_residual(*best)))
 
 
-def _build_contact(loading: _FirstLoading, fitted: ChangePointFit, profile: LikelihoodProfile,
+def _build_contact(loading: _LoadingUpToFirstHold, fitted: ChangePointFit, profile: LikelihoodProfile,
                    adequate: bool) -> Contact:
     """Return the result `Contact`, with its status, from the fit of one window and its likelihood profile."""
     from scipy import special
@@ -246,9 +247,10 @@ def _build_contact(loading: _FirstLoading, fitted: ChangePointFit, profile: Like
     first = int(np.argmax(part.displacement > place)) if part.displacement[-1] > place else part.displacement.size
     span = (part.time[-1] - part.time[0]) or 1.0
     zero, drift = float(coefficients[0] + part.force[0]), float(coefficients[1] / span)
-    error = fitted.compute_drift_error(place, power, profile.variance) / span
+    error = fitted.compute_drift_standard_error(place, power, profile.variance) / span
     if abs(drift) < _SETTINGS.drift_errors * error:
-        zero, drift, error = fitted.fit_zero_without_drift(place, power) + float(part.force[0]), 0.0, 0.0
+        zero = fitted.fit_zero_minus_first_force_without_drift(place, power) + float(part.force[0])
+        drift, error = 0.0, 0.0
     found = Contact("found", float(place), (float(low), float(high)), zero, drift,
                     int(np.argmax(loading.whole.displacement > place)), float(power), deviation, loading.step, first,
                     part.displacement.size - first, adequate, error)
@@ -278,7 +280,7 @@ def _build_contact(loading: _FirstLoading, fitted: ChangePointFit, profile: Like
 
 
 @dataclass(frozen=True, eq=False)
-class _FirstLoading:
+class _LoadingUpToFirstHold:
     """Samples of the loading up to the first hold under load, with a first estimate of zero and noise.
 
     Attributes:
@@ -304,10 +306,10 @@ class _FirstLoading:
         return self.whole.start
 
     @classmethod
-    def from_arrays(cls, time: np.ndarray, displacement: np.ndarray, force: np.ndarray) -> _FirstLoading:
+    def from_arrays(cls, time: np.ndarray, displacement: np.ndarray, force: np.ndarray) -> _LoadingUpToFirstHold:
         """Return the loading of a recording in s, m and N, shapes (n,)."""
-        labels = label_motion(time, displacement)
-        rounding = find_rounding_step(force) / np.sqrt(12.0)
+        labels = label_samples_ramp_hold_unload(time, displacement)
+        rounding = find_rounding_step_or_zero(force) / np.sqrt(12.0)
         bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
         noise = max(float(np.median(np.abs(bend))) / 0.6745, rounding, 1e-9 * float(np.abs(force).max()), 1e-300)
         smooth = np.convolve(np.pad(force, 1, mode="edge"), np.full(3, 1 / 3), "valid")
@@ -325,15 +327,15 @@ class _FirstLoading:
         return cls(whole, smooth[:end], zero, noise)
 
     @cached_property
-    def averaged_loading(self) -> _FirstLoading:
+    def averaged_loading(self) -> _LoadingUpToFirstHold:
         """This loading with neighbouring samples averaged, at most `ContactSettings.most_samples` samples."""
-        part = self.whole.average_neighbouring_samples(_SETTINGS.most_samples)
+        part = self.whole.average_down_to_sample_count(_SETTINGS.most_samples)
         share = np.sqrt(part.time.size / self.whole.time.size)
         smooth = np.convolve(np.pad(part.force, 1, mode="edge"), np.full(3, 1 / 3), "valid")
-        return self if part is self.whole else _FirstLoading(part, smooth, self.zero,
-                                                             max(self.noise * share, part.rounding))
+        return self if part is self.whole else _LoadingUpToFirstHold(part, smooth, self.zero,
+                                                                     max(self.noise * share, part.rounding))
 
-    def find_immediate_rise(self) -> float | None:
+    def find_displacement_of_immediate_rise(self) -> float | None:
         """Return the displacement, m, of a clear rise of the force in the first moves; None without such a rise."""
         first = int(np.argmax(self.whole.displacement > self.start)) - 1
         before = np.median(self.whole.force[:max(first, 0) + 1])
@@ -341,7 +343,7 @@ class _FirstLoading:
         clear = risen > _SETTINGS.immediate_rise * self.noise
         return float(self.whole.displacement[max(first, 0) + int(np.argmax(clear))]) if clear[-2:].all() else None
 
-    def list_fit_windows(self) -> list[LoadingWindow]:
+    def list_fit_windows_longest_first(self) -> list[LoadingWindow]:
         """Return windows that begin with the loading, the whole loading first, then shorter and shorter ones."""
         rise, parts = float(self.smooth.max()) - self.zero, [self.whole]
         for share in _SETTINGS.rise_fractions[1:]:

@@ -9,10 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from tissue_sim.recording.oscillation import Oscillation, find_oscillation
-from tissue_sim.recording.saturation import find_quantization_step
-from tissue_sim.recording.screening import SCREENING, ControlFindings
-from tissue_sim.recording.segmentation import label_motion
+from tissue_sim.recording.oscillation import Oscillation, find_final_oscillation_or_none
+from tissue_sim.recording.saturation import find_common_divisor_or_zero
+from tissue_sim.recording.screening import SCREENING, ControlledQuantityFindings
+from tissue_sim.recording.segmentation import label_samples_ramp_hold_unload
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,8 @@ class ControlSettings:
 _SETTINGS = ControlSettings()
 
 
-def analyse_control_and_creep(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None) -> ControlFindings:
+def analyse_control_and_creep(motion: np.ndarray, load: np.ndarray,
+                              time: np.ndarray | None = None) -> ControlledQuantityFindings:
     """Recognise the controlled quantity, and the relaxation or creep of the material in holds.
 
     Args:
@@ -72,36 +73,39 @@ def analyse_control_and_creep(motion: np.ndarray, load: np.ndarray, time: np.nda
                        equal_samples=every * found.equal_samples)
     clock = np.arange(motion.size, dtype=float) if time is None else time
     if motion.size < 2 * _SETTINGS.fewest or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
-        return ControlFindings(None, "ramp", loading=motion.size)
-    oscillation = find_oscillation(motion, load, time)
+        return ControlledQuantityFindings(None, "ramp", loading=motion.size)
+    oscillation = find_final_oscillation_or_none(motion, load, time)
     if oscillation is not None and not oscillation.returns:
-        return ControlFindings(_find_channel_linear_in_time(motion, load, clock, oscillation.first), "oscillation",
-                               loss_factor=oscillation.loss_factor, frequency=oscillation.frequency,
-                               loading=_count_samples_to_largest_motion(motion, oscillation))
+        return ControlledQuantityFindings(_find_channel_linear_in_time_or_none(motion, load, clock, oscillation.first),
+                                          "oscillation",
+                                          loss_factor=oscillation.loss_factor, frequency=oscillation.frequency,
+                                          loading=_count_to_peak_before_oscillation(motion, oscillation))
     rest = min(_estimate_load_at_rest(motion, load), float(np.median(load[:_SETTINGS.end_samples])))
-    holds = list(_iterate_long_holds(label_motion(clock, motion)))
+    holds = list(_iterate_long_holds(label_samples_ramp_hold_unload(clock, motion)))
     lost = max(((_compute_relaxed_fraction(load, first, last, rest), first, last) for first, last in holds),
                default=(0.0, 0, 0))
-    crept = [each for each in _iterate_creeping_holds(motion, load, clock) if each[2] > SCREENING.creep]
+    crept = [each for each in _iterate_creeping_holds_with_gain(motion, load, clock) if each[2] > SCREENING.creep]
     if crept:
         first, last, creep = max(crept, key=lambda each: each[2])
         start = crept[0][0]
-        return ControlFindings("force", "creep", 0.0, creep, loading=start,
-                               time_constant=_compute_time_constant(motion, clock, first, last),
-                       loading_time=float(clock[start] - clock[0]), equal_samples=_count_equal_loads(load, first, last))
+        return ControlledQuantityFindings("force", "creep", 0.0, creep, loading=start,
+                                          time_constant=_compute_time_constant(motion, clock, first, last),
+                                          loading_time=float(clock[start] - clock[0]),
+                                          equal_samples=_count_loads_equal_to_median(load, first, last))
     loaded = [first for first, last in holds if np.median(load[first:last]) - rest > _SETTINGS.loaded * np.ptp(load)]
     steps = [first for first in loaded if motion[first] >= 0.98 * motion[:first + 1].max()]
     pattern = "staircase" if len(steps) > 1 else "ramp and hold" if loaded else "cycles" if oscillation else "ramp"
     peak = int(np.argmax(motion))
-    quantity = _find_channel_linear_in_time(motion, load, clock, peak + 1)
+    quantity = _find_channel_linear_in_time_or_none(motion, load, clock, peak + 1)
     relaxation, first, last = lost
-    return ControlFindings("displacement" if loaded else quantity, pattern, relaxation,
-                           loading=min([*loaded, peak + 1]),
-                           time_constant=_compute_time_constant(load, clock, first, last) if relaxation else None,
-                           loading_time=float(clock[_find_sample_near_maximum_motion(motion)] - clock[0]))
+    return ControlledQuantityFindings("displacement" if loaded else quantity, pattern, relaxation,
+                                      loading=min([*loaded, peak + 1]),
+                                      time_constant=_compute_time_constant(load, clock, first, last) if relaxation
+                                      else None,
+                                      loading_time=float(clock[_find_sample_near_maximum_motion(motion)] - clock[0]))
 
 
-def _count_equal_loads(load: np.ndarray, first: int, last: int) -> int:
+def _count_loads_equal_to_median(load: np.ndarray, first: int, last: int) -> int:
     """Return how many loads of the samples `first` to `last` (not included) equal the median of these loads exactly.
 
     The number is 0 if the loads scatter, or if their last digit is coarse.
@@ -110,7 +114,7 @@ def _count_equal_loads(load: np.ndarray, first: int, last: int) -> int:
     count = int(np.count_nonzero(load[first:last] == level))
     if count < max(_SETTINGS.fewest, _SETTINGS.equal * (last - first)):
         return 0
-    return count if 0.0 < find_quantization_step(load) <= _SETTINGS.fine_digit * abs(level) else 0
+    return count if 0.0 < find_common_divisor_or_zero(load) <= _SETTINGS.fine_digit * abs(level) else 0
 
 
 def find_creep_intervals(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None
@@ -129,7 +133,7 @@ def find_creep_intervals(motion: np.ndarray, load: np.ndarray, time: np.ndarray 
     clock = np.arange(motion.size, dtype=float) if time is None else time
     if motion.size < 2 * _SETTINGS.fewest or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
         return ()
-    return tuple((first, last) for first, last, gain in _iterate_creeping_holds(motion, load, clock)
+    return tuple((first, last) for first, last, gain in _iterate_creeping_holds_with_gain(motion, load, clock)
                  if gain > SCREENING.creep)
 
 
@@ -155,7 +159,7 @@ def _find_sample_near_maximum_motion(motion: np.ndarray) -> int:
     return int(np.argmax(motion >= 0.98 * motion.max()))
 
 
-def _count_samples_to_largest_motion(motion: np.ndarray, oscillation: Oscillation) -> int:
+def _count_to_peak_before_oscillation(motion: np.ndarray, oscillation: Oscillation) -> int:
     """Return the number of samples up to and including the largest displacement before the oscillation."""
     return int(np.argmax(motion[:oscillation.first + 1])) + 1
 
@@ -183,15 +187,15 @@ def _compute_relaxed_fraction(load: np.ndarray, first: int, last: int, rest: flo
     return (begin - end) / (begin - rest)
 
 
-def _iterate_creeping_holds(motion: np.ndarray, load: np.ndarray,
-                            clock: np.ndarray) -> Iterator[tuple[int, int, float]]:
+def _iterate_creeping_holds_with_gain(motion: np.ndarray, load: np.ndarray,
+                                      clock: np.ndarray) -> Iterator[tuple[int, int, float]]:
     """Yield first sample, end and relative gain of the displacement for each hold of the load with creep."""
     rest = _estimate_load_at_rest(motion, load)
     span = max(float(load.max()), rest) - min(float(load.min()), rest)
     tolerance = max(_SETTINGS.held_range * span, _SETTINGS.held_noise * estimate_noise_deviation(load))
     if tolerance > 0.2 * span:
         return
-    for first, last in _iterate_long_holds(label_motion(clock, load, tolerance)):
+    for first, last in _iterate_long_holds(label_samples_ramp_hold_unload(clock, load, tolerance)):
         level = float(np.median(load[first + 1:last]))
         first += 1
         if abs(level - rest) <= _SETTINGS.loaded * span or np.ptp(load[first:last]) > 4 * tolerance:
@@ -201,7 +205,7 @@ def _iterate_creeping_holds(motion: np.ndarray, load: np.ndarray,
         gain -= _compute_elastic_gain(motion, load, first, last)
         if gain <= 0 or not duration > 0 or gain < 6 * estimate_noise_deviation(motion) or motion[first] <= 0:
             continue
-        if _is_motion_creeping(motion, clock, first, last, gain / duration):
+        if _is_motion_slowing_as_in_creep(motion, clock, first, last, gain / duration):
             yield first, last, gain / float(motion[first])
 
 
@@ -218,7 +222,7 @@ def _compute_elastic_gain(motion: np.ndarray, load: np.ndarray, first: int, last
     return max(increase, 0.0) * float(moved / loaded) if moved > 0 and loaded > 0 else 0.0
 
 
-def _is_motion_creeping(motion: np.ndarray, clock: np.ndarray, first: int, last: int, rate: float) -> bool:
+def _is_motion_slowing_as_in_creep(motion: np.ndarray, clock: np.ndarray, first: int, last: int, rate: float) -> bool:
     """Return whether a motion in samples `first` to `last` (not included) creeps.
 
     Creep slows down, and it is slower than the loading before. A recording that begins in a loaded state does not show
@@ -241,8 +245,8 @@ def _is_motion_creeping(motion: np.ndarray, clock: np.ndarray, first: int, last:
                 and rate < _SETTINGS.slower * (motion[first] - motion[before]) / loading)
 
 
-def _find_channel_linear_in_time(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: int
-                ) -> Literal["displacement", "force"] | None:
+def _find_channel_linear_in_time_or_none(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: int
+                                         ) -> Literal["displacement", "force"] | None:
     """Return the channel that is linear in time up to sample `end` (not included); None if both or neither are."""
     if end < 2 * _SETTINGS.fewest or not clock[end - 1] > clock[0]:
         return None

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.resolution import find_rounding_step
-from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_motion_corners, label_motion
+from tissue_sim.recording.resolution import find_rounding_step_or_zero
+from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_motion_corners, label_samples_ramp_hold_unload
 
 
 @dataclass(frozen=True)
@@ -114,9 +114,9 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     if displacement.size < 5 or not np.ptp(displacement) > 0:
         return None
     noise = _estimate_noise_deviation(force)
-    labels = label_motion(time, displacement)
+    labels = label_samples_ramp_hold_unload(time, displacement)
     edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), labels.size)
-    speed = _compute_sample_speeds(time, displacement) if timed else np.ones(force.size)
+    speed = _compute_sample_speeds_by_straight_part(time, displacement) if timed else np.ones(force.size)
     # A relaxed specimen can pull at the tool at the end of an unloading: only the first loading shows the zero.
     first_unloading = int(np.argmax(labels == "unload")) if np.any(labels == "unload") else force.size
     for first, last in pairwise(edges.tolist()):
@@ -163,7 +163,7 @@ class _RampOrHold:
     least: float
     tremor: float
 
-    def _compute_least_losses(self, peak: np.ndarray) -> np.ndarray:
+    def _compute_least_loss_after_each_peak(self, peak: np.ndarray) -> np.ndarray:
         """Return for each peak the least loss of force, N, that is a failure; infinite for a peak that is too low."""
         risen = peak - min(self.zero, float(self.force[0]))
         return np.where(risen > max(_SETTINGS.least_rise * self.range, 2 * _SETTINGS.least_noise * self.noise),
@@ -176,7 +176,7 @@ class _RampOrHold:
         smooth = _running_median_of_three(self.force)
         highest = np.maximum.accumulate(smooth)
         peak = np.maximum.accumulate(np.where(smooth >= highest, np.arange(smooth.size), 0))
-        lower = highest - smooth > self._compute_least_losses(highest)
+        lower = highest - smooth > self._compute_least_loss_after_each_peak(highest)
         lower &= self.displacement >= self.displacement[peak]
         speed = np.append(self.before, self.speed)
         for place in np.flatnonzero(lower).tolist():
@@ -202,7 +202,7 @@ class _RampOrHold:
         # A tissue that relaxes loses force as soon as the motion slows down.
         after, speed = self.speed[at + _SETTINGS.sudden_samples], self.speed[at - _SETTINGS.sudden_samples]
         forward &= (after >= _SETTINGS.same_speed * speed) | (speed <= 0)
-        drops = np.flatnonzero((lost > self._compute_least_losses(self.force[at])) & forward
+        drops = np.flatnonzero((lost > self._compute_least_loss_after_each_peak(self.force[at])) & forward
                                & (lost > _SETTINGS.sudden_ratio * before + _SETTINGS.least_noise * self.noise))
         if not drops.size:
             return None
@@ -236,7 +236,7 @@ def _build_failure_and_recovery_sample(displacement: np.ndarray, force: np.ndarr
 def _estimate_noise_deviation(force: np.ndarray) -> float:
     """Return the standard deviation of the noise, N: white noise, correlated noise or rounding, the largest of them."""
     bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
-    deviations = [np.median(np.abs(bend)) / 0.6745, find_rounding_step(force) / np.sqrt(12.0)]
+    deviations = [np.median(np.abs(bend)) / 0.6745, find_rounding_step_or_zero(force) / np.sqrt(12.0)]
     if force.size > 2 * _SETTINGS.smooth_samples:
         # Value of a cubic through the neighbours: Savitzky and Golay, Anal. Chem. 36 (1964) 1627.
         around = np.vander(np.arange(_SETTINGS.smooth_samples) - _SETTINGS.smooth_samples // 2, 4)
@@ -252,7 +252,7 @@ def _running_median_of_three(values: np.ndarray) -> np.ndarray:
     return np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
 
 
-def _compute_sample_speeds(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+def _compute_sample_speeds_by_straight_part(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """Return for each sample the mean speed, m/s, of the straight part of the motion that contains it, shape (n,)."""
     corners = find_motion_corners(time, displacement, MOTION_SETTINGS.straightness * float(np.ptp(displacement)))
     duration = np.diff(time[corners])

@@ -16,10 +16,10 @@ import numpy as np
 
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import run_in_sandbox
-from tissue_sim.decode import convert_to_json_types, read_json, require_valid_json_values
-from tissue_sim.errors import InputError, add_location_to_errors
+from tissue_sim.decode import convert_to_json_types, read_json_value, require_valid_json_values
+from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.files import open_file
+from tissue_sim.files import open_input_file
 from tissue_sim.recording.constant_speed import complete_motion_from_speed
 from tissue_sim.recording.formats import FORMATS
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
@@ -85,7 +85,7 @@ def read_recordings(path: str | Path, *, format: str = "native", columns: Mappin
     for key in options:
         if key not in parameters:
             raise InputError(f"files of format {format!r} have no {key}; leave it out", field=key)
-    with open_file(path, "a recording"):  # refuses a folder, a pipe or a device before the reader starts
+    with open_input_file(path, "a recording"):  # refuses a folder, a pipe or a device before the reader starts
         pass
     answer = run_in_sandbox(partial(reader, path, **options), file=path)
     several = answer if isinstance(answer, tuple) else (answer,)
@@ -105,7 +105,7 @@ def _add_time_and_metadata(recording: Recording, path: Path, speed: float | None
     if speed is not None and not (strained and "time" in recording):
         recording = complete_motion_from_speed(recording, speed, path)
     _require_channels_of_kind(recording, kind, path)
-    with open_file(path, "a recording") as file:
+    with open_input_file(path, "a recording") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     metadata = {"name": path.stem, **_read_sidecar(path, digest), "source": str(path), "sha256": digest}
     return recording.with_metadata(**metadata)
@@ -139,7 +139,7 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     except TypeError as error:
         raise InputError(f"the metadata cannot be written as JSON ({error}); keep text, finite numbers, lists and maps",
                          file=path, field="metadata") from error
-    with add_location_to_errors(file=path):
+    with located_and_converted_errors(file=path):
         require_valid_json_values(metadata, "metadata")
     # A crash between the two leaves a sidecar whose SHA-256 does not match, which the reader reports.
     write_bytes(path, data)
@@ -156,7 +156,7 @@ def require_overwritable_sidecar(path: Path) -> None:
     if not sidecar.exists():
         return
     try:
-        found = read_json(sidecar, "the sidecar of a recording")
+        found = read_json_value(sidecar, "the sidecar of a recording")
     except InputError:
         found = None
     if not isinstance(found, dict) or "sha256" not in found:
@@ -202,7 +202,7 @@ def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
     sidecar = path.with_suffix(".json")
     if path.suffix.lower() != ".csv" or not sidecar.exists():
         return {}
-    metadata = read_json(sidecar, f"the sidecar of {path.name} (JSON)")
+    metadata = read_json_value(sidecar, f"the sidecar of {path.name} (JSON)")
     if not isinstance(metadata, dict):
         raise InputError(f"expected an object {{...}} with the metadata of {path.name}; correct or rename this file",
                          file=sidecar)

@@ -16,8 +16,8 @@ LOADS = ("force", "nominal stress")
 
 
 @dataclass(frozen=True)
-class ExtrapolationSettings:
-    """Settings of `estimate_first_sample_value`: extension of a curve to the first sample.
+class FirstSampleExtrapolationSettings:
+    """Settings of `get_or_extrapolate_first_value_of_channel`: extension of a curve to the first sample.
 
     Attributes:
         most: largest number of samples after the outlier that determine the curve.
@@ -41,10 +41,10 @@ class ExtrapolationSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = ExtrapolationSettings()
+_SETTINGS = FirstSampleExtrapolationSettings()
 
 
-class _ExtrapolatedStart(NamedTuple):
+class _ChannelAtTimeZero(NamedTuple):
     """Value of a channel extrapolated to time 0, with its standard error.
 
     Attributes:
@@ -60,7 +60,8 @@ class _ExtrapolatedStart(NamedTuple):
     sample_count: int
 
 
-def estimate_first_sample_value(recording: Recording, screening: Screening, name: str, partner: str) -> float | None:
+def get_or_extrapolate_first_value_of_channel(recording: Recording, screening: Screening, name: str,
+                                              partner: str) -> float | None:
     """Return the value of a channel at the first sample; None if the other samples do not determine it.
 
     A value that is an outlier is replaced by a line or a parabola in time through the samples that follow, extended to
@@ -78,25 +79,27 @@ def estimate_first_sample_value(recording: Recording, screening: Screening, name
     """
     values, other = recording.channel(name), recording.channel(partner)
     usable = np.flatnonzero(~np.isin(np.arange(1, len(recording) + 1), screening.left_out_sample_numbers))
-    if not _is_first_sample_omitted(screening, name):
+    if not _is_first_sample_excluded_by_screening(screening, name):
         # A sample that the campaign lists without a visible fault is left out of both channels.
-        return float(values[usable[0] if _is_first_sample_omitted(screening, "") else 0])
-    if _is_first_sample_omitted(screening, partner) and partner not in LOADS:
+        return float(values[usable[0] if _is_first_sample_excluded_by_screening(screening, "") else 0])
+    if _is_first_sample_excluded_by_screening(screening, partner) and partner not in LOADS:
         return None
     clock = recording.time[usable] - recording.time[0] if "time" in recording else usable.astype(float)
     if not (clock[0] > 0 and np.all(np.diff(clock[:_SETTINGS.most]) > 0)):
         clock = usable.astype(float)
-    digits = {each: _estimate_load_rounding(recording, usable, each, name if each == partner else partner)
+    digits = {each: _estimate_rounding_deviation_of_load(recording, usable, each, name if each == partner else partner)
               if each in LOADS else 0.0 for each in (name, partner)}
     load, motion = (name, partner) if name in LOADS else (partner, name)
-    moved = _extrapolate_to_time_zero(clock, recording.channel(motion)[usable], digits[motion], _SETTINGS.most)
+    moved = _try_extrapolating_channel_to_time_zero(clock, recording.channel(motion)[usable], digits[motion],
+                                                    _SETTINGS.most)
     # A load after a corner of the motion is not on the curve of the first samples, which noise can hide.
     loaded = None if moved is None else \
-        _extrapolate_to_time_zero(clock, recording.channel(load)[usable], digits[load], moved.sample_count)
+        _try_extrapolating_channel_to_time_zero(clock, recording.channel(load)[usable], digits[load],
+                                                moved.sample_count)
     own, its = (loaded, moved) if name == load else (moved, loaded)
     if own is None or its is None or own.error > _SETTINGS.known * float(np.ptp(values[usable])):
         return None
-    gap = its.start - (0.0 if _is_first_sample_omitted(screening, partner) else float(other[0]))
+    gap = its.start - (0.0 if _is_first_sample_excluded_by_screening(screening, partner) else float(other[0]))
     late, tolerance = -gap, max(_SETTINGS.gap * abs(its.change), _SETTINGS.gap_errors * its.error)
     if abs(gap) <= tolerance:
         return own.start
@@ -106,7 +109,7 @@ def estimate_first_sample_value(recording: Recording, screening: Screening, name
     return own.start + own.change * min(late / its.change, 1.0)
 
 
-def _is_first_sample_omitted(screening: Screening, name: str) -> bool:
+def _is_first_sample_excluded_by_screening(screening: Screening, name: str) -> bool:
     """Return whether the screening left out the first sample because of the channel `name`.
 
     An empty name stands for the samples that the campaign lists.
@@ -114,8 +117,8 @@ def _is_first_sample_omitted(screening: Screening, name: str) -> bool:
     return any(1 in each.samples and each.channel == name for each in screening.left_out)
 
 
-def _extrapolate_to_time_zero(clock: np.ndarray, values: np.ndarray, rounding: float,
-                              most: int) -> _ExtrapolatedStart | None:
+def _try_extrapolating_channel_to_time_zero(clock: np.ndarray, values: np.ndarray, rounding: float,
+                                            most: int) -> _ChannelAtTimeZero | None:
     """Extend a channel to time 0 by a line or a parabola through as many first samples as possible.
 
     Args:
@@ -137,12 +140,12 @@ def _extrapolate_to_time_zero(clock: np.ndarray, values: np.ndarray, rounding: f
                 continue
             leverage = float(np.linalg.inv(design.T @ design)[0, 0])
             start = float(coefficients[0])
-            return _ExtrapolatedStart(start, float(design[0] @ coefficients) - start, noise * np.sqrt(1.0 + leverage),
+            return _ChannelAtTimeZero(start, float(design[0] @ coefficients) - start, noise * np.sqrt(1.0 + leverage),
                                       count)
     return None
 
 
-def _estimate_load_rounding(recording: Recording, usable: np.ndarray, load: str, motion: str) -> float:
+def _estimate_rounding_deviation_of_load(recording: Recording, usable: np.ndarray, load: str, motion: str) -> float:
     """Return the standard deviation of the rounding of a load; 0 if the load never keeps its value during motion."""
     steps, moves = (np.abs(np.diff(recording.channel(each)[usable])) for each in (load, motion))
     is_coarse = bool(np.any((steps == 0) & (moves > np.median(moves)))) and bool(np.any(steps > 0))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.recording.recording import Recording
 
 ENGINEERING = "engineering"
@@ -72,8 +72,8 @@ def _stretch_from_almansi(strain: np.ndarray) -> np.ndarray:
 MEASURES: dict[str, StrainOrStressMeasure] = {
     "logarithmic": StrainOrStressMeasure("stretch", "logarithmic strain",
                                          r"true|log|ln|logarithmic|hencky|natural|wahre[rn]?|"
-                           r"logarithmische[rn]?|vraie?s?|logarithmique|umformgrad", _stretch_from_logarithmic,
-                                         "stretch = exp(strain)", np.log),
+                                         r"logarithmische[rn]?|vraie?s?|logarithmique|umformgrad",
+                                         _stretch_from_logarithmic, "stretch = exp(strain)", np.log),
     "green_lagrange": StrainOrStressMeasure("stretch", "Green-Lagrange strain",
                                             r"green|lagrange|lagrangian|lagrangesche",
                                             _stretch_from_green_lagrange, "stretch = sqrt(1 + 2 strain)",
@@ -99,7 +99,7 @@ _CHANNEL_OF_ROLE = {"strain": "stretch", "stretch": "stretch", "shear strain": "
                     "nominal stress": "nominal stress"}
 
 
-def find_measure(words: str, role: str) -> str | None:
+def find_measure_name_in_header_or_none(words: str, role: str) -> str | None:
     """Return the name of the measure in a header, `ENGINEERING` included; None: no word for a measure.
 
     Args:
@@ -118,7 +118,7 @@ def find_measure(words: str, role: str) -> str | None:
     return ENGINEERING if _ENGINEERING.search(words) else None
 
 
-def find_other_measures(words: str, role: str) -> tuple[str, ...]:
+def list_other_measures_named_by_words(words: str, role: str) -> tuple[str, ...]:
     """Return other measures that the same words name.
 
     A Lagrangian strain is the Green-Lagrange strain or the engineering strain. A Piola-Kirchhoff stress is the first
@@ -127,7 +127,7 @@ def find_other_measures(words: str, role: str) -> tuple[str, ...]:
     channel, parts = _CHANNEL_OF_ROLE.get(role), words.split()
     if channel == "stretch" and any(part.startswith("lagrang") for part in parts) and "green" not in parts:
         return (ENGINEERING,)
-    if channel == "nominal stress" and "piola" in parts and find_measure(words, role) is None:
+    if channel == "nominal stress" and "piola" in parts and find_measure_name_in_header_or_none(words, role) is None:
         return ("second_piola_kirchhoff",)
     return ()
 
@@ -142,13 +142,14 @@ def require_valid_measure(measure: object, channel: str, channels: Mapping[str, 
     if measure not in names:
         expected = f"one of {', '.join(names)}" if names else "left out: the channel has one measure only"
         raise InputError(f"measure of {channel} must be {expected}; got {measure!r}"
-                         f"{suggest_known_word(str(measure), names) if names else ''}", field=f"{field}.measure")
+                         f"{make_hint_with_similar_or_known_words(str(measure), names) if names else ''}",
+                         field=f"{field}.measure")
     if channel == "nominal stress" and not {"stretch", "shear strain"} & channels.keys():
         raise InputError(f"{MEASURES[str(measure)].title} needs the stretch to become a nominal stress; name a column "
                          "of stretch or strain too", field=f"{field}.measure")
 
 
-def convert_to_stretch_and_nominal(recording: Recording, measures: Mapping[str, str]) -> Recording:
+def convert_recording_to_stretch_and_nominal(recording: Recording, measures: Mapping[str, str]) -> Recording:
     """Convert other measures to stretch and nominal stress, and add the measures to the metadata (``measures``).
 
     Args:
@@ -179,7 +180,10 @@ def convert_to_stretch_and_nominal(recording: Recording, measures: Mapping[str, 
 
 
 def get_original_measures(recording: Recording) -> dict[str, StrainOrStressMeasure]:
-    """Return the measures in the file, before `convert_to_stretch_and_nominal`: name of the channel -> measure."""
+    """Return the measures in the file: name of the channel -> measure.
+
+    These are the measures before `convert_recording_to_stretch_and_nominal`.
+    """
     stated = recording.metadata.get("measures")
     return {channel: MEASURES[name] for channel, name in (stated.items() if isinstance(stated, Mapping) else ())
             if channel in recording and name in MEASURES and MEASURES[name].channel == channel}

@@ -11,7 +11,7 @@ from tissue_sim.recording.recording import Recording
 _RADIUS_TOLERANCE = 0.01
 
 
-def describe_tool_mismatch(recording: Recording, shape: str, radius: float | None) -> str:
+def get_recorded_tool_if_different_or_empty(recording: Recording, shape: str, radius: float | None) -> str:
     """Return the tool in the metadata if it differs from the expected shape or radius (m); else an empty text."""
     stated = recording.metadata.get("tool")
     if not isinstance(stated, Mapping) or "shape" not in stated:
@@ -24,7 +24,7 @@ def describe_tool_mismatch(recording: Recording, shape: str, radius: float | Non
     return tool if other else ""
 
 
-def describe_kind_mismatch(recording: Recording, kind: str) -> str:
+def get_recorded_kind_if_different_or_empty(recording: Recording, kind: str) -> str:
     """Return the kind of test in the metadata if it differs from the expected kind; else an empty text."""
     stated = recording.metadata.get("kind", kind)
     return "" if stated == kind else str(stated)

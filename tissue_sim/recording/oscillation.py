@@ -11,7 +11,7 @@ from tissue_sim.recording.segmentation import ReversalDetector
 
 @dataclass(frozen=True)
 class OscillationSettings:
-    """Settings of `find_oscillation`.
+    """Settings of `find_final_oscillation_or_none`.
 
     Attributes:
         hysteresis_range: least hysteresis of a reversal, as a fraction of the range of the motion.
@@ -64,7 +64,8 @@ class Oscillation:
     loss_factor: float | None
 
 
-def find_oscillation(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None) -> Oscillation | None:
+def find_final_oscillation_or_none(motion: np.ndarray, load: np.ndarray,
+                                   time: np.ndarray | None = None) -> Oscillation | None:
     """Find the oscillation at the end of a recording; None without an oscillation.
 
     Args:
@@ -83,7 +84,7 @@ def find_oscillation(motion: np.ndarray, load: np.ndarray, time: np.ndarray | No
                                      0.3 * reach))
     for index, value in zip(places.tolist(), motion[places].tolist(), strict=True):
         reversals.add_sample(index, value)
-    window = _find_equal_half_periods(np.array([*reversals.starts, motion.size - 1]), motion, time)
+    window = _find_last_equal_half_periods_and_period(np.array([*reversals.starts, motion.size - 1]), motion, time)
     if window is None:
         return None
     first, last, period = window
@@ -100,8 +101,8 @@ def find_oscillation(motion: np.ndarray, load: np.ndarray, time: np.ndarray | No
     return Oscillation(first, last, frequency, mean, amplitude, returns, loss)
 
 
-def _find_equal_half_periods(turns: np.ndarray, motion: np.ndarray, time: np.ndarray | None
-                             ) -> tuple[int, int, float] | None:
+def _find_last_equal_half_periods_and_period(turns: np.ndarray, motion: np.ndarray, time: np.ndarray | None
+                                             ) -> tuple[int, int, float] | None:
     """Return the first and last sample of the last equal half periods, and the period; None: too few half periods.
 
     Args:
@@ -133,7 +134,7 @@ def _fit_frequency_and_loss_factor(motion: np.ndarray, load: np.ndarray, time: n
     clock = (np.arange(motion.size, dtype=float) if time is None else time)[inside]
     clock = clock - clock[0]
 
-    def fit_harmonics(frequency: float, values: np.ndarray) -> tuple[np.ndarray, float]:
+    def fit_drift_and_two_harmonics(frequency: float, values: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the coefficients of drift and two harmonics, shape (6,), and the sum of squared residuals."""
         angle = 2 * np.pi * frequency * clock
         design = np.column_stack([np.ones(clock.size), clock, np.cos(angle), np.sin(angle), np.cos(2 * angle),
@@ -142,8 +143,9 @@ def _fit_frequency_and_loss_factor(motion: np.ndarray, load: np.ndarray, time: n
         return coefficients, float(np.sum((values - design @ coefficients)**2))
 
     tried = (1 + np.linspace(-_SETTINGS.frequency_width, _SETTINGS.frequency_width, _SETTINGS.frequencies)) / period
-    frequency = float(min(tried, key=lambda each: fit_harmonics(each, motion[inside])[1]))
-    (of_motion, _), (of_load, squares) = (fit_harmonics(frequency, values[inside]) for values in (motion, load))
+    frequency = float(min(tried, key=lambda each: fit_drift_and_two_harmonics(each, motion[inside])[1]))
+    (of_motion, _), (of_load, squares) = (fit_drift_and_two_harmonics(frequency, values[inside])
+                                          for values in (motion, load))
     ratio = complex(of_load[2], -of_load[3]) / complex(of_motion[2], -of_motion[3])
     error = np.sqrt(2 * squares / clock.size) / np.sqrt(clock.size)
     # The phase is unknown if the amplitude of the load is below the noise.

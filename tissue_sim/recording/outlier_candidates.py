@@ -18,7 +18,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class OutlierSettings:
-    """Thresholds of `find_outliers`.
+    """Thresholds of `find_outliers_of_motion_and_load`.
 
     Attributes:
         fewest: samples of a recording that is examined. longest: samples of a group.
@@ -91,9 +91,9 @@ class ChannelOutlierSearch:
         self.values, self.settings, self.is_counted = values, settings, is_counted
         padded = np.concatenate([_evaluate_robust_line(values[:9], np.arange(-3, 0)), values,
                                  _evaluate_robust_line(values[:-10:-1], np.arange(-3, 0))[::-1]])
-        self.smooth = _running_median_of_seven(padded)
+        self.smooth = _compute_median_of_seven_from_padded(padded)
         self.away = away = np.abs(values - self.smooth)
-        local = np.abs(values - _predict_by_neighbours(padded))
+        local = np.abs(values - _predict_each_sample_from_padded_values(padded))
         steps = np.abs(np.diff(values))
         self.range = float(np.ptp(self.smooth))
         least = 1e-9 * float(np.abs(self.smooth).max() or 1.0)
@@ -103,17 +103,17 @@ class ChannelOutlierSearch:
             positive = np.abs(np.diff(self.smooth))
             positive = positive[positive > least]
         self.resolution = float(positive.min()) if positive.size else 0.0
-        self.noise = _estimate_local_scale(away) / _SCALE.median_distance
-        self.steps = _estimate_local_scale(np.append(steps, steps[-1]))
+        self.noise = _compute_largest_nearby_block_median(away) / _SCALE.median_distance
+        self.steps = _compute_largest_nearby_block_median(np.append(steps, steps[-1]))
         least = np.maximum(settings.of_range * self.range, settings.of_resolution * self.resolution)
         self.least = np.maximum(least, settings.of_noise * self.noise)
-        noise = np.maximum(self.noise, _estimate_local_scale(local) / _SCALE.median_distance)
+        noise = np.maximum(self.noise, _compute_largest_nearby_block_median(local) / _SCALE.median_distance)
         self.groups = (away > np.maximum(self.least, settings.of_steps * self.steps)) & (self.range > 0)
         # Predictions that use a group of outliers are wrong: they find only single samples far from groups.
         near = np.convolve(self.groups, np.ones(_SCALE.window), "same") > 0
         self.singles = (local > np.maximum(least, settings.of_noise * noise)) & ~near & (self.range > 0)
 
-    def iterate_outlier_groups(self) -> Iterator[tuple[tuple[int, ...], float]]:
+    def iterate_outlier_groups_and_predictions(self) -> Iterator[tuple[tuple[int, ...], float]]:
         """Yield groups of samples that contradict their neighbours, with the value predicted for the first sample."""
         for candidates in (self.groups, self.singles):
             edges = np.flatnonzero(np.diff(np.concatenate([[False], candidates, [False]]).astype(int)))
@@ -125,13 +125,13 @@ class ChannelOutlierSearch:
             for first, last in runs:
                 if last - first > self.settings.longest:
                     continue
-                predicted = self._predict_if_outliers(first, last, good)
+                predicted = self._predict_first_value_if_outliers(first, last, good)
                 if predicted is None and last - first > 1:
                     # Next to an outlier a step comes early in the running median: one sample of the run may be right.
                     farthest = first + int(np.argmax(self.away[first:last]))
                     others = np.setdiff1d(np.arange(first, last), farthest)
                     first, last = farthest, farthest + 1
-                    predicted = self._predict_if_outliers(first, last, np.union1d(good, others))
+                    predicted = self._predict_first_value_if_outliers(first, last, np.union1d(good, others))
                 if predicted is not None:
                     yield tuple(range(first, last)), predicted
 
@@ -143,7 +143,7 @@ class ChannelOutlierSearch:
         far = first + np.flatnonzero(self.away[first:last] >= self.settings.core * self.away[first:last].max())
         return int(far[0]), int(far[-1]) + 1
 
-    def _predict_if_outliers(self, first: int, last: int, good: np.ndarray) -> float | None:
+    def _predict_first_value_if_outliers(self, first: int, last: int, good: np.ndarray) -> float | None:
         """Return the prediction for sample `first` if samples `first` to `last` (not included) are outliers; else None.
 
         Args:
@@ -169,14 +169,14 @@ class ChannelOutlierSearch:
         limit = max(float(self.least[first]), (setting.of_fit_at_end if one_sided else setting.of_fit) * deviation,
                     float(np.ptp(self.values[around])) if one_sided else 0.0)
         if not np.all(np.abs(self.values[group] - predicted) > limit):
-            beyond = None if one_sided else self._predict_near_step(group, around)
+            beyond = None if one_sided else self._predict_first_value_if_outlying_near_step(group, around)
             if beyond is None:
                 return None
             predicted = np.array([beyond])
         # Rounding errors of the fit are zero.
         return float(predicted[0]) if abs(predicted[0]) > 1e-9 * self.range else 0.0
 
-    def _predict_near_step(self, group: np.ndarray, around: np.ndarray) -> float | None:
+    def _predict_first_value_if_outlying_near_step(self, group: np.ndarray, around: np.ndarray) -> float | None:
         """Return the prediction for a group of outliers near a step; None if the group belongs to the step.
 
         A line is fitted to the neighbours before, and one to the neighbours after their largest jump. A group on one
@@ -210,7 +210,7 @@ class ChannelOutlierSearch:
             after = first
         return float(self.values[after] - self.values[before])
 
-    def find_largest_step(self, first: int, last: int) -> float:
+    def compute_largest_step_near_group(self, first: int, last: int) -> float:
         """Return the largest step between neighbours on one side of samples `first` to `last` (not included)."""
         count = self.settings.neighbours
         sides = self.values[max(first - count, 0):first], self.values[last:last + count]
@@ -230,7 +230,7 @@ def _evaluate_robust_line(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return float(np.median(values - slope * places)) + slope * at
 
 
-def _running_median_of_seven(padded: np.ndarray) -> np.ndarray:
+def _compute_median_of_seven_from_padded(padded: np.ndarray) -> np.ndarray:
     """Return the median of seven samples around each sample; `padded` has three more samples at each end."""
     rows = [padded[k:padded.size - _SCALE.window + 1 + k] for k in range(_SCALE.window)]
     # Exchanges that move the median of seven to the fourth position: Devillard, Fast median search (1998).
@@ -240,7 +240,7 @@ def _running_median_of_seven(padded: np.ndarray) -> np.ndarray:
     return rows[3]
 
 
-def _predict_by_neighbours(padded: np.ndarray) -> np.ndarray:
+def _predict_each_sample_from_padded_values(padded: np.ndarray) -> np.ndarray:
     """Return the median of five linear predictions of each sample; `padded` has three more samples at each end."""
     size = padded.size - _SCALE.window + 1
     by = [padded[k:k + size] for k in range(_SCALE.window)]
@@ -250,7 +250,7 @@ def _predict_by_neighbours(padded: np.ndarray) -> np.ndarray:
     return rows[2]
 
 
-def _estimate_local_scale(values: np.ndarray) -> np.ndarray:
+def _compute_largest_nearby_block_median(values: np.ndarray) -> np.ndarray:
     """Return at each sample the larger of the medians of neighbouring blocks and of all values, shape (n,)."""
     blocks = max(values.size // _SCALE.block, 1)
     whole = values[:blocks * _SCALE.block].reshape(blocks, -1) if values.size >= _SCALE.block else values[None]

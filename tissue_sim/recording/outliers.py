@@ -16,8 +16,8 @@ from tissue_sim.recording.outlier_candidates import SETTINGS, ChannelOutlierSear
 from tissue_sim.recording.screening import LeftOutSamples, format_sample_numbers
 
 
-def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSettings = SETTINGS, *,
-                  is_counted: bool = False) -> tuple[tuple[str, tuple[int, ...], float], ...]:
+def find_outliers_of_motion_and_load(motion: np.ndarray, load: np.ndarray, settings: OutlierSettings = SETTINGS, *,
+                                     is_counted: bool = False) -> tuple[tuple[str, tuple[int, ...], float], ...]:
     """Find the outliers of motion and load, in the order of the samples.
 
     Args:
@@ -38,16 +38,17 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
             break
         channels = {"motion": ChannelOutlierSearch(motion[kept], settings, is_counted=is_counted),
                     "load": ChannelOutlierSearch(load[kept], settings)}
-        candidates = {name: tuple(one.iterate_outlier_groups()) for name, one in channels.items()}
+        candidates = {name: tuple(one.iterate_outlier_groups_and_predictions()) for name, one in channels.items()}
         lost = kept[0] > 0 and not any(name == "motion" and 0 in group for name, group in found)
-        start = _StartFromRest(motion[:1] if lost else None, any(0 in group for group, _ in candidates["load"]))
+        start = _LoadingFromRestAtStart(motion[:1] if lost else None,
+                                        any(0 in group for group, _ in candidates["load"]))
         new = {}
         for name in channels:
             for group, predicted in candidates[name]:
                 if _belongs_to_test(name, group, channels, settings):
                     continue
-                wrong = start.find_wrong_samples(name) if start.is_loading_from_rest(group, channels,
-                                                                                     settings) else group
+                is_loading = start.is_group_loading_from_rest(group, channels, settings)
+                wrong = start.list_wrong_first_load_sample(name) if is_loading else group
                 if wrong and (wrong == group or not _belongs_to_test(name, wrong, channels, settings)):
                     new[name, tuple(kept[list(wrong)].tolist())] = predicted
         if not new:
@@ -57,12 +58,13 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
     return tuple((name, group, found[name, group]) for name, group in sorted(found, key=lambda each: each[1]))
 
 
-def describe_outliers(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels: Mapping[str, np.ndarray],
-             words: Callable[[str, float], str]) -> tuple[LeftOutSamples, ...]:
+def make_left_out_samples_of_outliers(outliers: tuple[tuple[str, tuple[int, ...], float], ...],
+                                      channels: Mapping[str, np.ndarray],
+                                      words: Callable[[str, float], str]) -> tuple[LeftOutSamples, ...]:
     """Describe outliers, one entry for each channel and group of samples.
 
     Args:
-        outliers: result of `find_outliers`.
+        outliers: result of `find_outliers_of_motion_and_load`.
         channels: name of the motion and of the load, in this order -> values, shape (n,).
         words: function that formats a value (SI) of a channel.
 
@@ -82,7 +84,7 @@ def describe_outliers(outliers: tuple[tuple[str, tuple[int, ...], float], ...], 
             "the samples that follow point to" if group[0] == 0 else "the samples before point to")
         found.append(LeftOutSamples(tuple(sample + 1 for sample in group), name,
                                     f"the {name} reads {shown}, and {where} {words(name, predicted)}"
-                                    f"{_explain_load_drop(which, group, total, values, predicted)}"))
+                                    f"{_explain_final_load_drop_or_empty(which, group, total, values, predicted)}"))
     if len(seen) > SETTINGS.most * total and len(seen) > SETTINGS.longest:
         samples = format_sample_numbers(tuple(sample + 1 for sample in sorted(seen)))
         raise InputError(f"{len(seen)} of {total} samples are outliers ({samples}): the sensor or the reading of the "
@@ -90,14 +92,15 @@ def describe_outliers(outliers: tuple[tuple[str, tuple[int, ...], float], ...], 
     return tuple(found)
 
 
-def _explain_load_drop(which: str, group: tuple[int, ...], total: int, values: np.ndarray, predicted: float) -> str:
+def _explain_final_load_drop_or_empty(which: str, group: tuple[int, ...], total: int, values: np.ndarray,
+                                      predicted: float) -> str:
     """Return the possible reason of a load that falls at the end of a recording; else an empty text."""
     falls = which == "load" and group[-1] == total - 1 and bool(np.all(np.abs(values) < 0.5 * abs(predicted)))
     return " (a rupture at the end, or lost values)" if falls else ""
 
 
 @dataclass(frozen=True, eq=False)
-class _StartFromRest:
+class _LoadingFromRestAtStart:
     """Loading from rest at the start of a recording, which outlier detection must not remove; the first load is wrong.
 
     Attributes:
@@ -108,8 +111,8 @@ class _StartFromRest:
     motion: np.ndarray | None
     is_candidate: bool
 
-    def is_loading_from_rest(self, group: tuple[int, ...], channels: Mapping[str, ChannelOutlierSearch],
-                             settings: OutlierSettings) -> bool:
+    def is_group_loading_from_rest(self, group: tuple[int, ...], channels: Mapping[str, ChannelOutlierSearch],
+                                   settings: OutlierSettings) -> bool:
         """Return whether a group at the start is the loading from rest.
 
         The motion rises from rest through all samples of the group, and the load grows from the second sample on.
@@ -125,7 +128,7 @@ class _StartFromRest:
         return bool(np.all(np.diff(load) * load[0] > 0)) and _do_samples_rise_from_rest(
             motion, settings, is_counted=channels["motion"].is_counted)
 
-    def find_wrong_samples(self, name: str) -> tuple[int, ...]:
+    def list_wrong_first_load_sample(self, name: str) -> tuple[int, ...]:
         """Return the wrong samples of a channel at the start: (0,) for a load that is not left out yet; else ()."""
         return (0,) if name == "load" and self.motion is None else ()
 
@@ -138,10 +141,11 @@ def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, C
     at_end = first == 0 or last == motion.values.size
     if not at_end:
         step = abs(motion.compute_change_across(first, last))
-        return name == "load" and step > max(settings.event * (last - first + 1) * motion.find_largest_step(first,
-                                                                                                            last),
-                                             0.02 * motion.range) and _does_load_follow_motion_step(group, channels,
-                                                                                                    settings)
+        if name != "load":
+            return False
+        largest = motion.compute_largest_step_near_group(first, last)
+        return step > max(settings.event * (last - first + 1) * largest, 0.02 * motion.range) \
+            and _does_load_follow_motion_step(group, channels, settings)
     if first == 0 and last > 1 and all(_do_samples_rise_from_rest(one.values[:last + 1], settings,
                                                                   is_counted=one.is_counted)
                                        for one in (motion, load)):
@@ -150,7 +154,8 @@ def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, C
             motion.is_counted or abs(motion.values[0]) > settings.rest * float(np.abs(motion.smooth).max())):
         # A single sample before a step does not decide the zero of the motion.
         return False
-    if name == "load" and first == 0 and _do_first_loads_relax(load.values[:last], float(load.values[last])):
+    if name == "load" and first == 0 \
+        and _are_first_loads_up_to_twice_following(load.values[:last], float(load.values[last])):
         return True
     if first == 0:
         return any(_do_channels_step_together(sample, sample + 1, motion, load, settings) for sample in group)
@@ -165,7 +170,7 @@ def _does_load_follow_motion_step(group: tuple[int, ...], channels: Mapping[str,
     not a response of the specimen, and neither is an overshoot beyond `OutlierSettings.overshoot`. The direction is
     unknown if motion and load are hardly correlated.
     """
-    correlation = _correlate_channels(channels)
+    correlation = _compute_correlation_without_outliers(channels)
     motion, load = channels["motion"], channels["load"].values
     first, last = group[0], group[-1] + 1
     if np.any(np.abs(load[first:last] - channels["load"].smooth[first:last]) > settings.overshoot *
@@ -178,7 +183,7 @@ def _does_load_follow_motion_step(group: tuple[int, ...], channels: Mapping[str,
     return bool(np.all(direction * load[first:last] >= neighbours.min() - channels["load"].least[first]))
 
 
-def _correlate_channels(channels: Mapping[str, ChannelOutlierSearch]) -> float:
+def _compute_correlation_without_outliers(channels: Mapping[str, ChannelOutlierSearch]) -> float:
     """Return the correlation of motion and load without their outliers."""
     away = [channels[name].smooth - channels[name].smooth.mean() for name in ("motion", "load")]
     return float(np.sum(away[0] * away[1])) / (float(np.sqrt(np.sum(away[0]**2) * np.sum(away[1]**2))) or 1.0)
@@ -201,7 +206,7 @@ def _do_channels_step_together(sample: int, next_one: int, motion: ChannelOutlie
         if abs(jump) <= 0.05 * one.range:
             return False
         jumps.append(jump)
-    correlation = _correlate_channels({"motion": motion, "load": load})
+    correlation = _compute_correlation_without_outliers({"motion": motion, "load": load})
     together = jumps[0] * jumps[1] * correlation >= 0 or abs(correlation) < settings.correlated
     largest = [float(np.abs(one.smooth).max()) for one in (motion, load)]
     rests = [abs(one.values[sample]) <= settings.rest * most for one, most in zip((motion, load), largest, strict=True)]
@@ -230,7 +235,7 @@ def _do_samples_rise_from_rest(values: np.ndarray, settings: OutlierSettings, *,
     return bool(abs(values[0]) <= settings.rest * np.abs(values).max())
 
 
-def _do_first_loads_relax(values: np.ndarray, following: float) -> bool:
+def _are_first_loads_up_to_twice_following(values: np.ndarray, following: float) -> bool:
     """Return whether each load has the sign of the load `following` them, and 1 to 2 times its magnitude."""
     return bool(np.all(values * following > 0) and np.all(np.abs(values) > abs(following))
                 and np.all(np.abs(values) < 2.0 * abs(following)))

@@ -38,7 +38,7 @@ class PreloadSettings:
 _SETTINGS = PreloadSettings()
 
 
-class LoadAtZeroDisplacement(NamedTuple):
+class LoadAtZeroAndContactShift(NamedTuple):
     """Load at zero displacement of a recording that starts under load.
 
     All values are negative for a load against the direction of loading.
@@ -54,14 +54,14 @@ class LoadAtZeroDisplacement(NamedTuple):
     shift: float
 
 
-def estimate_load_at_zero_displacement(motion: np.ndarray, load: np.ndarray) -> LoadAtZeroDisplacement | None:
+def estimate_load_at_zero_displacement(motion: np.ndarray, load: np.ndarray) -> LoadAtZeroAndContactShift | None:
     """Estimate the load at the start of the first loading from a polynomial; None if the load starts at zero.
 
     Args:
         motion: displacement, m, positive under load, in the order of time, shape (n,).
         load: force, N, positive under load, shape (n,).
     """
-    peak = _count_before_relaxation(motion, load, int(np.argmax(motion)) + 1)
+    peak = _count_samples_before_relaxing_hold(motion, load, int(np.argmax(motion)) + 1)
     reach = float(np.ptp(motion))
     if (peak < _SETTINGS.fewest or not reach > 0 or not np.ptp(load) > 0
             or abs(motion[0]) > _SETTINGS.start_offset * reach):
@@ -76,13 +76,13 @@ def estimate_load_at_zero_displacement(motion: np.ndarray, load: np.ndarray) -> 
         at_zero, error = _fit_polynomial_intercept(x / reach, y, degree)
         slope = float(np.polyfit(x, y, 1)[0])
         if slope > 0 and abs(at_zero) >= max(_SETTINGS.fraction * range_of_load, _SETTINGS.significant * error):
-            return LoadAtZeroDisplacement(at_zero, at_zero / range_of_load, at_zero / slope)
+            return LoadAtZeroAndContactShift(at_zero, at_zero / range_of_load, at_zero / slope)
         if _SETTINGS.significant * error <= _SETTINGS.fraction * range_of_load:
             return None
     return None
 
 
-def _count_before_relaxation(motion: np.ndarray, load: np.ndarray, end: int) -> int:
+def _count_samples_before_relaxing_hold(motion: np.ndarray, load: np.ndarray, end: int) -> int:
     """Return the number of samples before the first hold in which the load relaxes; `end` without such a hold.
 
     After a relaxation the load is not a function of the motion alone, and a polynomial does not show the load at zero.

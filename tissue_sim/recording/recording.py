@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, suggest_known_word
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 
 #: Channel -> quantity of its unit. SI inside: s, m, N, Pa, K.
 CHANNELS: dict[str, str] = {
@@ -56,7 +56,7 @@ class Recording:
         channels, length = {}, None
         for name, values in self.channels.items():
             if name not in CHANNELS:
-                raise InputError(f"unknown channel{suggest_known_word(name, CHANNELS)}", field=name)
+                raise InputError(f"unknown channel{make_hint_with_similar_or_known_words(name, CHANNELS)}", field=name)
             # Read-only arrays are shared, not copied, because recordings are large and share their channels.
             array = values if _is_owned_read_only_array(values) else np.array(values, dtype=float)
             array.flags.writeable = False
@@ -71,8 +71,9 @@ class Recording:
             raise InputError("a recording needs at least one channel", field="channels")
         for name, values in self.labels.items():
             if name not in LABELS:
-                raise InputError(f"unknown label channel (one text per sample){suggest_known_word(name, LABELS)}",
-                                 field=name)
+                raise InputError(
+                    f"unknown label channel (one text per sample){make_hint_with_similar_or_known_words(name, LABELS)}",
+                    field=name)
             if len(values) != length:
                 raise InputError(f"must have one label per sample; got {len(values)} labels for {length} "
                                  "samples.", field=name)
@@ -81,12 +82,12 @@ class Recording:
             if back.size:
                 raise InputError(f"time runs backwards after sample {back[0] + 1} ({channels['time'][back[0]]:g} s, "
                                  f"then {channels['time'][back[0] + 1]:g} s)", field="time")
-        object.__setattr__(self, "channels", make_read_only_copy(channels))
+        object.__setattr__(self, "channels", make_shallow_read_only_copy(channels))
         labels = {name: np.array(values) for name, values in self.labels.items()}
         for values in labels.values():
             values.flags.writeable = False
-        object.__setattr__(self, "labels", make_read_only_copy(labels))
-        object.__setattr__(self, "metadata", make_read_only_copy(self.metadata))
+        object.__setattr__(self, "labels", make_shallow_read_only_copy(labels))
+        object.__setattr__(self, "metadata", make_shallow_read_only_copy(self.metadata))
 
     def __reduce__(self):
         # The constructor makes the arrays of another process read-only.

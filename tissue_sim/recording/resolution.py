@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.recording.saturation import find_quantization_step
+from tissue_sim.recording.saturation import find_common_divisor_or_zero
 
 
 @dataclass(frozen=True)
 class ResolutionSettings:
-    """Settings of `find_rounding_step`.
+    """Settings of `find_rounding_step_or_zero`.
 
     Attributes:
         whole: largest difference of a step from a whole multiple of the step of the sensor, as a fraction of that step.
@@ -27,7 +27,7 @@ class ResolutionSettings:
 _SETTINGS = ResolutionSettings()
 
 
-def find_rounding_step(values: np.ndarray) -> float:
+def find_rounding_step_or_zero(values: np.ndarray) -> float:
     """Return the step of a sensor with few different values; 0 for a fine sensor.
 
     The numbers of a file are rounded, too: steps may differ from whole multiples by the last digit of the numbers.
@@ -42,6 +42,6 @@ def find_rounding_step(values: np.ndarray) -> float:
         return 0.0
     counts = np.round(steps / steps.min())
     step = float(steps.sum() / counts.sum())
-    digit = find_quantization_step(values)
+    digit = find_common_divisor_or_zero(values)
     allowed = max(_SETTINGS.whole * step, 1.5 * digit if digit < _SETTINGS.fine_digit * step else 0.0)
     return step if np.abs(steps - counts * step).max() <= allowed else 0.0

@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SaturationSettings:
-    """Thresholds of `find_saturation`.
+    """Thresholds of `find_saturated_runs`.
 
     Attributes:
         fewest: samples at the extreme value.
@@ -44,7 +44,7 @@ SETTINGS = SaturationSettings()
 
 @dataclass(frozen=True)
 class LastDigitSettings:
-    """Settings of `find_quantization_step`.
+    """Settings of `find_common_divisor_or_zero`.
 
     Attributes:
         exact: error of a difference, in units of the floating-point spacing of the largest value.
@@ -70,8 +70,8 @@ class SaturatedRun:
     count: int
 
 
-def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | None = None, *, rounding: float = 0.0,
-                    is_free: bool = False, settings: SaturationSettings = SETTINGS) -> tuple[SaturatedRun, ...]:
+def find_saturated_runs(values: np.ndarray, other: np.ndarray, time: np.ndarray | None = None, *, rounding: float = 0.0,
+                        is_free: bool = False, settings: SaturationSettings = SETTINGS) -> tuple[SaturatedRun, ...]:
     """Find the samples at which a channel is cut off at its largest or smallest value.
 
     A run of equal extreme values is saturation if the other channel continues in its direction at no less than half of
@@ -104,10 +104,11 @@ def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | No
         # The value at rest is no limit of a sensor.
         if abs(extreme - np.median(values[:3])) <= settings.at_rest * np.ptp(values):
             continue
-        for run in _find_extreme_value_runs(np.flatnonzero(side * values >= side * extreme - rounding), settings):
-            least = max(missing, digit * _estimate_missing_change(run.count, settings))
+        for run in _group_extreme_samples_into_runs(np.flatnonzero(side * values >= side * extreme - rounding),
+                                                    settings):
+            least = max(missing, digit * _compute_apparent_change_in_last_digits(run.count, settings))
             is_equal = is_free or _is_noisy_before_run(run, values, rounding, settings)
-            if (is_equal and _does_other_channel_continue(run, other, travel)) or _is_run_saturated(
+            if (is_equal and _does_other_channel_continue(run, other, travel)) or _is_expected_change_missing_in_run(
                     run, side * values, other, clock, least, travel, settings):
                 found.append(run)
     return tuple(sorted(found, key=lambda run: run.first))
@@ -118,7 +119,7 @@ def _is_noisy_before_run(run: SaturatedRun, values: np.ndarray, rounding: float,
     if run.first < settings.noise_from:
         return False
     before = values[:run.first]
-    digit = max(find_quantization_step(values), rounding)
+    digit = max(find_common_divisor_or_zero(values), rounding)
     # The third differences of a smooth curve are small, so that they show the noise alone.
     noise = float(np.median(np.abs(np.diff(before, 3)))) / (0.6745 * np.sqrt(20.0))
     return 0.0 < settings.noisy * digit <= noise
@@ -130,7 +131,7 @@ def _does_other_channel_continue(run: SaturatedRun, other: np.ndarray, travel: f
     return bool(abs(along[-1]) > travel and abs(along[-1]) >= 0.5 * float(np.ptp(along)))
 
 
-def _estimate_missing_change(count: int, settings: SaturationSettings) -> float:
+def _compute_apparent_change_in_last_digits(count: int, settings: SaturationSettings) -> float:
     """Return the apparent missing change of a channel with a smooth maximum, in its last digits.
 
     Around the maximum P - c x^2, with samples at the distance h, `count` samples within one digit d of P span
@@ -140,7 +141,7 @@ def _estimate_missing_change(count: int, settings: SaturationSettings) -> float:
     return 4.0 + 4.0 * (settings.before + 1) / (count - 1)
 
 
-def find_quantization_step(values: np.ndarray) -> float:
+def find_common_divisor_or_zero(values: np.ndarray) -> float:
     """Return the largest step of which all differences of the values are whole multiples, in double precision.
 
     The method is Euclid's algorithm for the greatest common divisor of the differences of neighbours. Values that were
@@ -172,7 +173,7 @@ def _estimate_noise_deviation(values: np.ndarray) -> float:
     return float(np.median(bend[bend > 0])) / (0.6745 * np.sqrt(6.0)) if np.any(bend > 0) else 0.0
 
 
-def _find_extreme_value_runs(places: np.ndarray, settings: SaturationSettings) -> list[SaturatedRun]:
+def _group_extreme_samples_into_runs(places: np.ndarray, settings: SaturationSettings) -> list[SaturatedRun]:
     """Return runs of at least `SaturationSettings.fewest` samples at the extreme value."""
     if places.size < settings.fewest:
         return []
@@ -180,8 +181,8 @@ def _find_extreme_value_runs(places: np.ndarray, settings: SaturationSettings) -
     return [SaturatedRun(int(part[0]), int(part[-1]), part.size) for part in parts if part.size >= settings.fewest]
 
 
-def _is_run_saturated(run: SaturatedRun, values: np.ndarray, other: np.ndarray, clock: np.ndarray, missing: float,
-                      travel: float, settings: SaturationSettings) -> bool:
+def _is_expected_change_missing_in_run(run: SaturatedRun, values: np.ndarray, other: np.ndarray, clock: np.ndarray,
+                                       missing: float, travel: float, settings: SaturationSettings) -> bool:
     """Return whether the channel, positive towards its extreme value, would have continued to change.
 
     Args:

@@ -8,7 +8,7 @@ from typing import Literal
 
 
 @dataclass(frozen=True)
-class ScreeningSettings:
+class NonElasticityThresholds:
     """Thresholds above which an elastic law does not describe a test.
 
     Attributes:
@@ -25,8 +25,8 @@ class ScreeningSettings:
     rate_error: float = 0.05
 
 
-#: Thresholds of `ControlFindings`.
-SCREENING = ScreeningSettings()
+#: Thresholds of `ControlledQuantityFindings`.
+SCREENING = NonElasticityThresholds()
 #: A load without noise, in words; {} is the number of its samples.
 EQUAL_LOAD = "the load is equal to the last digit in {} samples while the displacement grows"
 #: The remedy where a material relaxes, creeps or dissipates.
@@ -91,7 +91,7 @@ class Preload:
 
 
 @dataclass(frozen=True)
-class ControlFindings:
+class ControlledQuantityFindings:
     """The quantity that the machine controls, and what the material does while that quantity is constant.
 
     Attributes:
@@ -122,7 +122,7 @@ class ControlFindings:
     equal_samples: int = 0
 
     @property
-    def modulus_rate_error(self) -> float:
+    def relative_modulus_error_by_relaxation(self) -> float:
         """Estimated relative error of an elastic modulus due to relaxation or creep during the loading, 1.
 
         A material with the relaxed fraction g and the time constant tau, loaded at a constant rate for a time T, shows
@@ -140,17 +140,17 @@ class ControlFindings:
         return self.loss_factor is not None and abs(self.loss_factor) > SCREENING.loss_factor
 
     @property
-    def is_elastic(self) -> bool:
+    def can_elastic_law_describe_loading(self) -> bool:
         """Whether a law without memory can describe the loading, as far as the signals show.
 
         The estimate of a creep test is a lower bound, because the creep during the loading and after the end of the
         recording is not seen: half of the limit applies.
         """
         limit = (0.5 if self.pattern == "creep" else 1.0) * SCREENING.rate_error
-        return not self.has_dissipative_oscillation and self.modulus_rate_error <= limit
+        return not self.has_dissipative_oscillation and self.relative_modulus_error_by_relaxation <= limit
 
     @property
-    def constant_load_warning(self) -> str:
+    def constant_load_warning_or_empty(self) -> str:
         """Warning that a constant load is either controlled or saturated, and the remedy; empty for another load."""
         return "" if not self.equal_samples else (
             f"{EQUAL_LOAD.format(self.equal_samples)}: the force is held and the column holds its set value (control = "
@@ -166,7 +166,7 @@ class ControlFindings:
         if self.creep > SCREENING.creep:
             return (f"the force is held and the displacement creeps by {100 * self.creep:.0f} %: an elastic law cannot "
                     f"describe it; {VISCOELASTIC_REMEDY}")
-        if self.relaxation > SCREENING.relaxation and not self.is_elastic:
+        if self.relaxation > SCREENING.relaxation and not self.can_elastic_law_describe_loading:
             return (f"the force relaxes in holds by up to {100 * self.relaxation:.0f} %: an elastic law gives neither "
                     f"the modulus at once nor that at equilibrium; {VISCOELASTIC_REMEDY}")
         if self.relaxation > SCREENING.relaxation:
@@ -189,7 +189,7 @@ class Screening:
     left_out: tuple[LeftOutSamples, ...] = ()
     saturation: tuple[Saturation, ...] = ()
     preload: Preload | None = None
-    control: ControlFindings | None = None
+    control: ControlledQuantityFindings | None = None
     suspected: tuple[LeftOutSamples, ...] = ()
 
     @property
@@ -199,7 +199,7 @@ class Screening:
         return tuple(sorted({number for group in groups for number in group}))
 
     @property
-    def kept_count_before_saturation(self) -> float:
+    def kept_count_before_saturation_or_infinity(self) -> float:
         """Number of samples that are kept before the first saturated one; infinite without saturation."""
         first = min((each.samples[0] for each in self.saturation), default=None)
         if first is None:
@@ -207,7 +207,7 @@ class Screening:
         return first - 1 - sum(number < first for number in self.left_out_sample_numbers)
 
     @property
-    def outlier_warnings(self) -> tuple[str, ...]:
+    def kept_outlier_warnings(self) -> tuple[str, ...]:
         """One sentence for each group of outliers that is kept."""
         return tuple(f"{format_sample_numbers(each.samples)} kept, as leave_out does not list it: {each.reason}"
                      for each in self.suspected)
@@ -216,18 +216,19 @@ class Screening:
     def finding_sentences(self) -> tuple[str, ...]:
         """One sentence for the user for each finding of the screening."""
         found = [*(each.sentence for each in self.left_out), *(each.sentence for each in self.saturation)]
-        found += self.outlier_warnings
+        found += self.kept_outlier_warnings
         found += [each.sentence for each in (self.preload, self.control) if each is not None]
         return tuple(filter(None, found))
 
     @property
-    def fit_contradictions(self) -> tuple[str, ...]:
+    def elastic_fit_contradictions(self) -> tuple[str, ...]:
         """The findings, as sentences, that make the moduli of an elastic fit wrong or doubtful."""
         found = [] if self.preload is None or self.preload.is_settled else [self.preload.sentence]
-        found += self.outlier_warnings
+        found += self.kept_outlier_warnings
         if self.control is not None:
-            found += [self.control.constant_load_warning] if self.control.constant_load_warning else []
-            found += [] if self.control.is_elastic else [self.control.sentence]
+            found += [self.control.constant_load_warning_or_empty] if self.control.constant_load_warning_or_empty \
+                else []
+            found += [] if self.control.can_elastic_law_describe_loading else [self.control.sentence]
         return tuple(found)
 
 

@@ -2,7 +2,8 @@
 
 A displacement of no more than the hysteresis is ignored. A motion reverses when it returns by more than the hysteresis
 (`ReversalDetector`, sample by sample). Between reversals the motion is a polyline within half of the hysteresis
-(`find_motion_corners`), and a line with no displacement beyond the hysteresis is a hold (`label_motion`).
+(`find_motion_corners`), and a line with no displacement beyond the hysteresis is a hold
+(`label_samples_ramp_hold_unload`).
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ class ReversalDetector:
         if self.starts:
             self.starts[0] = max(self.starts[0], first)
 
-    def list_branches(self, end: int) -> list[tuple[int, int, int]]:
+    def list_branch_directions_and_ranges(self, end: int) -> list[tuple[int, int, int]]:
         """Return (direction, first, last) of each branch up to index `end`, both ends included."""
         edges = [*self.starts, end]
         newest = len(self.starts) - 1
@@ -110,8 +111,8 @@ def find_motion_corners(time: np.ndarray, displacement: np.ndarray, tolerance: f
     return np.array(sorted(keep))
 
 
-def label_motion(time: np.ndarray, displacement: np.ndarray, tolerance: float | None = None, *,
-                 shortest_hold: float = 0.0) -> np.ndarray:
+def label_samples_ramp_hold_unload(time: np.ndarray, displacement: np.ndarray, tolerance: float | None = None, *,
+                                   shortest_hold: float = 0.0) -> np.ndarray:
     """Label each sample of a motion as ``ramp``, ``hold`` or ``unload``, shape (n,).
 
     Args:
@@ -126,15 +127,15 @@ def label_motion(time: np.ndarray, displacement: np.ndarray, tolerance: float | 
     way = np.diff(displacement[corners])
     names = np.where(np.abs(way) <= 2 * tolerance, "hold", np.where(way > 0, "ramp", "unload"))
     for part in np.flatnonzero(names == "hold") if shortest_hold else ():
-        if _compute_duration_near_sample(time, displacement, corners[part], corners[part + 1],
-                                         2 * tolerance) >= shortest_hold:
+        if _compute_duration_within_reach(time, displacement, corners[part], corners[part + 1],
+                                          2 * tolerance) >= shortest_hold:
             continue
         names[part] = names[part - 1] if part else "ramp" if way[part] > 0 else "unload"
     return names[np.clip(np.searchsorted(corners, np.arange(time.size), side="left") - 1, 0, names.size - 1)]
 
 
-def _compute_duration_near_sample(time: np.ndarray, displacement: np.ndarray, first: int, last: int,
-                                  reach: float) -> float:
+def _compute_duration_within_reach(time: np.ndarray, displacement: np.ndarray, first: int, last: int,
+                                   reach: float) -> float:
     """Return how long a motion stays within `reach` (m) of its value at sample `first`, around `first` to `last`, s."""
     away = np.flatnonzero(np.abs(displacement - displacement[first]) > reach)
     before, after = away[away < first], away[away > last]
@@ -145,7 +146,8 @@ def label_reloads_and_cycles(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """Return the labels with ``reload`` for each ramp after an unloading, and the numbers of the cycles, shapes (n,).
 
     Args:
-        labels: labels that `label_motion` returned, shape (n,). A cycle, numbered from 1, begins at each reload.
+        labels: labels that `label_samples_ramp_hold_unload` returned, shape (n,). A cycle, numbered from 1, begins at
+            each reload.
     """
     labels, cycles = np.array(labels, dtype="U6"), np.ones(labels.size, dtype=int)
     begins = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
@@ -172,7 +174,7 @@ def number_repeated_runs(labels: np.ndarray) -> np.ndarray:
     return np.repeat(np.array(names), np.diff(np.append(begins, labels.size)))
 
 
-def find_loading_and_unloading(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+def find_loading_and_unloading_indices(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Return the indices of the samples of the first loading and of the first unloading after it, without holds.
 
     Labels of segments determine both; without labels, the reversals of the displacement do.
@@ -182,13 +184,15 @@ def find_loading_and_unloading(recording: Recording) -> tuple[np.ndarray, np.nda
     """
     depth = recording.displacement
     has_labels = "segment" in recording.labels
-    load, unload = _split_by_labels(recording.labels["segment"]) if has_labels else _split_at_turns(depth)
+    load, unload = _find_loading_and_unloading_by_labels(recording.labels["segment"]) if has_labels \
+        else _find_loading_and_unloading_by_reversals(depth)
     if not load.size:  # labels of another vocabulary
-        load, unload = _split_at_turns(depth)
-    return load[select_monotone_samples(depth[load], 1)], unload[select_monotone_samples(depth[unload], -1)]
+        load, unload = _find_loading_and_unloading_by_reversals(depth)
+    return load[find_strictly_monotone_sample_indices(depth[load], 1)], unload[
+        find_strictly_monotone_sample_indices(depth[unload], -1)]
 
 
-def _split_by_labels(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _find_loading_and_unloading_by_labels(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples of the first run of loading segments, and of the first run of unloading segments."""
     kinds = np.where(np.isin(segment, _LOADING_LABELS), 1, np.where(np.isin(segment, _UNLOADING_LABELS), -1, 0))
     kinds[segment == "reload"] = 2
@@ -202,7 +206,7 @@ def _split_by_labels(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return load, np.concatenate([[unload[0] - 1], unload]) if unload.size and unload[0] > 0 else unload
 
 
-def _split_at_turns(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _find_loading_and_unloading_by_reversals(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples of the first branch that loads, and of the next branch."""
     reach = float(depth.max() - depth.min())
     # The tremor is at most that of a hand, and smaller in a small test.
@@ -210,14 +214,14 @@ def _split_at_turns(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     reversals = ReversalDetector(min(hysteresis, 0.1 * reach))
     for index, value in enumerate(depth.tolist()):
         reversals.add_sample(index, value)
-    branches = reversals.list_branches(depth.size - 1)
+    branches = reversals.list_branch_directions_and_ranges(depth.size - 1)
     while branches and branches[0][0] < 0:
         del branches[0]
     first, second, *_ = [np.arange(begin, end + 1) for _, begin, end in branches[:2]] + 2 * [np.arange(0)]
     return first, second
 
 
-def select_monotone_samples(depth: np.ndarray, direction: int) -> np.ndarray:
+def find_strictly_monotone_sample_indices(depth: np.ndarray, direction: int) -> np.ndarray:
     """Return the indices of samples of a branch between which the depth is strictly monotone.
 
     Samples of tremor and of rest at both ends are omitted. The first half of the branch keeps the last sample at each

@@ -13,9 +13,9 @@ from tissue_sim.public_names import OldName
 from tissue_sim.recording.contact import Contact, find_contact
 from tissue_sim.recording.control import find_creep_intervals
 from tissue_sim.recording.failure import Failure, find_failure
-from tissue_sim.recording.oscillation import find_oscillation
+from tissue_sim.recording.oscillation import find_final_oscillation_or_none
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segmentation import label_motion, label_reloads_and_cycles
+from tissue_sim.recording.segmentation import label_reloads_and_cycles, label_samples_ramp_hold_unload
 
 #: Names of segments, in the order of a test.
 SEGMENTS = ("approach", "preload", "preconditioning", "ramp", "hold", "unload", "reload", "failure")
@@ -73,9 +73,9 @@ class Segmentation:
         return self.contact is not None and self.contact.has_air_before_contact
 
     #: Old name.
-    runs = OldName("iterate_segments")
+    runs = OldName("iterate_segment_names_and_bounds")
 
-    def iterate_segments(self) -> Iterator[tuple[str, int, int]]:
+    def iterate_segment_names_and_bounds(self) -> Iterator[tuple[str, int, int]]:
         """Yield name, first sample and end (not included) of each segment, in order."""
         edges = np.flatnonzero(np.append(True, self.labels[1:] != self.labels[:-1]))
         for first, last in pairwise([*edges.tolist(), self.labels.size]):
@@ -97,7 +97,7 @@ def find_segments(recording: Recording, kind: TestKind | str | None = None) -> S
         InputError: an unknown kind, a recording without motion and load.
     """
     kind = KINDS.find(kind, "kind") if isinstance(kind, str) else kind
-    motion, load, stressed = get_motion_and_load(recording, kind)
+    motion, load, stressed = get_positive_motion_load_and_stress_flag(recording, kind)
     time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
     stated = "segment" in recording.labels
     return find_segments_of_arrays(motion, load, time, recording.labels["segment"] if stated else None,
@@ -117,7 +117,7 @@ def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: n
     """
     clock = np.arange(displacement.size, dtype=float) if time is None else time
     warnings: list[str] = []
-    ordered = _is_ordered_one_sided_loading(displacement, force, time)
+    ordered = _is_in_time_order_and_one_sided(displacement, force, time)
     contact = failure = None
     if ordered and displacement.size >= _SETTINGS.fewest_samples and np.ptp(displacement) > 0:
         failure = find_failure(displacement, force, time)
@@ -128,19 +128,19 @@ def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: n
     stated = labels is not None
     if labels is not None:
         labels = np.char.lower(np.asarray(labels).astype(str))
-        cycles = label_reloads_and_cycles(label_motion(clock, displacement))[1]
+        cycles = label_reloads_and_cycles(label_samples_ramp_hold_unload(clock, displacement))[1]
     elif not ordered:
         labels, cycles = np.full(displacement.size, "ramp"), np.ones(displacement.size, int)
     else:
-        labels = label_motion(clock, displacement)
+        labels = label_samples_ramp_hold_unload(clock, displacement)
         for first, last in find_creep_intervals(displacement, force, time):
             labels[first:last] = "hold"
         labels, cycles = label_reloads_and_cycles(labels)
         labels = labels.astype("U15")
         if contact is not None and contact.status != "none":
-            _label_preload(labels, displacement, force, contact, warnings, stressed)
-        if cycles.max() > _SETTINGS.fewest_cycles and not _is_oscillation(displacement, force, time):
-            _label_preconditioning(labels, cycles, displacement, warnings)
+            _label_approach_and_preload_in_place(labels, displacement, force, contact, warnings, stressed)
+        if cycles.max() > _SETTINGS.fewest_cycles and not _is_oscillation_around_offset(displacement, force, time):
+            _label_preconditioning_in_place(labels, cycles, displacement, warnings)
         if contact is not None and contact.has_air_before_contact:
             # Later cycles pass through air again.
             in_air = (cycles > 1) & (displacement < contact.displacement)
@@ -154,13 +154,13 @@ def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: n
     return Segmentation(labels, cycles, contact, failure, stated, stressed, tuple(warnings))
 
 
-def _is_oscillation(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
+def _is_oscillation_around_offset(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
     """Return whether the cycles are an oscillation around an offset, which does not precondition."""
-    found = find_oscillation(displacement, force, time)
+    found = find_final_oscillation_or_none(displacement, force, time)
     return found is not None and not found.returns
 
 
-def _is_ordered_one_sided_loading(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
+def _is_in_time_order_and_one_sided(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
     """Return whether the samples are in the order of time, and the specimen is loaded to one side."""
     reach, least = float(np.abs(displacement).max()) or 1.0, int(np.argmin(displacement))
     both_sides = displacement[least] < -0.2 * reach and force[least] < -0.2 * float(np.abs(force).max())
@@ -169,7 +169,8 @@ def _is_ordered_one_sided_loading(displacement: np.ndarray, force: np.ndarray, t
     return not both_sides and not table
 
 
-def get_motion_and_load(recording: Recording, kind: TestKind | None) -> tuple[np.ndarray, np.ndarray, bool]:
+def get_positive_motion_load_and_stress_flag(recording: Recording,
+                                             kind: TestKind | None) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return motion and load, positive under load, shapes (n,), and whether they are strain and stress."""
     pairs = [*(kind.channels if kind is not None else ())] or [
         pair for one in KINDS.values() for pair in one.channels]
@@ -182,8 +183,8 @@ def get_motion_and_load(recording: Recording, kind: TestKind | None) -> tuple[np
     return sign * strain, sign * load, True
 
 
-def _label_preload(labels: np.ndarray, displacement: np.ndarray, force: np.ndarray, contact: Contact,
-                   warnings: list[str], stressed: bool) -> None:
+def _label_approach_and_preload_in_place(labels: np.ndarray, displacement: np.ndarray, force: np.ndarray,
+                                         contact: Contact, warnings: list[str], stressed: bool) -> None:
     """Label the approach and the preload, in place."""
     largest = float(force.max())
     first_motion = int(np.argmax(labels != "hold")) if np.any(labels != "hold") else labels.size
@@ -211,8 +212,8 @@ def _label_preload(labels: np.ndarray, displacement: np.ndarray, force: np.ndarr
             return
 
 
-def _label_preconditioning(labels: np.ndarray, cycles: np.ndarray, displacement: np.ndarray,
-                           warnings: list[str]) -> None:
+def _label_preconditioning_in_place(labels: np.ndarray, cycles: np.ndarray, displacement: np.ndarray,
+                                    warnings: list[str]) -> None:
     """Label cycles with equal peaks before a last cycle as preconditioning, in place."""
     count = int(cycles.max())
     peaks = np.array([displacement[cycles == number].max() for number in range(1, count + 1)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def compute_nut_motion(screw: np.ndarray, play: float) -> tuple[np.ndarray, np.ndarray]:
+def compute_nut_positions_and_screw_samples(screw: np.ndarray, play: float) -> tuple[np.ndarray, np.ndarray]:
     """Compute the motion of the nut (play operator).
 
     The screw moves the nut downwards (to larger values) at once, and upwards only after `play`; at the first sample the

@@ -9,8 +9,13 @@ from typing import Any
 import msgspec
 
 from tissue_sim.atomic_write import write_text
-from tissue_sim.decode import decode_struct, read_json, require_file_schema, require_valid_json_values
-from tissue_sim.errors import add_location_to_errors
+from tissue_sim.decode import (
+    decode_struct,
+    read_json_value,
+    require_schema_kind_and_max_version,
+    require_valid_json_values,
+)
+from tissue_sim.errors import located_and_converted_errors
 from tissue_sim.parameters import convert_to_file_keys, list_field_declarations, make_from_file_keys
 from tissue_sim.rig.fault import FAULTS
 from tissue_sim.rig.rig import Rig
@@ -34,8 +39,8 @@ def load_rig(path: str | Path) -> Rig:
             or out of its range; with the file and the key.
     """
     path = Path(path)
-    with add_location_to_errors(file=path):
-        return _decode_rig(read_json(path, "a rig file (JSON)"))
+    with located_and_converted_errors(file=path):
+        return _decode_rig(read_json_value(path, "a rig file (JSON)"))
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
@@ -57,14 +62,14 @@ def write_rig(rig: Rig, path: str | Path) -> None:
         data["seed"] = int(rig.seed)
     if rig.faults:
         data["faults"] = {name: convert_to_file_keys(fault) for name, fault in rig.faults.items()}
-    with add_location_to_errors(file=path):
+    with located_and_converted_errors(file=path):
         require_valid_json_values(data)
     write_text(path, json.dumps(data, indent=2) + "\n")
 
 
 def _decode_rig(data) -> Rig:
     """Return the rig in the decoded JSON data of a rig file; InputError for an invalid schema, key or value."""
-    require_file_schema(data, "rig", VERSION)
+    require_schema_kind_and_max_version(data, "rig", VERSION)
     file = decode_struct(data, _RigFile)
     require_valid_json_values(data)
     stated = {key: number for key in _KEYS if (number := getattr(file, key)) is not None}

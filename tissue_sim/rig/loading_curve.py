@@ -10,8 +10,8 @@ from tissue_sim.recording.recording import Recording
 
 
 @dataclass(frozen=True)
-class LoadingCurveSettings:
-    """Tolerances of a `LoadingCurve`.
+class LoadingCurveTolerances:
+    """Tolerances of a `FirstLoadingCurveWithHistory`.
 
     Attributes:
         resolution: depths whose difference is below this fraction of the travel are equal, 1; small oscillations in a
@@ -26,10 +26,10 @@ class LoadingCurveSettings:
 
 
 #: Tolerances of every curve.
-_SETTINGS = LoadingCurveSettings()
+_SETTINGS = LoadingCurveTolerances()
 
 
-class LoadingCurve:
+class FirstLoadingCurveWithHistory:
     """Force of a computed recording on first loading, and the effect of history as factor and difference.
 
     On each side of the touch, at depth 0 and force 0, the curve is a monotone cubic (Fritsch and Carlson, SIAM J.
@@ -45,9 +45,9 @@ class LoadingCurve:
         depth, force = recording.displacement, recording.force
         hold = recording.labels["segment"] == "hold" if "segment" in recording.labels else np.zeros(depth.size, bool)
         step = _SETTINGS.resolution * np.ptp(depth)
-        first = _find_new_maxima(depth, hold, step)
-        self._into = _interpolate_from_touch(depth[first], force[first], step)
-        self._out = _interpolate_from_touch(-depth[first], force[first], step)
+        first = _find_indices_outside_previous_range(depth, hold, step)
+        self._into = _make_cubic_force_interpolator_from_touch(depth[first], force[first], step)
+        self._out = _make_cubic_force_interpolator_from_touch(-depth[first], force[first], step)
         self._extremes = force[first].min(), force[first].max()
         curve = self(depth)
         loaded = np.abs(curve) > _SETTINGS.no_force * np.abs(force).max()
@@ -62,7 +62,7 @@ class LoadingCurve:
         """Force, N, at depths, m; any shape."""
         return np.where(depth > 0, self._into(np.maximum(depth, 0.0)), self._out(np.maximum(-depth, 0.0)))
 
-    def solve_force_with_compliance(self, motion: np.ndarray, compliance: float, history: np.ndarray) -> np.ndarray:
+    def solve_force_on_compliant_rig(self, motion: np.ndarray, compliance: float, history: np.ndarray) -> np.ndarray:
         """Solve d + compliance F(d) = motion for the force F, where F is the curve at d with the effect of history.
 
         Args:
@@ -76,12 +76,12 @@ class LoadingCurve:
         samples = np.arange(self._factor.size)
         factor, rest = (np.interp(history, samples, values) for values in (self._factor, self._rest))
 
-        def interpolate_force(depth):
+        def compute_force_with_history(depth):
             """Return the force, N, at depths, m, with the effect of history."""
             return rest + factor * self(depth)
 
         if not compliance:
-            return interpolate_force(motion)
+            return compute_force_with_history(motion)
         # Bounds of the force, so that the interval contains a solution also if the curve falls.
         weakest, strongest = (rest + factor * bound for bound in (
             np.minimum(self(motion), self._extremes[0]), np.maximum(self(motion), self._extremes[1])))
@@ -89,12 +89,12 @@ class LoadingCurve:
         deep = motion - compliance * np.minimum(weakest, 0.0)
         for _ in range(_SETTINGS.bisections):
             middle = 0.5 * (shallow + deep)
-            short = middle + compliance * interpolate_force(middle) < motion
+            short = middle + compliance * compute_force_with_history(middle) < motion
             shallow, deep = np.where(short, middle, shallow), np.where(short, deep, middle)
-        return interpolate_force(0.5 * (shallow + deep))
+        return compute_force_with_history(0.5 * (shallow + deep))
 
 
-def _interpolate_from_touch(away: np.ndarray, force: np.ndarray, step: float):
+def _make_cubic_force_interpolator_from_touch(away: np.ndarray, force: np.ndarray, step: float):
     """Return the force as a function of the distance from the touch on one side; `away`: distance of the samples."""
     side = away > step
     if not side.any():
@@ -109,7 +109,7 @@ def _interpolate_from_touch(away: np.ndarray, force: np.ndarray, step: float):
     return lambda distance: cubic(np.minimum(distance, knots[-1])) + slope * np.maximum(distance - knots[-1], 0.0)
 
 
-def _find_new_maxima(depth: np.ndarray, hold: np.ndarray, step: float) -> list[int]:
+def _find_indices_outside_previous_range(depth: np.ndarray, hold: np.ndarray, step: float) -> list[int]:
     """Return indices of the first sample and of samples more than `step` outside the range of all earlier samples."""
     low = high = depth[0]
     found = [0]

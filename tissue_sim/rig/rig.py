@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.parameters import list_field_declarations, parameter
 from tissue_sim.public_names import OldName
 from tissue_sim.recording.recording import Recording
-from tissue_sim.rig.backlash import compute_nut_motion
+from tissue_sim.rig.backlash import compute_nut_positions_and_screw_samples
 from tissue_sim.rig.fault import RigFault
-from tissue_sim.rig.loading_curve import LoadingCurve
+from tissue_sim.rig.loading_curve import FirstLoadingCurveWithHistory
 from tissue_sim.rig.noise import generate_sensor_noise
 
 #: Targets of the effects: motion of the tool.
@@ -100,7 +100,7 @@ class Rig:
     def __post_init__(self):
         given = self.faults.values() if isinstance(self.faults, Mapping) else self.faults
         faults = {fault.name: fault for fault in given}
-        object.__setattr__(self, "faults", make_read_only_copy(faults))
+        object.__setattr__(self, "faults", make_shallow_read_only_copy(faults))
         if not isinstance(self.seed, Integral) or isinstance(self.seed, bool) or self.seed < 0:
             raise InputError(f"must be an integer of 0 or more; got {self.seed!r}.", field="rig.seed")
         for name, what in list_field_declarations(type(self)).items():
@@ -129,17 +129,19 @@ class Rig:
     @property
     def motion_only(self) -> Rig:
         """Rig with the effects on the motion of the tool only."""
-        return self._select_effects(_TOOL, faults=[fault for fault in self.faults.values() if fault.moves_tool])
+        return self._select_effects_on_targets(_TOOL,
+                                               faults=[fault for fault in self.faults.values() if fault.moves_tool])
 
     @property
     def reading_only(self) -> Rig:
         """Rig with the effects on the reading of forces only, without noise."""
-        return self._select_effects(_READING, faults=[fault for fault in self.faults.values() if fault.reads])
+        return self._select_effects_on_targets(_READING,
+                                               faults=[fault for fault in self.faults.values() if fault.reads])
 
     @property
     def without_noise(self) -> Rig:
         """Rig without noise, resolution and sampling rate."""
-        return self._select_effects(_TOOL, _READING, faults=self.faults)
+        return self._select_effects_on_targets(_TOOL, _READING, faults=self.faults)
 
     @property
     def needs_time(self) -> bool:
@@ -147,7 +149,7 @@ class Rig:
         return any((self.latency, self.rate_damping, self.sensor_drift, self.sampling_rate,
                     *(fault.needs_time for fault in self.faults.values())))
 
-    def _select_effects(self, *targets: str, faults: Any) -> Rig:
+    def _select_effects_on_targets(self, *targets: str, faults: Any) -> Rig:
         """Return a rig with only the effects on the given targets, and the given faults."""
         own = {entry.name: getattr(self, entry.name) for entry in fields(self)
                if entry.metadata.get(_ACTS_ON) in targets}
@@ -169,8 +171,9 @@ class Rig:
         Returns:
             m, shape (n,).
         """
-        screw = self._compute_screw_position(self._apply_faults(np.asarray(displacement, dtype=float)))
-        return compute_nut_motion(screw, self.backlash)[0]
+        screw = self._compute_tool_position_set_by_screw(
+            self._apply_faults_to_motion(np.asarray(displacement, dtype=float)))
+        return compute_nut_positions_and_screw_samples(screw, self.backlash)[0]
 
     def apply(self, recording: Recording) -> Recording:
         """Return the recording with the true force under this rig for the same reported motion; no new simulation.
@@ -186,11 +189,12 @@ class Rig:
         if not len(recording):
             return recording
         # With backlash the history is that at the time when the screw was at the present position of the nut.
-        motion, history = compute_nut_motion(self._compute_screw_position(self._apply_faults(recording.displacement)),
-                                             self.backlash)
+        motion, history = compute_nut_positions_and_screw_samples(
+            self._compute_tool_position_set_by_screw(self._apply_faults_to_motion(recording.displacement)),
+            self.backlash)
         if not self.compliance and np.array_equal(motion, recording.displacement):
             return recording
-        force = LoadingCurve(recording).solve_force_with_compliance(motion, self.compliance, history)
+        force = FirstLoadingCurveWithHistory(recording).solve_force_on_compliant_rig(motion, self.compliance, history)
         return recording.with_channels(force=force)
 
     def read(self, recording: Recording) -> Recording:
@@ -247,13 +251,13 @@ class Rig:
         """
         return self.read(self.apply(recording))
 
-    def _apply_faults(self, reported: np.ndarray) -> np.ndarray:
+    def _apply_faults_to_motion(self, reported: np.ndarray) -> np.ndarray:
         """Return the displacement of the lead screw, m, after the faults of `faults` that move the tool."""
         for fault in self.faults.values():
             reported = fault.tool_motion(reported)
         return reported
 
-    def _compute_screw_position(self, reported: np.ndarray) -> np.ndarray:
+    def _compute_tool_position_set_by_screw(self, reported: np.ndarray) -> np.ndarray:
         """Return the position of the tool, m, that the lead screw sets while the play is taken up downwards."""
         lost = self.step_loss * (np.maximum.accumulate(reported) > self.step_loss_depth)
         return (1.0 + self.displacement_gain) * (reported - lost - self.contact_offset)

@@ -52,10 +52,10 @@ class Cylinder(Specimen):
 
     def moved_mesh(self, mesh: SolidMesh, before: Specimen, circles: tuple[Circle, Circle]) -> SolidMesh:
         """Move the mesh of another cylinder to this cylinder; see `Specimen.moved_mesh`."""
-        from tissue_sim.mesh.mesh_mapping import RingedCylinder, map_cylinder
+        from tissue_sim.mesh.mesh_mapping import CylinderWithTopCircle, map_cylinder
 
         assert isinstance(before, Cylinder)
-        old, new = (RingedCylinder(body.radius, body.height, *circle)
+        old, new = (CylinderWithTopCircle(body.radius, body.height, *circle)
                     for body, circle in zip((before, self), circles, strict=True))
         return map_cylinder(mesh, old, new)
 

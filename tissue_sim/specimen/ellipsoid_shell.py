@@ -77,6 +77,6 @@ class EllipsoidShell(Specimen):
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
         """Make the mesh of hexahedra; see `Specimen.solid_mesh`."""
-        from tissue_sim.mesh.ellipsoid_shell import mesh_ellipsoid_shell
+        from tissue_sim.mesh.ellipsoid_shell import create_half_ellipsoid_shell_mesh
 
-        return mesh_ellipsoid_shell(self.semi_axes, self.thickness, grading)
+        return create_half_ellipsoid_shell_mesh(self.semi_axes, self.thickness, grading)

@@ -60,13 +60,13 @@ class MeshSpecimen(Specimen):
 
     def __eq__(self, other: object) -> bool:
         """Whether the contents of the files and all other fields are equal; the names of the files are ignored."""
-        return isinstance(other, MeshSpecimen) and self._content_key == other._content_key
+        return isinstance(other, MeshSpecimen) and self._equality_key == other._equality_key
 
     def __hash__(self) -> int:
-        return hash(self._content_key)
+        return hash(self._equality_key)
 
     @property
-    def _content_key(self) -> tuple:
+    def _equality_key(self) -> tuple:
         """Values that determine equality and hash: digest of the file and all other fields except the path."""
         return (self.digest, self.mesh_unit, self.mesh_base, self.mesh_top, self.name, self.density, self.gravity,
                 self.height_is)
@@ -84,7 +84,7 @@ class MeshSpecimen(Specimen):
             return _read_cached_file_mesh(path, self.mesh_unit, 0, 0)  # raises the error with its reason
 
     @property
-    def mesh_of_file(self) -> FileMesh:
+    def loaded_file_mesh(self) -> FileMesh:
         """Nodes, elements and named sets of the mesh file, as read."""
         return self._mesh
 
@@ -96,7 +96,7 @@ class MeshSpecimen(Specimen):
     @cached_property
     def _vertical_projection(self) -> VerticalProjection:
         """Plan view of the body: its top and base faces, with the origin in the middle of the top."""
-        from tissue_sim.mesh.solid_file import find_base_and_top, find_top_centre
+        from tissue_sim.mesh.solid_file import find_base_and_top, find_top_box_centre_and_height
         from tissue_sim.mesh.vertical_projection import VerticalProjection
 
         mesh = self._mesh
@@ -104,8 +104,8 @@ class MeshSpecimen(Specimen):
             held, met = find_base_and_top(mesh, self.mesh_base, self.mesh_top)
         except InputError as error:
             raise error.with_location(file=self.mesh_file) from None
-        return VerticalProjection(mesh.points - find_top_centre(mesh, met), mesh.sides[met], mesh.sides[held],
-                                  mesh.sides)
+        return VerticalProjection(mesh.points - find_top_box_centre_and_height(mesh, met), mesh.sides[met],
+                                  mesh.sides[held], mesh.sides)
 
     @property
     def height(self) -> float:
@@ -126,7 +126,7 @@ class MeshSpecimen(Specimen):
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
         """Return the distance of a position (x, y) from the edge of the top, in plan view, m; negative outside."""
-        return self._vertical_projection.distance_to_top_rim(x, y)
+        return self._vertical_projection.compute_signed_distance_to_top_rim(x, y)
 
     @property
     def outer_radius(self) -> float:
@@ -146,7 +146,7 @@ class MeshSpecimen(Specimen):
         Raises:
             InputError: layers, or fewer than `_FEWEST` nodes under the tool.
         """
-        from tissue_sim.mesh.solid import add_tool_node_sets
+        from tissue_sim.mesh.solid import add_face_and_free_node_sets
         from tissue_sim.mesh.solid_file import convert_file_mesh
 
         if grading.interfaces:
@@ -158,7 +158,7 @@ class MeshSpecimen(Specimen):
             raise error.with_location(file=self.mesh_file) from None
         if grading.radius is None:
             return mesh
-        mesh = add_tool_node_sets(mesh, grading.radius, grading.centre)
+        mesh = add_face_and_free_node_sets(mesh, grading.radius, grading.centre)
         if mesh.sets["face"].size < _FEWEST:
             raise InputError(f"only {mesh.sets['face'].size} nodes of the top lie within {grading.radius * 1e3:g} mm "
                              "of the tool's axis; give a mesh that is finer there", file=self.mesh_file,

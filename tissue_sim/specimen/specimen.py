@@ -31,7 +31,7 @@ STANDARD_GRAVITY = 9.81
 HEIGHTS = ("moulded", "placed")
 
 
-class _SpecimenShapeMeta(type):
+class _ShapeChoosingSpecimenMeta(type):
     """Metaclass: ``Specimen(0.04, 0.07)`` makes a cylinder, ``Specimen(shape="block", ...)`` a block.
 
     Positional values are first the sizes of the shape, then the fields that all shapes have.
@@ -42,7 +42,7 @@ class _SpecimenShapeMeta(type):
         entries = {entry.name: entry for entry in sorted(fields(kind), key=lambda entry: entry.name in _COMMON)}
         unknown = [name for name in named if name not in entries]
         if unknown or len(values) > len(entries):
-            what = _spell_name(unknown[0]) if unknown else "more sizes"
+            what = _replace_underscores_by_blanks(unknown[0]) if unknown else "more sizes"
             raise InputError(f"{add_article(kind.shape)} has no {what}; leave it out",
                              field=f"specimen.{unknown[0] if unknown else 'shape'}")
         named |= zip(entries, values, strict=False)
@@ -53,7 +53,7 @@ class _SpecimenShapeMeta(type):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Specimen(metaclass=_SpecimenShapeMeta):
+class Specimen(metaclass=_ShapeChoosingSpecimenMeta):
     """A body of the material that stands on its base; the origin is the middle of its top, z points out of the body.
 
     ``Specimen(radius, height, ...)`` makes a cylinder, ``Specimen(shape=..., **sizes)`` any shape. A specimen is a
@@ -99,7 +99,7 @@ class Specimen(metaclass=_SpecimenShapeMeta):
     gravity: float = parameter("g0", "m/s2", key="gravity_m_s2", bounds=(0.0, 100.0), absent=0.0, default=0.0)
     height_is: str = "moulded"
 
-    if TYPE_CHECKING:  # the arguments of `_SpecimenShapeMeta.__call__`, and a field or property of every shape
+    if TYPE_CHECKING:  # the arguments of `_ShapeChoosingSpecimenMeta.__call__`, and a field or property of every shape
         def __init__(self, *values: Any, **named: Any): ...
 
         @property
@@ -172,8 +172,10 @@ class Specimen(metaclass=_SpecimenShapeMeta):
     @property
     def in_words(self) -> str:
         """Sizes in words, such as ``radius 40 mm, height 70 mm``."""
-        return ", ".join(f"{_spell_name(name)} {getattr(self, name) / what.factor:g} {what.key.rpartition('_')[2]}"
-                         for name, what in list_field_declarations(type(self)).items() if name not in _COMMON)
+        return ", ".join(
+            f"{_replace_underscores_by_blanks(name)} {getattr(self, name) / what.factor:g} "
+            f"{what.key.rpartition('_')[2]}"
+            for name, what in list_field_declarations(type(self)).items() if name not in _COMMON)
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
         """Return the distance of a position (x, y) from the edge of the top, in plan view, m; negative outside."""
@@ -218,14 +220,14 @@ class Specimen(metaclass=_SpecimenShapeMeta):
 _COMMON = frozenset(entry.name for entry in fields(Specimen))
 
 
-def _spell_name(name: str) -> str:
+def _replace_underscores_by_blanks(name: str) -> str:
     """Return a name with blanks instead of underscores."""
     return name.replace("_", " ")
 
 
 def add_article(name: str) -> str:
     """Return the name of a shape or a size with its indefinite article: ``an ellipsoid shell``."""
-    return f"{'an' if name[0] in 'aeiou' else 'a'} {_spell_name(name)}"
+    return f"{'an' if name[0] in 'aeiou' else 'a'} {_replace_underscores_by_blanks(name)}"
 
 
 #: Shape -> class.
@@ -237,7 +239,7 @@ SPECIMENS: Registry[type[Specimen]] = Registry("specimen shape", "tissue_sim.spe
     expected="a frozen dataclass derived from Specimen", named_by="shape")
 
 
-class SpecimenSize(NamedTuple):
+class SizeDeclarationWithShapes(NamedTuple):
     """A size of one or several shapes of specimens.
 
     Attributes:
@@ -251,18 +253,18 @@ class SpecimenSize(NamedTuple):
     shapes: tuple[str, ...]
 
 
-def specimen_sizes() -> dict[str, SpecimenSize]:
+def specimen_sizes() -> dict[str, SizeDeclarationWithShapes]:
     """Return key in files and on the command line -> declaration and shapes, for the sizes of all shapes.
 
     Raises:
         InputError: two shapes use one key for different sizes.
     """
-    found: dict[str, SpecimenSize] = {}
+    found: dict[str, SizeDeclarationWithShapes] = {}
     for shape, kind in SPECIMENS.items():
         for name, what in list_field_declarations(kind).items():
             if name in _COMMON:
                 continue
-            first = found.get(what.key, SpecimenSize(what, name, ()))
+            first = found.get(what.key, SizeDeclarationWithShapes(what, name, ()))
             if (first.declaration.factor, first.field) != (what.factor, name):
                 raise InputError(f"the shapes {first.shapes[0]} and {shape} use the key {what.key} for different "
                                  "sizes; rename one of them", field="tissue_sim.specimens")
@@ -270,7 +272,7 @@ def specimen_sizes() -> dict[str, SpecimenSize]:
     return found
 
 
-def get_shape_sizes(shape: str) -> dict[str, Declaration]:
+def get_size_declarations_of_shape(shape: str) -> dict[str, Declaration]:
     """Return key in files -> declaration, for the sizes of a shape, in the order of its fields."""
     return {what.key: what for name, what in list_field_declarations(SPECIMENS.find(shape, "specimen.shape")).items()
             if name not in _COMMON}
@@ -292,11 +294,11 @@ def specimen_texts() -> dict[str, tuple[str, ...]]:
     return found
 
 
-def get_shape_keys(shape: str) -> dict[str, bool]:
+def get_required_flags_of_shape_keys(shape: str) -> dict[str, bool]:
     """Return key in files -> whether the key is required, for the sizes and texts of a shape."""
     kind = SPECIMENS.find(shape, "specimen.shape")
     usual = {entry.name: entry.default is not MISSING for entry in fields(kind)}
-    return {**{key: what.absent is None for key, what in get_shape_sizes(shape).items()},
+    return {**{key: what.absent is None for key, what in get_size_declarations_of_shape(shape).items()},
             **{key: not usual[name] for key, name in kind.texts.items()}}
 
 
@@ -315,8 +317,9 @@ def make_specimen_from_keys(shape: str, stated: Mapping[str, float | str], **com
     texts = SPECIMENS[shape].texts if shape in SPECIMENS else {}
     try:
         return Specimen(shape=shape, **common, **{texts[key] if key in texts else known[key].field:
-                        known[key].declaration.factor * value if isinstance(value, float | int) else value
-                        for key, value in stated.items()})
+                                                  known[key].declaration.factor * value
+                                                  if isinstance(value, float | int) else value
+                                                  for key, value in stated.items()})
     except InputError as error:
         field = (error.field or "").removeprefix("specimen.")
         declarations = list_field_declarations(SPECIMENS[shape]) if shape in SPECIMENS else {}

@@ -38,9 +38,9 @@ class DelayedHand(HapticDevice):
         if not 0 <= loss <= 1:
             raise InputError(f"the fraction of lost messages must be 0 to 1; got {loss:g}", field="loss")
         self._hand, self._delay, self._jitter, self._loss, self._seed = hand, delay, jitter, loss, seed
-        self._discard_forces_in_transit()
+        self._restart_clock_and_discard_forces()
 
-    def _discard_forces_in_transit(self) -> None:
+    def _restart_clock_and_discard_forces(self) -> None:
         """Restart the clock and the random numbers, and discard all forces that have not yet arrived at the hand."""
         self._random = random.Random(self._seed)
         self._time = 0.0
@@ -50,7 +50,7 @@ class DelayedHand(HapticDevice):
     def start(self) -> None:
         """Start the hand without forces in transit."""
         self._hand.start()
-        self._discard_forces_in_transit()
+        self._restart_clock_and_discard_forces()
 
     def pose(self, time: float) -> Pose | None:
         """Deliver the forces that have arrived by `time`, s, and return the pose of the hand; None if it is lost."""

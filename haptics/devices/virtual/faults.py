@@ -106,10 +106,10 @@ class FaultyMessageQueue:
         if self._held_back is None and draw() < faults.reorder:
             self._held_back = message
             return
-        for each in (message, *([message] if draw() < faults.duplicate else []), *self._release_held_message()):
+        for each in (message, *([message] if draw() < faults.duplicate else []), *self._take_held_message_as_list()):
             self._waiting.append((now + faults.delay, each))
 
-    def _release_held_message(self) -> list[bytes]:
+    def _take_held_message_as_list(self) -> list[bytes]:
         """Remove the message held back to change the order, and return it in a list; empty if there is none."""
         held_back, self._held_back = self._held_back, None
         return [] if held_back is None else [held_back]

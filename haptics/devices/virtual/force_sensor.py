@@ -57,7 +57,7 @@ class VirtualForceSensor(ForceSensor):
         lost, self._passed = first > self._passed, due
         samples = []
         for number in range(first, due):
-            counts, status = self._measure_counts(began + (number + 1) / self.rate)
+            counts, status = self._sample_counts_and_status(began + (number + 1) / self.rate)
             if lost and number == first:
                 status |= SampleStatus.GAP
             values = tuple(self._resolution * (count - zero) for count, zero in zip(counts, self._zero, strict=True))
@@ -67,7 +67,7 @@ class VirtualForceSensor(ForceSensor):
     def tare(self) -> None:
         """Set the present counts as zero of later values."""
         now, _ = self._get_present_and_start_time()
-        self._zero, _ = self._measure_counts(now)
+        self._zero, _ = self._sample_counts_and_status(now)
 
     def stop(self) -> None:
         """End sampling."""
@@ -84,21 +84,21 @@ class VirtualForceSensor(ForceSensor):
             raise DeviceError("the virtual force sensor is not started; start it first")
         return self._clock(), self._began
 
-    def _measure_counts(self, at: float) -> tuple[tuple[int, ...], SampleStatus]:
+    def _sample_counts_and_status(self, at: float) -> tuple[tuple[int, ...], SampleStatus]:
         """Return the counts of all channels, clipped to the range, and their status at a time on the clock, s."""
         unclipped = [round(value / self._resolution) for value in self._load(at)]
         counts = tuple(min(max(count, -self._largest_count), self._largest_count) for count in unclipped)
         return counts, SampleStatus.GOOD if list(counts) == unclipped else SampleStatus.SATURATED
 
 
-def open_virtual_sensor(text: str) -> VirtualForceSensor:
+def open_constant_load_sensor(text: str) -> VirtualForceSensor:
     """Make a sensor with one constant load from ``rate_hz=1000,resolution_N=0.001,range_N=50,load_N=0``."""
     given = read_settings(text, rate_hz=1000.0, resolution_N=1e-3, range_N=50.0, load_N=0.0)
-    return VirtualForceSensor(_ConstantLoad(given["load_N"]), rate=given["rate_hz"], resolution=given["resolution_N"],
-                              reach=given["range_N"])
+    return VirtualForceSensor(_ConstantLoadFunction(given["load_N"]), rate=given["rate_hz"],
+                              resolution=given["resolution_N"], reach=given["range_N"])
 
 
-class _ConstantLoad:
+class _ConstantLoadFunction:
     """A function of time that returns a constant load, N; a class, so that the sensor can be pickled."""
 
 

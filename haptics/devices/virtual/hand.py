@@ -75,14 +75,16 @@ class VirtualHand(HapticDevice):
             # First call, or time restarted: at rest on the target.
             self._position, self._velocity = target.position, (0.0, 0.0, 0.0)
         elif time > self._time:
-            self._position, self._velocity = self._integrate_motion(self._position, target.position, time - self._time)
+            self._position, self._velocity = self._compute_position_and_velocity_after_dt(
+                self._position, target.position, time - self._time)
         self._time = time
         return Pose(self._position, target.orientation)
 
-    def _integrate_motion(self, position: Vector, target: Vector, dt: float) -> tuple[Vector, Vector]:
+    def _compute_position_and_velocity_after_dt(self, position: Vector, target: Vector,
+                                                dt: float) -> tuple[Vector, Vector]:
         """Return position, m, and velocity, m/s, after a time step, s, with constant target and force."""
         if self._grip == 0.0:
-            return self._integrate_motion_without_grip(position, dt)
+            return self._compute_gripless_position_and_velocity(position, dt)
         r, s = self._roots
         exp_r, exp_s = cmath.exp(r * dt), cmath.exp(s * dt)
         # Coefficients of x(dt) and x'(dt) for x = a exp(r t) + b exp(s t), by initial offset and initial velocity.
@@ -102,7 +104,7 @@ class VirtualHand(HapticDevice):
         (x, u), (y, v), (z, w) = integrate_axis(0), integrate_axis(1), integrate_axis(2)
         return (x, y, z), (u, v, w)
 
-    def _integrate_motion_without_grip(self, position: Vector, dt: float) -> tuple[Vector, Vector]:
+    def _compute_gripless_position_and_velocity(self, position: Vector, dt: float) -> tuple[Vector, Vector]:
         """Return position, m, and velocity, m/s, after a step, s, of mass x'' + damping x' = force."""
         mass, damping = self._mass, self._damping
         decay = damping * dt / mass
@@ -153,6 +155,6 @@ class VirtualHand(HapticDevice):
                 "damping_N_s_m": self._damping, "grip_N_m": self._grip, "push_N": self._push}
 
 
-def open_virtual_hand(text: str) -> VirtualHand:
+def open_virtual_hand_following_motion(text: str) -> VirtualHand:
     """Make a simulated hand that follows the motion named in `text`, as ``random:seed=3``; by default ``hand``."""
     return VirtualHand(open_motion(text or "hand"))

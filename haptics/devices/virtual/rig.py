@@ -18,11 +18,11 @@ from haptics.devices.virtual.stage import VirtualStage
 from tissue_sim import ForceStatus, Model, Rig, Simulator, simulate
 from tissue_sim import Protocol as Motion
 from tissue_sim.errors import InputError
-from tissue_sim.rig.loading_curve import LoadingCurve
+from tissue_sim.rig.loading_curve import FirstLoadingCurveWithHistory
 
 
 @dataclass(frozen=True)
-class VirtualRigSettings:
+class VirtualSensorAndStageDefaults:
     """Properties of the default sensor and stage of a virtual rig.
 
     Attributes:
@@ -40,7 +40,7 @@ class VirtualRigSettings:
 
 
 #: Default sensor and stage.
-DEFAULTS = VirtualRigSettings()
+DEFAULTS = VirtualSensorAndStageDefaults()
 #: Travel and top speed of the default stage, from 50 mm above its zero to 30 mm below, at 20 mm/s.
 STAGE_LIMITS = StageLimits(-0.05, 0.03, 0.02)
 
@@ -94,10 +94,10 @@ class ElasticSpecimen:
                              "HistoryDependentSpecimen", field="model")
         ideal = replace(model, experiment=replace(model.experiment, protocol=Motion.ramp(depth, _TABLE.points)),
                         rig=Rig())
-        curve = LoadingCurve(simulate(ideal, resolution=resolution, estimate_error=False))
+        curve = FirstLoadingCurveWithHistory(simulate(ideal, resolution=resolution, estimate_error=False))
         self._step = _TABLE.extent * depth / _TABLE.intervals
         motion = self._step * np.arange(_TABLE.intervals + 1)
-        self._forces = curve.solve_force_with_compliance(motion, model.rig.compliance, np.zeros(motion.size)).tolist()
+        self._forces = curve.solve_force_on_compliant_rig(motion, model.rig.compliance, np.zeros(motion.size)).tolist()
 
     def force(self, time: float, depth: float) -> float:
         """Return the force, N, at a depth, m, by linear interpolation in the table; 0 above the surface."""
@@ -188,7 +188,7 @@ class VirtualRig:
         self._noise, self._last, self._began = 0.0, -math.inf, math.inf
         self._tool_motion = replace(rig.motion_only, compliance=0.0).tool_motion
         self.stage = VirtualStage(limits, DEFAULTS.stage_step, start_at, clock, encoder, faults.stall_after)
-        self.sensor = VirtualForceSensor(self._compute_load, channels, rate, resolution, reach, clock,
+        self.sensor = VirtualForceSensor(self._compute_channel_loads, channels, rate, resolution, reach, clock,
                                          silent_after=faults.disconnect_after)
 
     @property
@@ -196,29 +196,29 @@ class VirtualRig:
         """The virtual sensor and the virtual stage of this rig as a `Bench`; neither is started here."""
         return Bench(self.sensor, self.stage)
 
-    def _compute_load(self, at: float) -> tuple[float, ...]:
+    def _compute_channel_loads(self, at: float) -> tuple[float, ...]:
         """Return the load of each channel, N, at a time on the clock, s; advances the specimen and the noise to it."""
         rig = self._rig
         self._began = min(self._began, at)
         delayed = at - rig.latency
-        depth, before = self._compute_depth(delayed), self._compute_depth(delayed - DEFAULTS.speed_interval)
+        depth, before = self._compute_tool_depth(delayed), self._compute_tool_depth(delayed - DEFAULTS.speed_interval)
         speed = (depth - before) / DEFAULTS.speed_interval
         force = self._specimen.force(delayed, depth)
         force += rig.guide_friction * ((speed > 0) - (speed < 0)) + rig.rate_damping * speed
-        force = (1 + rig.sensor_gain) * force + rig.zero_offset + self._compute_disturbance(at)
+        force = (1 + rig.sensor_gain) * force + rig.zero_offset + self._compute_noise_and_drift(at)
         if at - self._began >= self._faults.saturate_after:
             force = 2 * self._reach
         return tuple(self._sign * force if axis == self._axis else 0.0 for axis in range(self._count))
 
-    def _compute_depth(self, at: float) -> float:
+    def _compute_tool_depth(self, at: float) -> float:
         """Return the depth, m, of the tool below the surface at a time on the clock, s, with the errors of the rig."""
-        return float(self._tool_motion(np.array(self._find_stage_path(at)) - self._surface)[-1])
+        return float(self._tool_motion(np.array(self._list_reversals_and_position(at)) - self._surface)[-1])
 
-    def _find_stage_path(self, at: float) -> Sequence[float]:
+    def _list_reversals_and_position(self, at: float) -> Sequence[float]:
         """Return the stage's first position, reversals until a time, s, and position then, m; for the backlash."""
-        return (*self.stage.list_reversal_positions(at), self.stage.tool_position_at(at))
+        return (*self.stage.list_first_and_reversal_positions(at), self.stage.compute_tool_position_with_stall(at))
 
-    def _compute_disturbance(self, at: float) -> float:
+    def _compute_noise_and_drift(self, at: float) -> float:
         """Return noise (a Gauss-Markov process) plus drift, N; advances the noise to a time on the clock, s."""
         rig, time_constant = self._rig, self._rig.noise_correlation_time
         if rig.force_noise:

@@ -93,7 +93,7 @@ class VirtualStage(Stage):
         """Begin a motion to a position, m, at a speed, m/s, and return at once."""
         self._require_started()
         self.limits.require_within_limits(position, speed)
-        self._finish_homing()
+        self._mark_homed_if_homing_ended()
         if not self._homed:
             raise DeviceError("the virtual stage does not know its zero; home it first, and wait until it is there")
         self._begin_motion(position, speed)
@@ -101,29 +101,29 @@ class VirtualStage(Stage):
     def position(self) -> StageSample:
         """Return a sample with the position, m, of the tool if `measures_position`, otherwise of the motor."""
         self._require_started()
-        self._finish_homing()
+        self._mark_homed_if_homing_ended()
         now = self._clock()
         position, goal = self._motor_position_at(now), self._motions[-1].goal
         moving = position != goal
         if self.measures_position:
-            position = self.tool_position_at(now)
+            position = self.compute_tool_position_with_stall(now)
             moving = moving or position != goal
         counts = round(position / self._resolution)
         self._sequence += 1
         return StageSample(counts, counts * self._resolution, moving, self._homed, self._sequence - 1,
                            int(SampleStatus.GOOD), now)
 
-    def tool_position_at(self, at: float) -> float:
+    def compute_tool_position_with_stall(self, at: float) -> float:
         """Return the position of the tool, m, at a present or past time on the clock, s; constant after the stall."""
         return self._motor_position_at(min(at, self._stalls))
 
-    def list_reversal_positions(self, until: float) -> list[float]:
+    def list_first_and_reversal_positions(self, until: float) -> list[float]:
         """Return the first position of the tool and its positions at all reversals until a time on the clock, s; m."""
         return [position for at, position in self._reversals if at <= until]
 
     def halt(self) -> None:
         """Stop the motor at its present position."""
-        self._finish_homing()
+        self._mark_homed_if_homing_ended()
         position = self._motor_position_at(self._clock())
         self._begin_motion(position, self.limits.speed)
         self._homing = False
@@ -143,7 +143,7 @@ class VirtualStage(Stage):
         now = self._clock()
         start, last = self._motor_position_at(now), self._motions[-1]
         if (position - start) * (last.goal - last.start) < 0:
-            self._reversals.append((now, self.tool_position_at(now)))
+            self._reversals.append((now, self.compute_tool_position_with_stall(now)))
         # Past motions answer queries of past positions; the limit bounds the memory.
         self._motions = [*self._motions[-_KEPT_MOTIONS:], _LinearMotion(now, start, position, speed)]
         self._homing = False
@@ -153,9 +153,9 @@ class VirtualStage(Stage):
         motions = self._motions
         return motions[max(bisect_right(motions, at, key=lambda motion: motion.began) - 1, 0)].compute_position(at)
 
-    def _finish_homing(self) -> None:
+    def _mark_homed_if_homing_ended(self) -> None:
         """Mark the stage as homed if the tool is at the end of a homing motion; otherwise change nothing."""
-        if self._homing and self.tool_position_at(self._clock()) == self._motions[-1].goal:
+        if self._homing and self.compute_tool_position_with_stall(self._clock()) == self._motions[-1].goal:
             self._homing, self._homed = False, True
 
     def _require_started(self) -> None:
@@ -164,7 +164,7 @@ class VirtualStage(Stage):
             raise DeviceError("the virtual stage is not started; start it first")
 
 
-def open_virtual_stage(text: str) -> VirtualStage:
+def open_stand_alone_virtual_stage(text: str) -> VirtualStage:
     """Make a stage without a rig from ``lowest_mm=-50,highest_mm=50,top_speed_mm_s=50,resolution_mm=0.001``."""
     given = read_settings(text, lowest_mm=-50.0, highest_mm=50.0, top_speed_mm_s=50.0, resolution_mm=1e-3)
     limits = StageLimits.from_settings(given)

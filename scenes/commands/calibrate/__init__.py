@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scenes.commands.shared.campaigns import add_campaign_flags, show_campaign_progress
+from scenes.commands.shared.campaigns import add_worker_figure_overwrite_json_flags, progress_and_resume_hint_context
 from scenes.commands.shared.console import make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import CommandParser
+from scenes.commands.shared.parsing import InputErrorArgumentParser
 
 SUMMARY = "fit strain-energy laws to the recordings of one or more campaigns"
 EXAMPLE = "tissue-sim calibrate campaign.toml -o results --workers 4"
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the arguments of `tissue-sim calibrate`."""
     parser.add_argument("campaigns", type=Path, nargs="+", metavar="CAMPAIGN.toml",
                         help="campaign files; tissue-sim import writes them from recordings")
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT",
                         help="folder for material files, tables and the report; a folder of the same calibration is "
-                             "resumed")
-    add_campaign_flags(parser, "the starts, profiles, laws and left-out tests of inverse fits")
+                        "resumed")
+    add_worker_figure_overwrite_json_flags(parser, "the starts, profiles, laws and left-out tests of inverse fits")
     parser.set_defaults(run=run)
 
 
@@ -28,7 +28,7 @@ def run(arguments) -> int:
     """Calibrate and print the results; `ExitCode.GOAL_MISSED` if a campaign has no usable fit."""
     from calibration import Workers, calibrate
 
-    with show_campaign_progress(arguments, "fit.json") as progress:
+    with progress_and_resume_hint_context(arguments, "fit.json") as progress:
         results = calibrate(arguments.campaigns, arguments.output, overwrite=arguments.overwrite,
                             progress=progress.show_task, listen=progress.add_fit_iteration,
                             figures_format=arguments.figures_format,

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from calibration.fit.ranking import is_ranked_by_held_out_tests
+from calibration.fit.ranking import does_any_law_predict_a_held_out_test
 from calibration.fit.self_weight import describe_self_weight
 from calibration.report.curve_figures import describe_region, format_p_value_text
 from calibration.report.drawing import format_count
 from calibration.report.page import (
-    format_initial_moduli,
-    format_number,
     format_parameter_estimate,
-    format_parameter_interval,
+    format_parameter_interval_without_unit,
+    format_significant_digits_or_dash,
     format_stable_stretches,
-    group_fits_by_remarks,
+    format_young_and_shear_modulus_values,
+    iterate_fit_groups_with_remarks,
 )
-from calibration.report.report_tables import describe_direction, describe_suggestion
+from calibration.report.report_tables import describe_poorly_determined_combination, describe_suggested_test_and_errors
 from calibration.report.units import ReportUnits
-from scenes.commands.calibrate.population import make_population_table
-from scenes.commands.shared.text_table import make_text_table, print_sentence
+from scenes.commands.calibrate.population import make_population_table_or_none
+from scenes.commands.shared.text_table import make_table_with_headings, print_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -56,18 +56,18 @@ _LAYOUT = FitTableLayout()
 def print_fit_tables(result: CalibrationResult, console: Console) -> None:
     """Print ranking, parameters and predictions of the laws, and remarks on them."""
     fits, tests, units = result.fits, {test.name: test
-                                       for test in result.campaign.tests}, ReportUnits.choose_for_calibration(result)
-    heading, meaning = _describe_ranking_criterion(result)
+                                       for test in result.campaign.tests}, ReportUnits.choose_for_best_fit(result)
+    heading, meaning = _get_ranking_heading_and_explanation(result)
     console.print(_make_ranking_table(fits, heading, units))
     star = "" if fits[0].unusable else "* best usable law; "
     print_sentence(console, f"{star}{meaning}; stable: range of stable stretches")
     console.print()
     console.print(_make_parameter_table(fits, units))
     console.print()
-    if legend := _make_parameter_legend(fits):
+    if legend := _join_symbol_and_derivative_notes(fits):
         print_sentence(console, legend)
         console.print()
-    if table := make_population_table(fits, units):
+    if table := make_population_table_or_none(fits, units):
         console.print(table)
         console.print()
     if result.predictions:
@@ -80,12 +80,14 @@ def print_fit_tables(result: CalibrationResult, console: Console) -> None:
         print_sentence(console, f"%: relative to the largest force or stress{chance if known else ''}")
         console.print()
     print_sentence(console, result.message)
-    for sentence in (*_list_missing_predictions(result.predictions), *_list_identifiability_remarks(fits, units),
-                     *_list_misfit_remarks(fits, tests, units), *_list_fit_accuracy_remarks(result, tests, units)):
+    for sentence in (*_iterate_missing_prediction_reasons(result.predictions),
+                     *_iterate_identifiability_remarks(fits, units),
+                     *_iterate_misfit_remarks(fits, tests, units),
+                     *_iterate_noise_mesh_and_weight_remarks(result, tests, units)):
         print_sentence(console, sentence)
     # The message of the result contains that of the first law if the law is unusable.
-    for having, remarks in group_fits_by_remarks(fits, lambda fit: fit.warnings if fit.unusable is None else
-                                                 [] if fit is fits[0] else [fit.message]):
+    for having, remarks in iterate_fit_groups_with_remarks(fits, lambda fit: fit.warnings if fit.unusable is None else
+                                                           [] if fit is fits[0] else [fit.message]):
         names = "all laws" if 1 < len(having) == len(fits) else ", ".join(fit.law for fit in having)
         print_sentence(console, f"{names}: {remarks}")
     for fit in fits:
@@ -93,11 +95,11 @@ def print_fit_tables(result: CalibrationResult, console: Console) -> None:
             print_sentence(console, f"{fit.law}: {_describe_computing_effort(fit)}")
 
 
-def _describe_ranking_criterion(result: CalibrationResult) -> tuple[str, str]:
+def _get_ranking_heading_and_explanation(result: CalibrationResult) -> tuple[str, str]:
     """Return column heading and explanation of the criterion that ranks the laws."""
     if all(fit.left_out is None for fit in result.fits):
         return "dBIC", "dBIC: BIC minus the best"
-    if is_ranked_by_held_out_tests(result.predictions):
+    if does_any_law_predict_a_held_out_test(result.predictions):
         return "held out %", "held out: error in tests that no fit used"
     return "left out %", "left out: error in each test, predicted by a fit to the other tests"
 
@@ -107,24 +109,25 @@ def _make_ranking_table(fits: Sequence[Fit], heading: str, units: ReportUnits) -
     best, pressure = fits[0], units.pressure
     forces = best.RMSE_N is not None or best.RMSE_Pa is None
     load = units.force if forces else pressure
-    table = make_text_table("law", heading, "R2", f"RMSE {load.name}", f"E0 {pressure.name}", f"mu0 {pressure.name}",
-                            "stable")
+    table = make_table_with_headings("law", heading, "R2", f"RMSE {load.name}", f"E0 {pressure.name}",
+                                     f"mu0 {pressure.name}", "stable")
     for fit in fits:
         error = fit.RMSE_N if forces else fit.RMSE_Pa
         above = None if fit.unusable else fit.BIC - best.BIC
-        table.add_row(_format_law_name(fit, best), format_number(above if heading == "dBIC" else fit.left_out, 3),
+        table.add_row(_format_law_name_with_best_star(fit, best),
+                      format_significant_digits_or_dash(above if heading == "dBIC" else fit.left_out, 3),
                       _format_R2(fit), "-" if error is None else f"{error / load.size:.4g}",
-                      *format_initial_moduli(fit, units), format_stable_stretches(fit),
-                      style=_choose_row_style(fit, best))
+                      *format_young_and_shear_modulus_values(fit, units), format_stable_stretches(fit),
+                      style=_choose_bold_for_best_law(fit, best))
     return table
 
 
-def _format_law_name(fit: Fit, best: Fit) -> str:
+def _format_law_name_with_best_star(fit: Fit, best: Fit) -> str:
     """Return the name of a law, with a star if it is the best usable law; without a usable law none has a star."""
     return f"{fit.law} *" if fit is best and fit.unusable is None else fit.law
 
 
-def _choose_row_style(fit: Fit, best: Fit) -> str | None:
+def _choose_bold_for_best_law(fit: Fit, best: Fit) -> str | None:
     """Return the style of a row of the ranking: bold for the best usable law."""
     return "bold" if fit is best and fit.unusable is None else None
 
@@ -136,7 +139,7 @@ def _format_R2(fit: Fit) -> str:
 
 def _make_parameter_table(fits: Sequence[Fit], units: ReportUnits) -> Table:
     """Return the table of the parameters of all laws with standard errors and profile-likelihood intervals."""
-    table = make_text_table("parameter", "value ± standard error", "95 % interval", text=3)
+    table = make_table_with_headings("parameter", "value ± standard error", "95 % interval", text=3)
     table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
     table.columns[0].max_width = _LAYOUT.name_width
     for fit in fits:
@@ -147,12 +150,12 @@ def _make_parameter_table(fits: Sequence[Fit], units: ReportUnits) -> Table:
                 and not fit.alternatives
             table.add_row(f"{'  ' if len(fits) > 1 else ''}{fit.symbols[name]}",
                           f"{format_parameter_estimate(fit, name, units)}{' (not determined)' if undetermined else ''}",
-                          f"{format_parameter_interval(fit, name, units)}"
+                          f"{format_parameter_interval_without_unit(fit, name, units)}"
                           f"{' (cut)' if name in fit.interval_notes else ''}")
     return table
 
 
-def _make_parameter_legend(fits: Sequence[Fit]) -> str:
+def _join_symbol_and_derivative_notes(fits: Sequence[Fit]) -> str:
     """Return the legend: full names of abbreviated parameters, and parameters with finite-difference derivatives."""
     full_names = {symbol: name for fit in fits for name, symbol in fit.symbols.items() if symbol != name}
     parts = [f"{symbol}: {name}" for symbol, name in full_names.items()]
@@ -165,7 +168,7 @@ def _make_parameter_legend(fits: Sequence[Fit]) -> str:
 
 def _make_prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Test], units: ReportUnits) -> Table:
     """Return the table of the errors in tests to which a law was not fitted."""
-    table = make_text_table("law", "predicts", "", "RMSE", "%", "by chance", text=3)
+    table = make_table_with_headings("law", "predicts", "", "RMSE", "%", "by chance", text=3)
     table.columns[1].no_wrap, table.columns[1].overflow = False, "fold"
     last = None
     for p in predictions:
@@ -175,19 +178,20 @@ def _make_prediction_table(predictions: Sequence[Prediction], tests: Mapping[str
         chance = "-" if p.expected_N is None else load.format_quantity(p.expected_N, 2)
         how = f"{'left out' if p.fitted else 'held out'}{f', by the mean of {len(p.mean_of)}' if p.mean_of else ''}"
         table.add_row(p.law if p.law != last else "", Text(p.test), how,
-                      "none" if error is None else load.format_quantity(error, 3), format_number(p.percent, 2), chance)
+                      "none" if error is None else load.format_quantity(error, 3),
+                      format_significant_digits_or_dash(p.percent, 2), chance)
         last = p.law
     return table
 
 
-def _list_missing_predictions(predictions: Sequence[Prediction]) -> Iterator[str]:
+def _iterate_missing_prediction_reasons(predictions: Sequence[Prediction]) -> Iterator[str]:
     """Yield the reason for each missing prediction."""
     for p in predictions:
         if p.percent is None:
             yield f"{p.law} does not predict {p.test}: {p.note or 'the simulation did not reach its depth'}"
 
 
-def _list_identifiability_remarks(fits: Sequence[Fit], units: ReportUnits) -> Iterator[str]:
+def _iterate_identifiability_remarks(fits: Sequence[Fit], units: ReportUnits) -> Iterator[str]:
     """Yield sentences on truncated intervals, unidentifiable parameters and poorly determined directions."""
     for fit in fits:
         cuts = [f"{fit.symbols[name]} {shorten(note, _LAYOUT.note_width, placeholder=' ...')}"
@@ -195,18 +199,19 @@ def _list_identifiability_remarks(fits: Sequence[Fit], units: ReportUnits) -> It
         if cuts:
             yield f"{fit.law}: cut intervals: {'; '.join(cuts)}"
         if fit.not_identifiable:
-            advice = "; ".join(describe_suggestion(each, fit, units) for each in fit.suggestions)
+            advice = "; ".join(describe_suggested_test_and_errors(each, fit, units) for each in fit.suggestions)
             if fit.fem_solves and not advice:
                 advice = "no further test is known to help"
             yield (f"{fit.law}: not identifiable from these tests: {fit.format_symbols(fit.not_identifiable)}"
                    f"{f'; {advice}' if advice else ''}")
         elif fit.directions:
-            advice = f"; {describe_suggestion(fit.suggestions[0], fit, units)}" if fit.suggestions else ""
-            directions = "; ".join(describe_direction(each, fit) for each in fit.directions)
+            advice = f"; {describe_suggested_test_and_errors(fit.suggestions[0], fit, units)}" if fit.suggestions \
+                else ""
+            directions = "; ".join(describe_poorly_determined_combination(each, fit) for each in fit.directions)
             yield f"{fit.law}: poorly determined: {directions}{advice}"
 
 
-def _list_misfit_remarks(fits: Sequence[Fit], tests: Mapping[str, Test], units: ReportUnits) -> Iterator[str]:
+def _iterate_misfit_remarks(fits: Sequence[Fit], tests: Mapping[str, Test], units: ReportUnits) -> Iterator[str]:
     """Yield sentences on regions whose residuals exceed noise, the most significant first."""
     for fit in fits:
         bad = sorted((region for region in fit.regions if not region.adequate),
@@ -226,8 +231,8 @@ def _describe_misfit(region: RegionMisfitTest, test: Test, units: ReportUnits) -
     return f"{region.test} ({describe_region(region, test, units)}): {size}, {format_p_value_text(region.p)}"
 
 
-def _list_fit_accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test],
-                               units: ReportUnits) -> Iterator[str]:
+def _iterate_noise_mesh_and_weight_remarks(result: CalibrationResult, tests: Mapping[str, Test],
+                                           units: ReportUnits) -> Iterator[str]:
     """Yield sentences on the noise, the scatter between recordings, the mesh error and the self-weight of the fit."""
     tests_by_noise: dict[str, list[str]] = {}
     for noise in result.noise:
@@ -242,7 +247,7 @@ def _list_fit_accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Te
     if jitter is not None:
         freedom = "stated" if jitter.freedom is None else "assumed" if not jitter.freedom else \
             f"from {format_count(jitter.freedom, 'degree')} of freedom"
-        contact, zero = units.format_replicate_jitter(jitter, result.campaign.tests)
+        contact, zero = units.format_contact_and_zero_scatter(jitter, result.campaign.tests)
         scatter = f"; scatter between recordings {contact} of contact, {zero} of zero, {freedom}"
     if parts:
         yield f"noise: {', '.join(parts)}{scatter}"

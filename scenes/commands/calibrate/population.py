@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calibration.report.population import iterate_population_rows
-from scenes.commands.shared.text_table import make_text_table
+from scenes.commands.shared.text_table import make_table_with_headings
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from calibration.report.units import ReportUnits
 
 
-def make_population_table(fits: Sequence[Fit], units: ReportUnits) -> Table | None:
+def make_population_table_or_none(fits: Sequence[Fit], units: ReportUnits) -> Table | None:
     """Return the table of mean and between-specimen scatter of each parameter, with 95 % intervals.
 
     Args:
@@ -27,7 +27,7 @@ def make_population_table(fits: Sequence[Fit], units: ReportUnits) -> Table | No
     """
     if not any(fit.population for fit in fits):
         return None
-    table = make_text_table("between specimens", "mean ± standard error", "95 %", "SD", "95 %", text=5)
+    table = make_table_with_headings("between specimens", "mean ± standard error", "95 %", "SD", "95 %", text=5)
     for fit in fits:
         if fit.population is None:
             continue

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.fit.result import describe_method_agreement
+from calibration.fit.result import list_method_agreement_sentences
 from scenes.commands.calibrate.fits import print_fit_tables
 from scenes.commands.shared.text_table import print_sentence
 
@@ -27,7 +27,7 @@ def print_calibration_results(results: Sequence[CalibrationResult], output: Path
     for result in results:
         print_sentence(console, result.campaign.name)
         print_fit_tables(result, console)
-    for sentence in describe_method_agreement(results):
+    for sentence in list_method_agreement_sentences(results):
         print_sentence(console, sentence)
     for result in results:
         if result.resumed:

@@ -9,8 +9,13 @@ from pathlib import Path
 from scenes.commands.shared.console import make_progress_console, make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.log_lines import TaskLogLines
-from scenes.commands.shared.parsing import CommandParser, add_json_flag, add_overwrite_flag, make_integer_parser
-from scenes.commands.view import add_page_flags, make_page_options
+from scenes.commands.shared.parsing import (
+    InputErrorArgumentParser,
+    add_json_flag,
+    add_overwrite_flag,
+    make_integer_parser,
+)
+from scenes.commands.view import add_page_flags, make_page_options_dict
 
 SUMMARY = "measure a virtual specimen, calibrate its material and predict tests that the calibration did not use"
 EXAMPLE = "tissue-sim demo --hidden --view -o my-demo"
@@ -22,19 +27,19 @@ HIDDEN_FOLDER = Path("tissue-sim-demo-hidden")
 _MAX_SEED = 10_000
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the arguments of `tissue-sim demo`."""
     parser.add_argument("--hidden", action="store_true",
                         help="hide a random effect (or none) in the specimen or the rig, diagnose the measurements, "
-                             "then reveal the effect")
+                        "then reveal the effect")
     parser.add_argument("-o", dest="output", type=Path, metavar="DIR",
                         help=f"folder of the results (default: {FOLDER} or {HIDDEN_FOLDER}, replaced by every run)")
     parser.add_argument("--seed", type=make_integer_parser(0), metavar="N",
                         help="seed of the measurement noise (default: 0); with --hidden also of the hidden effect "
-                             "(default: random)")
+                        "(default: random)")
     parser.add_argument("--view", action="store_true",
                         help="then show the calibrated indentation test and the measurements on a page in the browser; "
-                             "with --hidden the models with and without the found effect")
+                        "with --hidden the models with and without the found effect")
     add_overwrite_flag(parser)
     add_page_flags(parser)
     add_json_flag(parser)
@@ -74,11 +79,11 @@ def _run_hidden_effect_demo(arguments, output: Path, overwrite: bool) -> int:
     if arguments.json:
         print_json(answer.make_json_object())
     if arguments.view:
-        from scenes.commands.demo.found_scene import make_before_and_after_scene
+        from scenes.commands.demo.found_scene import make_found_effects_scene_with_plain_curve
         from scenes.viewer.run import run_viewer_page
 
-        return run_viewer_page(make_before_and_after_scene(answer.result, output / "measured"), answer.result.output,
-                               make_page_options(arguments), json=arguments.json)
+        return run_viewer_page(make_found_effects_scene_with_plain_curve(answer.result, output / "measured"),
+                               answer.result.output, make_page_options_dict(arguments), json=arguments.json)
     return ExitCode.DONE
 
 
@@ -106,4 +111,4 @@ def _serve_result_page(arguments, output: Path, material_file: Path) -> int:
     experiment = NEEDLE.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH))
     measured = read_measurements_by_kind(sorted((output / "measured").glob("*.csv")), NEEDLE.name)
     scene = Scene(NEEDLE, experiment, ts.load_material(material_file), material_file.name, measured)
-    return run_viewer_page(scene, material_file.parent, make_page_options(arguments), json=arguments.json)
+    return run_viewer_page(scene, material_file.parent, make_page_options_dict(arguments), json=arguments.json)

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import tissue_sim as ts
 from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, NEEDLE, make_model_with_effect
 from scenes.demo.hidden_effect_demo import KINDS, build_plain_models
-from scenes.viewer.measurement import make_motion_protocol
+from scenes.viewer.measurement import make_first_cycle_motion_protocol
 from scenes.viewer.scene import Scene, read_measurements_by_kind
 
 if TYPE_CHECKING:
     from calibration import Diagnosis, DiagnosisResult
 
 
-def make_before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scene:
+def make_found_effects_scene_with_plain_curve(result: DiagnosisResult, measured: Path) -> Scene:
     """Return the scene of the test that shows the found effects best, with measurements and the curve without effects.
 
     The test is the needle indentation for effects of the tissue, otherwise the test in which the model without effects
@@ -28,7 +28,7 @@ def make_before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scen
         measured: folder of the recordings.
     """
     diagnosis = result.diagnosis
-    test = _select_most_informative_test(diagnosis)
+    test = _find_test_name_showing_effects_best(diagnosis)
     kind = ts.KINDS[KINDS[test]]
     measurements = read_measurements_by_kind(sorted(measured.glob("*.csv")), kind.name)
     plain = build_plain_models()[test]
@@ -45,13 +45,13 @@ def make_before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scen
     compared = None
     if diagnosis.effects:
         name = f"without {' and '.join(each.title for each in diagnosis.effects)}"
-        tested = replace(plain.experiment, protocol=make_motion_protocol(measurements[kind.name]))
+        tested = replace(plain.experiment, protocol=make_first_cycle_motion_protocol(measurements[kind.name]))
         compared = (name, ts.simulate(replace(plain, experiment=tested), estimate_error=False))
     source = "plain model" if diagnosis.fit_after is None else diagnosis.files["material"]
     return Scene(kind, found.experiment, found.material, source, measurements, rig=found.rig, compared=compared)
 
 
-def _select_most_informative_test(diagnosis: Diagnosis) -> str:
+def _find_test_name_showing_effects_best(diagnosis: Diagnosis) -> str:
     """Return the name of the test that shows the found effects best."""
     if not diagnosis.effects or any(each.category == "tissue" for each in diagnosis.effects):
         return NEEDLE

@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from scenes.commands.shared.campaigns import add_worker_flags
+from scenes.commands.shared.campaigns import add_workers_and_dask_flags
 from scenes.commands.shared.console import make_progress_console, make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.log_lines import TaskLogLines
-from scenes.commands.shared.parsing import CommandParser, add_json_flag, make_integer_parser
+from scenes.commands.shared.parsing import InputErrorArgumentParser, add_json_flag, make_integer_parser
 
 SUMMARY = "predict, before an experiment, the errors of the material parameters and which effects are detectable"
 EXAMPLE = "tissue-sim design plan.toml --replicates 3 --workers 2"
 
 
 @dataclass(frozen=True)
-class DesignFlagDefaults:
+class ReplicateAndSampleDefaults:
     """Defaults and limits of the flags, as of `calibration.design_experiments`.
 
     Attributes:
@@ -31,21 +31,21 @@ class DesignFlagDefaults:
 
 
 #: Defaults of the command.
-FLAGS = DesignFlagDefaults()
+FLAGS = ReplicateAndSampleDefaults()
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the arguments of `tissue-sim design`."""
     parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml",
                         help='campaign file with method = "inverse_fem", the expected parameters as start, and force_N '
-                             'under [noise]; each test has recordings or a motion such as protocol = "ramp 10mm; '
-                             'hold 60s; unload"')
+                        'under [noise]; each test has recordings or a motion such as protocol = "ramp 10mm; '
+                        'hold 60s; unload"')
     parser.add_argument("--replicates", type=make_integer_parser(1), default=FLAGS.replicates, metavar="N",
                         help=f"number of recordings of each planned test (default: {FLAGS.replicates})")
     parser.add_argument("--samples", type=make_integer_parser(FLAGS.min_samples), default=FLAGS.samples, metavar="N",
                         help=f"number of samples of a recording, evenly spaced in time (default: {FLAGS.samples})")
     parser.add_argument("--law", help="material law, one of the laws of the campaign (default: its first law)")
-    add_worker_flags(parser, "the evaluation of the effects")
+    add_workers_and_dask_flags(parser, "the evaluation of the effects")
     add_json_flag(parser)
     parser.set_defaults(run=run)
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from calibration.report.diagnosis_tables import format_candidate_label, format_candidate_labels, format_detectable_sizes
+from calibration.report.diagnosis_tables import (
+    format_detectable_sizes,
+    format_effect_title_with_test,
+    map_candidate_names_to_labels,
+)
 from calibration.report.rounding import format_value_and_error
 from calibration.report.units import ReportUnits
-from scenes.commands.shared.text_table import make_text_table, print_sentence
+from scenes.commands.shared.text_table import make_table_with_headings, print_sentence
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
@@ -27,7 +31,7 @@ def print_design_tables(design: Design, console: Console) -> None:
     noise = ReportUnits.choose_for_typical_sizes(1e-3, design.noise_N, modulus).force
     print_sentence(console, f"{design.campaign}: {law.title}, sensor noise {noise.format_quantity(design.noise_N, 3)}")
     tables = [_make_planned_tests_table(design, units), _make_expected_errors_table(design, units)]
-    effects = [_make_detectable_effects_table(design, units), _make_undetectable_effects_table(design)]
+    effects = [_make_detectable_effects_table_or_none(design, units), _make_undetectable_effects_table_or_none(design)]
     for table in [*tables, *(each for each in effects if each is not None)]:
         console.print()
         console.print(table)
@@ -35,7 +39,7 @@ def print_design_tables(design: Design, console: Console) -> None:
 
 def _make_planned_tests_table(design: Design, units: ReportUnits) -> Table:
     """Return the table of the planned tests."""
-    table = make_text_table("planned test", "recordings", "samples", "depth", "largest force", "duration")
+    table = make_table_with_headings("planned test", "recordings", "samples", "depth", "largest force", "duration")
     for test in design.tests:
         table.add_row(test.name, str(test.recordings), str(test.samples),
                       units.length.format_quantity(1e-3 * test.depth_mm, 3),
@@ -46,9 +50,9 @@ def _make_planned_tests_table(design: Design, units: ReportUnits) -> Table:
 
 def _make_expected_errors_table(design: Design, units: ReportUnits) -> Table:
     """Return the table of the parameters with their expected standard errors."""
-    table = make_text_table("parameter", "expected", "error")
+    table = make_table_with_headings("parameter", "expected", "error")
     for name, value in design.parameters.items():
-        unit, error = units.choose_parameter_unit(design.units[name]), design.standard_errors[name]
+        unit, error = units.choose_display_unit_of_si_unit(design.units[name]), design.standard_errors[name]
         known = {None: "not determined", 0.0: "fixed"}.get(error, "")
         relative = f"{100 * error / abs(value):.2g} %" if error and value else "-"
         table.add_row(design.symbols[name],
@@ -57,29 +61,29 @@ def _make_expected_errors_table(design: Design, units: ReportUnits) -> Table:
     return table
 
 
-def _make_detectable_effects_table(design: Design, units: ReportUnits) -> Table | None:
+def _make_detectable_effects_table_or_none(design: Design, units: ReportUnits) -> Table | None:
     """Return the table of detectable effects, with their smallest detectable size and effects that look alike."""
-    labels = format_candidate_labels(design.candidates)
+    labels = map_candidate_names_to_labels(design.candidates)
     rows = [each for each in design.candidates if each.testable]
     if not rows:
         return None
-    table = make_text_table("effect", "detectable from", "similar to", text=3)
+    table = make_table_with_headings("effect", "detectable from", "similar to", text=3)
     table.columns[2].no_wrap = False
     for each in rows:
-        table.add_row(format_candidate_label(each), format_detectable_sizes(each, units),
+        table.add_row(format_effect_title_with_test(each), format_detectable_sizes(each, units),
                       ", ".join(labels.get(name, name)
-                                                                            for name in each.twins) or "-")
+                                for name in each.twins) or "-")
     return table
 
 
-def _make_undetectable_effects_table(design: Design) -> Table | None:
+def _make_undetectable_effects_table_or_none(design: Design) -> Table | None:
     """Return the table of undetectable effects, with the reason and the experiment that would detect them."""
     rows = [each for each in design.candidates if not each.testable]
     if not rows:
         return None
-    table = make_text_table("not detectable", "reason", "detectable with", text=3)
+    table = make_table_with_headings("not detectable", "reason", "detectable with", text=3)
     for column in table.columns[1:]:
         column.no_wrap = False
     for each in rows:
-        table.add_row(format_candidate_label(each), each.reason, each.separated_by)
+        table.add_row(format_effect_title_with_test(each), each.reason, each.separated_by)
     return table

@@ -9,17 +9,17 @@ from typing import Any
 from scenes.commands.shared.console import make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.parsing import (
-    CommandParser,
+    InputErrorArgumentParser,
     add_json_flag,
     add_overwrite_flag,
     make_integer_parser,
-    parse_interface,
+    parse_contact_interface_or_friction,
     parse_positive_number,
 )
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.specimen import specimen_sizes
-from tissue_sim.specimen.specimen import add_article, get_shape_keys
+from tissue_sim.specimen.specimen import add_article, get_required_flags_of_shape_keys
 
 SUMMARY = "read data files of a test machine, detect their format and write a campaign file"
 EXAMPLE = "tissue-sim import gel_1.csv gel_2.csv gel_3.csv -o gel.toml --radius-mm 10 --height-mm 12"
@@ -34,18 +34,18 @@ _GENERAL_SIZES = ("radius_mm", "area_mm2", "height_mm")
 _TEST_KEYS = ("tool", "tool_radius_mm", "friction", "speed_mm_s", "max_strain", "control")
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the arguments of `tissue-sim import`."""
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE",
                         help="data file: text in any common encoding, xlsx, xls, ods, mat, tdms, h5, or a file of an "
-                             "atomic force microscope")
+                        "atomic force microscope")
     parser.add_argument("-o", dest="output", type=Path, metavar="CAMPAIGN.toml",
                         help="write this campaign file, and a figure of the curves in its folder; without -o the "
-                             "result is only printed")
+                        "result is only printed")
     test = parser.add_argument_group(
         "information that the files do not contain (without the flag the campaign has a line to fill in)")
     test.add_argument("--kind", choices=tuple(KINDS), metavar="KIND", help=f"kind of test: {', '.join(KINDS)}")
-    test.add_argument("--shape", choices=_list_shapes_with_size_flags(),
+    test.add_argument("--shape", choices=_list_shapes_whose_sizes_are_flags(),
                       help="shape of the specimen (default: cylinder, or a prism with --area-mm2)")
     test.add_argument("--radius-mm", type=parse_positive_number, metavar="N", help="radius of a cylindrical specimen")
     test.add_argument("--area-mm2", type=parse_positive_number, metavar="N",
@@ -59,17 +59,17 @@ def add_arguments(parser: CommandParser) -> None:
     test.add_argument("--tool", metavar="SHAPE", help="shape of the indentation tool: flat, round, cone, sphere")
     test.add_argument("--tool-radius-mm", type=parse_positive_number, metavar="N",
                       help="radius of the indentation tool")
-    test.add_argument("--friction", type=parse_interface, metavar="CONTACT",
+    test.add_argument("--friction", type=parse_contact_interface_or_friction, metavar="CONTACT",
                       help="contact between plates and specimen: bonded, stick, frictionless or a friction coefficient")
     test.add_argument("--speed-mm-s", type=parse_positive_number, metavar="N",
                       help="constant speed of the test, for files without a time or displacement column")
     test.add_argument("--max-strain", type=parse_positive_number, metavar="N", help="largest strain used in the fit")
     test.add_argument("--control", choices=("displacement", "force"),
                       help="quantity that the machine controls: a force that stays equal to the last digit is held, or "
-                           "its sensor is saturated (default: determined from the curve)")
+                      "its sensor is saturated (default: determined from the curve)")
     test.add_argument("--zero", choices=("preload", "sensor"),
                       help="reason for a force at zero displacement: the displacement was zeroed at a preload, or the "
-                           "sensor was not zeroed (default: determined from the curve)")
+                      "sensor was not zeroed (default: determined from the curve)")
     test.add_argument("--laws", metavar="LAW,...",
                       help="material laws to fit (default: laws with one or two parameters)")
     columns = parser.add_argument_group(
@@ -79,12 +79,12 @@ def add_arguments(parser: CommandParser) -> None:
             ("--column", "CHANNEL=COLUMN", "header, number or letter of the column; only the named columns are read"),
             ("--unit", "CHANNEL=UNIT", "unit of the column: mm, um, in, N, mN, gf, lbf, kPa, psi, s, min, %%, ..."),
             ("--measure", "CHANNEL=MEASURE", "strain measure engineering, logarithmic, green_lagrange or almansi; "
-                                             "stress measure engineering, true or second_piola_kirchhoff"),
+             "stress measure engineering, true or second_piola_kirchhoff"),
             ("--scale", "CHANNEL=N", "factor of the values; for V and counts the SI value of 1 V or 1 count"),
             ("--sign", "CHANNEL=1|-1", "-1 reverses the sign of the column")):
         columns.add_argument(flag, action="append", default=[], metavar=value, help=f"{text}; once for each")
     columns.add_argument("--format", metavar="NAME", help="file format: mts, bluehill, zwick, exponent, mach1, "
-                                                          "mecmesin, trios, afm (default: detected)")
+                         "mecmesin, trios, afm (default: detected)")
     columns.add_argument("--sheet", action="append", metavar="NAME",
                          help="sheet of a spreadsheet, by name or number; once for each replicate")
     columns.add_argument("--delimiter", metavar="C", help="delimiter of the columns of a text file (default: detected)")
@@ -108,7 +108,7 @@ def run(arguments) -> int:
         InputError: files that cannot be read, contradictory flags, or an output file that cannot be written.
     """
     from calibration.importing.files import import_files
-    from calibration.importing.imported import convert_import_to_json
+    from calibration.importing.imported import make_json_dictionary_of_import
 
     if arguments.overwrite and arguments.output is None:
         raise InputError("has an effect only with -o. Leave this flag out, or add -o",
@@ -116,7 +116,7 @@ def run(arguments) -> int:
     imported = import_files(arguments.files, arguments.output, _make_import_options(arguments),
                             overwrite=arguments.overwrite)
     if arguments.json:
-        print_json(convert_import_to_json(imported))
+        print_json(make_json_dictionary_of_import(imported))
     else:
         from scenes.commands.import_files.results import print_import_result
 
@@ -155,22 +155,22 @@ def _make_import_options(arguments):
     if arguments.radius_mm is not None and arguments.area_mm2 is not None:
         raise InputError("cannot be combined with --radius-mm. Give one of them", field="--area-mm2")
     hints = ColumnHints(_parse_channel_values(arguments.column, "--column"), units,
-                        {channel: _parse_scale_factor(text) for channel, text in scales.items()},
+                        {channel: _parse_positive_scale_factor(text) for channel, text in scales.items()},
                         {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
-                        _parse_sheet_selection(arguments.sheet), arguments.delimiter, arguments.skip_lines,
+                        _parse_one_or_several_sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines,
                         measures=_parse_channel_values(arguments.measure, "--measure"), decimal=arguments.decimal,
                         curve=arguments.curve, one_material=arguments.one_material)
-    specimen = _make_specimen_table(arguments)
+    specimen = _make_campaign_specimen_keys(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
     return ImportOptions(hints, specimen, test, laws, arguments.zero)
 
 
-def _list_shapes_with_size_flags() -> tuple[str, ...]:
+def _list_shapes_whose_sizes_are_flags() -> tuple[str, ...]:
     """Return the shapes of specimens whose sizes are flags."""
     return tuple(dict.fromkeys(shape for size in specimen_sizes().values() for shape in size.shapes))
 
 
-def _make_specimen_table(arguments) -> dict[str, float | str]:
+def _make_campaign_specimen_keys(arguments) -> dict[str, float | str]:
     """Return the keys of the specimen in the campaign.
 
     Raises:
@@ -179,7 +179,7 @@ def _make_specimen_table(arguments) -> dict[str, float | str]:
     keys = dict.fromkeys((*_GENERAL_SIZES, *specimen_sizes()))
     stated = {key: value for key in keys if (value := getattr(arguments, key)) is not None}
     shape = arguments.shape
-    allowed = _GENERAL_SIZES if shape is None else get_shape_keys(shape)
+    allowed = _GENERAL_SIZES if shape is None else get_required_flags_of_shape_keys(shape)
     if other := next((key for key in stated if key not in allowed), None):
         problem = f"is not a size of a cylinder. Add --shape {specimen_sizes()[other].shapes[0]}" if shape is None \
             else f"is not a size of {add_article(shape)}. Leave this flag out"
@@ -202,7 +202,8 @@ def _parse_channel_values(texts: Sequence[str], flag: str) -> dict[str, str]:
         if not equals or not value:
             raise InputError(f"must have the form CHANNEL=VALUE, such as force=3; got {text!r}", field=flag)
         if name not in _CHANNELS:
-            raise InputError(f"unknown channel {name!r}{suggest_known_word(name, _CHANNELS)}", field=flag)
+            raise InputError(f"unknown channel {name!r}{make_hint_with_similar_or_known_words(name, _CHANNELS)}",
+                             field=flag)
         if _CHANNELS[name] in found:
             raise InputError(f"{name} is given twice. Give it once", field=flag)
         found[_CHANNELS[name]] = value
@@ -217,7 +218,7 @@ def _parse_flag_number(text: str, flag: str) -> float:
         raise InputError(f"must be a number; got {text!r}", field=flag) from None
 
 
-def _parse_scale_factor(text: str) -> float:
+def _parse_positive_scale_factor(text: str) -> float:
     """Convert a value of ``--scale`` to a positive number."""
     value = _parse_flag_number(text, "--scale")
     if not 0 < value < float("inf"):
@@ -225,7 +226,7 @@ def _parse_scale_factor(text: str) -> float:
     return value
 
 
-def _parse_sheet_selection(names: list[str] | None) -> Any:
+def _parse_one_or_several_sheets(names: list[str] | None) -> Any:
     """Return the sheets of ``--sheet``: one, a list of several, or None; a number is an index from 1."""
     if names is None:
         return None

@@ -16,11 +16,11 @@ from scenes.commands.shared.experiment_flags import (
     add_experiment_flags,
     make_experiment_from_flags,
     make_protocol_from_flags,
-    refuse_curve_corrections,
+    refuse_tilt_and_slip_correction_flags,
     require_known_scene,
 )
 from scenes.commands.shared.parsing import (
-    CommandParser,
+    InputErrorArgumentParser,
     add_json_flag,
     make_integer_parser,
     parse_non_negative_number,
@@ -28,9 +28,9 @@ from scenes.commands.shared.parsing import (
 )
 from scenes.commands.shared.tissue_flags import (
     add_reduced_flag,
-    add_solver_flags,
-    load_material_or_default,
-    load_reduced_model,
+    add_resolution_and_solver_flags,
+    load_material_or_study_silicone,
+    load_reduced_model_and_set_flags,
     require_known_solver,
 )
 from tissue_sim.errors import InputError
@@ -71,49 +71,49 @@ class LoopFlagDefaults:
 DEFAULTS = LoopFlagDefaults()
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the arguments of `tissue-sim loop`."""
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
                         help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
                         help="material file NAME.material.json (default: silicone of the reference study, law "
-                             "reduced_polynomial_2)")
+                        "reduced_polynomial_2)")
     parser.add_argument("--seconds", type=parse_positive_number, metavar="N", default=60.0,
                         help="duration of the loop; Ctrl-C ends it earlier (default: 60)")
-    add_solver_flags(parser)
+    add_resolution_and_solver_flags(parser)
     add_reduced_flag(parser)
     source = parser.add_argument_group("source of the motion")
     source.add_argument("--motion", metavar="NAME[:SETTINGS]",
                         help=f"prescribed motion: one of {', '.join(MOTIONS)}. random: like a hand, with lift-off; "
-                             "sine: periodic along the axis; protocol: motion of --protocol, repeated if it ends where "
-                             "it starts; hand: the tool rests (default: random, or protocol with --protocol)")
+                        "sine: periodic along the axis; protocol: motion of --protocol, repeated if it ends where "
+                        "it starts; hand: the tool rests (default: random, or protocol with --protocol)")
     source.add_argument("--device", metavar="NAME:SETTINGS",
                         help="haptic device that moves the tool and displays the force, instead of --motion: one of "
-                             f"{', '.join(HAPTIC_DEVICES)}; 'virtual:sine:depth_mm=5' simulates a hand that follows a "
-                             "sine motion and yields to the force")
+                        f"{', '.join(HAPTIC_DEVICES)}; 'virtual:sine:depth_mm=5' simulates a hand that follows a "
+                        "sine motion and yields to the force")
     source.add_argument("--top-speed-mm-s", type=parse_positive_number, metavar="N", default=200.0,
                         help="speed limit of the random motion (default: 200)")
     source.add_argument("--frequency-hz", type=parse_positive_number, metavar="N", default=1.0,
                         help="frequency of the sine motion (default: 1)")
     source.add_argument("--sideways-mm", type=parse_non_negative_number, metavar="N",
                         help="largest lateral displacement of the random motion, along x and y in both directions "
-                             "(default: 0; with --reduced the size of its box of poses)")
+                        "(default: 0; with --reduced the size of its box of poses)")
     source.add_argument("--turn-deg", type=parse_non_negative_number, metavar="N",
                         help="largest rotation of the random motion, about any axis (default: 0; with --reduced the "
-                             "size of its box of poses)")
+                        "size of its box of poses)")
     source.add_argument("--seed", type=make_integer_parser(0), metavar="N", default=0,
                         help="seed of the random motion (default: 0)")
     timing = parser.add_argument_group("timing and safety")
     timing.add_argument("--spin-us", type=parse_non_negative_number, metavar="N", default=0.0,
                         help="busy-wait this long before each tick instead of sleeping: more exact ticks, but a higher "
-                             "processor load (default: 0)")
+                        "processor load (default: 0)")
     timing.add_argument("--budget-us", type=parse_non_negative_number, metavar="N", default=DEFAULTS.budget_us,
                         help="time limit of a simulation step; a step that reaches it returns the force of the last "
-                             "equilibrium, extrapolated with its stiffness; 0: no limit (default: "
-                             f"{DEFAULTS.budget_us:g})")
+                        "equilibrium, extrapolated with its stiffness; 0: no limit (default: "
+                        f"{DEFAULTS.budget_us:g})")
     timing.add_argument("--inertia", choices=("auto", "on", "off"), default="auto",
                         help="inertia of the tissue; auto: on where the tool is fast, but off with a coupling "
-                             "(default: auto)")
+                        "(default: auto)")
     timing.add_argument("--no-real-time", action="store_true",
                         help="do not request real-time scheduling (SCHED_FIFO) and locked memory")
     timing.add_argument("--force-limit-N", type=parse_positive_number, metavar="N",
@@ -122,19 +122,19 @@ def add_arguments(parser: CommandParser) -> None:
                         help=f"largest change of the rendered force per tick (default: {DEFAULTS.force_rate:g})")
     timing.add_argument("--coupling-stiffness-N-m", type=parse_non_negative_number, metavar="N",
                         help="stiffness of the virtual coupling, a spring between device and tool; 0: no coupling "
-                             f"(default: {DEFAULTS.coupling_stiffness:g} for a device with a force limit, otherwise 0)")
+                        f"(default: {DEFAULTS.coupling_stiffness:g} for a device with a force limit, otherwise 0)")
     timing.add_argument("--coupling-damping-N-s-m", type=parse_non_negative_number, metavar="N",
                         help=f"damping of the virtual coupling (default: {DEFAULTS.coupling_damping:g})")
     timing.add_argument("--passivity-damping-N-s-m", type=parse_non_negative_number, metavar="N",
                         help="largest damping of the passivity controller, which acts while the hand has received more "
-                             "energy than it put in; 0: no controller (default: "
-                             f"{DEFAULTS.passivity_damping:g} for a device with a force limit, otherwise 0)")
+                        "energy than it put in; 0: no controller (default: "
+                        f"{DEFAULTS.passivity_damping:g} for a device with a force limit, otherwise 0)")
     timing.add_argument("--energy-limit-J", type=parse_positive_number, metavar="N",
                         help="switch the force off when the hand has received this much more energy than it put in "
-                             f"(default: {DEFAULTS.energy_limit:g} for a device with a force limit, otherwise none)")
+                        f"(default: {DEFAULTS.energy_limit:g} for a device with a force limit, otherwise none)")
     timing.add_argument("--ring", type=Path, metavar="FILE",
                         help="file of the ring buffer, from which viewers and recorders read the ticks (default: a "
-                             "temporary file in memory)")
+                        "temporary file in memory)")
     add_experiment_flags(parser)
     add_json_flag(parser)
     parser.set_defaults(run=run)
@@ -147,7 +147,7 @@ def run(arguments) -> int:
         InputError: flags that contradict each other, or values that scene, motion or device do not accept.
     """
     require_known_scene(arguments.scene)
-    refuse_curve_corrections(arguments)
+    refuse_tilt_and_slip_correction_flags(arguments)
     name = arguments.device or arguments.motion or ("protocol" if arguments.protocol else "random")
     if arguments.device and arguments.motion:
         raise InputError("cannot be combined with --device. Give one of them", field="--motion")
@@ -159,7 +159,7 @@ def run(arguments) -> int:
             raise InputError("applies only to the random motion of the other flags; leave --motion and --device out, "
                              "or write random:sideways_mm=...,turn_deg=...", field="--" + flag.replace("_", "-"))
     require_known_solver(arguments.solver)
-    reduced = load_reduced_model(arguments)
+    reduced = load_reduced_model_and_set_flags(arguments)
 
     from haptics.loop.loop import LoopSettings
     from haptics.loop.process import LoopError, LoopProcess
@@ -169,17 +169,18 @@ def run(arguments) -> int:
     if reduced and not arguments.material:
         material = reduced.model.material
     else:
-        material = load_material_or_default(arguments.material)
+        material = load_material_or_study_silicone(arguments.material)
     protocol = make_protocol_from_flags(arguments)
     model = Model(reduced.model.experiment if reduced else make_experiment_from_flags(arguments, protocol, material),
                   material)
     settings = LoopSettings(seconds=arguments.seconds, spin=arguments.spin_us * 1e-6,
                             real_time=not arguments.no_real_time)
     if reduced:
-        limit_motion_to_reduced_model(arguments, reduced)
-    device = open_tool_motion_source(arguments, name, protocol, lifts=reduced is None or reduced.lifting == 0)
+        fill_motion_ranges_from_box_or_refuse(arguments, reduced)
+    device = open_motion_or_haptic_device_from_flags(arguments, name, protocol,
+                                                     lifts=reduced is None or reduced.lifting == 0)
     device.set_approach(model.experiment.approach)
-    rendering = make_force_rendering(arguments, device.largest_force)
+    rendering = make_force_rendering_from_flags(arguments, device.largest_force)
     # With a coupling, inertia is stable in time; but if inertia makes most steps late, the force is up to six times too
     # large (docs/haptic_rendering.md).
     inertia = "off" if rendering.coupling is not None and arguments.inertia == "auto" else arguments.inertia
@@ -189,7 +190,7 @@ def run(arguments) -> int:
                                                 mesh=reduced)
     process = LoopProcess(make_tissue, device, rendering, settings, ring_path=arguments.ring)
     try:
-        report, interrupted = run_loop_to_end(process, arguments.seconds, quiet=arguments.json)
+        report, interrupted = run_loop_and_tell_if_interrupted(process, arguments.seconds, quiet=arguments.json)
     except LoopError as error:
         print(f"tissue-sim: {error}", file=sys.stderr)
         return ExitCode.GOAL_MISSED
@@ -202,7 +203,7 @@ def run(arguments) -> int:
     return ExitCode.INTERRUPTED if interrupted else ExitCode.DONE
 
 
-def limit_motion_to_reduced_model(arguments, reduced) -> None:
+def fill_motion_ranges_from_box_or_refuse(arguments, reduced) -> None:
     """Set ``sideways_mm`` and ``turn_deg`` of the arguments to the box of poses of a reduced model where they are None.
 
     A tilted tool moves sideways as it goes deeper, which leaves less of the box for lateral motion.
@@ -222,7 +223,7 @@ def limit_motion_to_reduced_model(arguments, reduced) -> None:
                              f"{asked:g}", field=f"--{name.replace('_', '-')}")
 
 
-def open_tool_motion_source(arguments, name: str, protocol, *, lifts: bool = True):
+def open_motion_or_haptic_device_from_flags(arguments, name: str, protocol, *, lifts: bool = True):
     """Open the motion or the haptic device that moves the tool.
 
     Args:
@@ -235,12 +236,12 @@ def open_tool_motion_source(arguments, name: str, protocol, *, lifts: bool = Tru
         InputError: unknown motion or device, or invalid settings.
     """
     from haptics.devices.back_ends import open_haptic, open_motion
-    from haptics.devices.motions import make_protocol_motion
+    from haptics.devices.motions import make_protocol_motion_repeated_if_closed
 
     if arguments.device:
         return open_haptic(name)
     if name == "protocol":
-        return make_protocol_motion(protocol)
+        return make_protocol_motion_repeated_if_closed(protocol)
     depth = f"depth_mm={arguments.depth_mm or MOTION_FLAGS.depth_mm!r}" + ("" if lifts else ",lift=0")
     motions_of_flags = {
         "random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed},"
@@ -249,7 +250,7 @@ def open_tool_motion_source(arguments, name: str, protocol, *, lifts: bool = Tru
     return open_motion(motions_of_flags.get(name, name))
 
 
-def make_force_rendering(arguments, largest_force: float):
+def make_force_rendering_from_flags(arguments, largest_force: float):
     """Return the force rendering of the flags: limits, virtual coupling, passivity controller and energy limit.
 
     Args:
@@ -261,7 +262,7 @@ def make_force_rendering(arguments, largest_force: float):
     """
     from haptics.safety.coupling import VirtualCoupling
     from haptics.safety.limits import ForceLimits
-    from haptics.safety.passivity import EnergyLimit
+    from haptics.safety.passivity import ReturnedEnergyCutoff
     from haptics.safety.rendering import ForceRendering
 
     limit = arguments.force_limit_N or DEFAULTS.force_limit
@@ -270,23 +271,24 @@ def make_force_rendering(arguments, largest_force: float):
                          "smaller limit, or raise the limit in the settings of the device", field="--force-limit-N")
     has_limit = math.isfinite(largest_force)
 
-    def choose_value_or_default(value: float | None, device_default: float) -> float:
+    def get_flag_or_device_default_or_zero(value: float | None, device_default: float) -> float:
         """Return the given value, else the default of a device with a force limit, else 0."""
         return value if value is not None else device_default if has_limit else 0.0
 
-    stiffness = choose_value_or_default(arguments.coupling_stiffness_N_m, DEFAULTS.coupling_stiffness)
+    stiffness = get_flag_or_device_default_or_zero(arguments.coupling_stiffness_N_m, DEFAULTS.coupling_stiffness)
     damping = arguments.coupling_damping_N_s_m
     if damping and not stiffness:
         raise InputError("requires a coupling. Add --coupling-stiffness-N-m", field="--coupling-damping-N-s-m")
     coupling = VirtualCoupling(stiffness, DEFAULTS.coupling_damping if damping is None else damping) \
         if stiffness else None
-    passivity_damping = choose_value_or_default(arguments.passivity_damping_N_s_m, DEFAULTS.passivity_damping)
+    passivity_damping = get_flag_or_device_default_or_zero(arguments.passivity_damping_N_s_m,
+                                                           DEFAULTS.passivity_damping)
     energy_limit = arguments.energy_limit_J or (DEFAULTS.energy_limit if has_limit else math.inf)
     return ForceRendering(ForceLimits(limit, arguments.force_rate_N), coupling,
-                          controller_damping=passivity_damping or None, energy_limit=EnergyLimit(energy_limit))
+                          controller_damping=passivity_damping or None, energy_limit=ReturnedEnergyCutoff(energy_limit))
 
 
-def run_loop_to_end(process, seconds: float, *, quiet: bool):
+def run_loop_and_tell_if_interrupted(process, seconds: float, *, quiet: bool):
     """Run the loop process to its end, with a status line on a terminal.
 
     Args:
@@ -313,7 +315,7 @@ def run_loop_to_end(process, seconds: float, *, quiet: bool):
                 console.print(f"ring: {process.ring_path}", markup=False, soft_wrap=True)
                 while (report := process.wait(_UPDATE_INTERVAL)) is None:
                     if not console.quiet:
-                        status.update(live.format_new_status())
+                        status.update(live.format_ticks_since_last_call())
             return report, False
         except KeyboardInterrupt:
             # The loop may tick already although this process has not read the message yet.

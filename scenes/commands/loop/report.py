@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from haptics.loop.ticker import TICKER
-from scenes.commands.shared.text_table import make_text_table, print_sentence
+from scenes.commands.shared.text_table import make_table_with_headings, print_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,7 +39,7 @@ class LoopStatusLine:
     def __init__(self, ring: RingReader, seconds: float):
         self._ring, self._seconds, self._number = ring, seconds, 0
 
-    def format_new_status(self) -> str:
+    def format_ticks_since_last_call(self) -> str:
         """Return the status line at every call; its quantiles are those of the ticks since the last call."""
         ticks = self._ring.since(self._number)
         self._number, records = ticks.number, ticks.records
@@ -56,14 +56,14 @@ def print_loop_report(report: LoopReport, console: Console) -> None:
     """Print the report of the loop: a table of lateness and compute time, then one sentence for each other result."""
     from rich.text import Text
 
-    table = make_text_table("", "p50", "p99", "p99.9", "max")
+    table = make_table_with_headings("", "p50", "p99", "p99.9", "max")
     answer = report.as_json()
     for title, key in (("lateness [us]", "lateness_us"), ("compute time [us]", "compute_us")):
         # As text: rich reads brackets as markup.
         table.add_row(Text(title), *(f"{value:.1f}" for value in answer[key].values()))
     console.print(table)
     print_sentence(console, f"{report.ticks} ticks in {report.seconds:.4g} s: {report.late} late (more than "
-                            f"{TICKER.late * 1e3:g} ms), {report.missed} missed ({answer['missed_percent']:.3g} %)")
+                   f"{TICKER.late * 1e3:g} ms), {report.missed} missed ({answer['missed_percent']:.3g} %)")
     answers = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.statuses.items() if count)
     if answers:
         print_sentence(console, f"simulation steps: {answers}")

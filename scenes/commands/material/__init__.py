@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from scenes.commands.shared.console import make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.parsing import (
-    CommandParser,
+    InputErrorArgumentParser,
     add_json_flag,
     add_overwrite_flag,
     check_output_file,
@@ -38,11 +38,11 @@ _EXPORT = ("convert a material file to the format of another program",
            "tissue-sim material export m.material.json --to abaqus -o m.inp")
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the actions of `tissue-sim material` and their arguments."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
 
-    def add_action(name, texts, run) -> CommandParser:
+    def add_action(name, texts, run) -> InputErrorArgumentParser:
         """Add one action with its help, its function and ``--json``; return its parser."""
         inner = actions.add_parser(name, help=texts[0], description=texts[0], epilog=f"example:\n  {texts[1]}")
         inner.set_defaults(run=run)
@@ -52,7 +52,7 @@ def add_arguments(parser: CommandParser) -> None:
     new = add_action("new", _NEW, write_new_material)
     new.add_argument("--law", required=True,
                      help="material law: neo_hooke, mooney_rivlin, reduced_polynomial_1 to _3, ogden_1 to _3, or a law "
-                          "of an installed package")
+                     "of an installed package")
     new.add_argument("--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
                      help="value of a parameter of the law, in Pa (exponents without unit); once for each parameter")
     bulk = new.add_mutually_exclusive_group()
@@ -63,13 +63,13 @@ def add_arguments(parser: CommandParser) -> None:
     bulk.add_argument("--incompressible", action="store_true", help="incompressible material (default)")
     new.add_argument("--prony", action="append", default=[], metavar="G,TAU_S",
                      help="term of a Prony series: fraction of the instantaneous modulus that relaxes, and relaxation "
-                          "time in s; once for each of 1 to 4 terms")
+                     "time in s; once for each of 1 to 4 terms")
     new.add_argument("--moduli", choices=("instantaneous", "long_term"), default="instantaneous",
                      help="whether the parameters of a law with --prony are instantaneous or long-term moduli "
-                          "(default: %(default)s)")
+                     "(default: %(default)s)")
     new.add_argument("--region", action="append", default=[], metavar="NAME=FILE",
                      help="material of a named region of the specimen mesh, from another material file; its parameters "
-                          "are copied without standard errors; once for each region")
+                     "are copied without standard errors; once for each region")
     new.add_argument("--name", default="", help="name of the material")
     new.add_argument("--density-kg-m3", type=parse_positive_number, metavar="N", help="density of the material")
     new.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE",
@@ -102,9 +102,10 @@ def write_new_material(arguments) -> int:
         bulk = ts.Bulk()
     material = ts.Material(arguments.law, parse_parameter_settings(arguments.settings), bulk,
                            density=arguments.density_kg_m3,
-                           name=arguments.name, viscoelastic=parse_prony_terms(arguments.prony, arguments.moduli),
+                           name=arguments.name,
+                           viscoelastic=parse_prony_series_or_none(arguments.prony, arguments.moduli),
                            regions=load_region_materials(arguments.region))
-    check_bulk_modulus_range(material, "--bulk-ratio" if arguments.bulk_ratio is not None else "--bulk-modulus-pa")
+    require_verified_bulk_ratio(material, "--bulk-ratio" if arguments.bulk_ratio is not None else "--bulk-modulus-pa")
     ts.write_material_file(ts.MaterialFile.of(material), arguments.output)
     if arguments.json:
         print_json({"material_file": str(arguments.output)})
@@ -117,7 +118,7 @@ def write_new_material(arguments) -> int:
     return ExitCode.DONE
 
 
-def check_bulk_modulus_range(material, option: str) -> None:
+def require_verified_bulk_ratio(material, option: str) -> None:
     """Raise an error if the ratio K / mu0 of a material is outside the verified range of the finite elements.
 
     Args:
@@ -161,7 +162,7 @@ def parse_parameter_settings(settings: list[str]) -> dict[str, float]:
     return parameters
 
 
-def parse_prony_terms(terms: list[str], moduli: Literal["instantaneous", "long_term"]) -> Prony | None:
+def parse_prony_series_or_none(terms: list[str], moduli: Literal["instantaneous", "long_term"]) -> Prony | None:
     """Read a Prony series from texts such as ``0.3,2`` (g = 0.3, tau = 2 s).
 
     Args:
@@ -218,14 +219,14 @@ def load_region_materials(regions: list[str]) -> dict[str, Material]:
 
 def print_material_file(arguments) -> int:
     """Print a material file."""
-    from scenes.commands.material.summary import print_material_summary, summarise_material_file
+    from scenes.commands.material.summary import print_material_summary_as_text, summarise_material_file
     from tissue_sim import read_material_file
 
     summary = summarise_material_file(read_material_file(arguments.file))
     if arguments.json:
         print_json(summary)
     else:
-        print_material_summary(summary, make_results_console())
+        print_material_summary_as_text(summary, make_results_console())
     return ExitCode.DONE
 
 
@@ -233,8 +234,8 @@ def check_material_stability(arguments) -> int:
     """Check the stability of a material; `ExitCode.GOAL_MISSED` if it is unstable in its valid range."""
     from scenes.commands.material.summary import (
         describe_drucker_instability,
-        list_effect_lines,
-        list_moduli_lines,
+        list_effect_and_region_lines,
+        list_instantaneous_and_long_term_moduli,
         summarise_material_file,
     )
     from tissue_sim import read_material_file
@@ -242,9 +243,9 @@ def check_material_stability(arguments) -> int:
     material_file = read_material_file(arguments.file)
     instability = describe_drucker_instability(material_file)
     summary = summarise_material_file(material_file)
-    notes = list_effect_lines(summary)
+    notes = list_effect_and_region_lines(summary)
     # The moduli are printed only where effects may make instantaneous and long-term moduli differ.
-    notes = [*list_moduli_lines(summary), *notes] if notes else []
+    notes = [*list_instantaneous_and_long_term_moduli(summary), *notes] if notes else []
     if arguments.json:
         print_json({"material_file": str(arguments.file), "stable": instability is None,
                     "message": instability or "good", "notes": notes})

@@ -63,7 +63,7 @@ def describe_drucker_instability(material_file: MaterialFile) -> str | None:
         One sentence; None for a stable law.
     """
     material = material_file.material
-    low, high = find_valid_stretch_range(material_file)
+    low, high = get_fitted_stretch_range_or_unity(material_file)
     checked_range = (min(low, 1.0), max(high, 1.0))
     for region, local in {"": material, **material.regions}.items():
         stability = check_stability(local.energy_law, local.values, checked_range)
@@ -73,7 +73,7 @@ def describe_drucker_instability(material_file: MaterialFile) -> str | None:
     return None
 
 
-def list_range_warnings(material_file: MaterialFile, recording: Recording, height: float) -> list[str]:
+def list_warnings_if_test_leaves_range(material_file: MaterialFile, recording: Recording, height: float) -> list[str]:
     """Return warnings about a simulated test in which the material leaves its valid range or its stable range.
 
     Args:
@@ -103,14 +103,14 @@ def list_range_warnings(material_file: MaterialFile, recording: Recording, heigh
     return sentences
 
 
-def find_valid_stretch_range(material_file: MaterialFile) -> tuple[float, float]:
+def get_fitted_stretch_range_or_unity(material_file: MaterialFile) -> tuple[float, float]:
     """Return the lowest and highest stretch of the valid range; (1, 1) if the file states none."""
     stated = msgspec.to_builtins(material_file.valid_range) or {}
     low, high = stated.get("stretch") or (1.0, 1.0)
     return float(low), float(high)
 
 
-def list_moduli_lines(summary: dict[str, Any]) -> list[str]:
+def list_instantaneous_and_long_term_moduli(summary: dict[str, Any]) -> list[str]:
     """Return lines with the moduli: one line of an elastic material; instantaneous and long-term of a relaxing one."""
     K = "incompressible" if summary["incompressible"] else f"K {format_pressure(summary['K_Pa'])}"
     E0, mu0 = format_pressure(summary["E0_Pa"]), format_pressure(summary["mu0_Pa"])
@@ -122,7 +122,7 @@ def list_moduli_lines(summary: dict[str, Any]) -> list[str]:
             f"{format_pressure(summary['mu_long_term_Pa'])}; the parameters above are {stated} values"]
 
 
-def list_effect_lines(summary: dict[str, Any]) -> list[str]:
+def list_effect_and_region_lines(summary: dict[str, Any]) -> list[str]:
     """Return one line for each effect beyond the hyperelastic law, such as viscoelasticity, and for each region."""
     lines = []
     if series := summary["viscoelastic"]:
@@ -156,16 +156,16 @@ def _format_with_error(entry: dict[str, Any], key: str, absent: float | None = N
     return f"{entry.get(key, absent):.6g}" + ("" if error is None else f" +- {error:.2g}")
 
 
-def print_material_summary(summary: dict[str, Any], console: Console) -> None:
+def print_material_summary_as_text(summary: dict[str, Any], console: Console) -> None:
     """Print the object of `summarise_material_file` as text and a table."""
     from rich.table import Table
 
-    def print_line(text: str) -> None:
+    def print_unwrapped_line(text: str) -> None:
         """Print a text literally, on one line of any length."""
         console.print(text, markup=False, soft_wrap=True)
 
-    print_line(f"{summary['name'] or 'unnamed'}: {summary['title']} ({summary['law']})")
-    print_line(summary["formula"])
+    print_unwrapped_line(f"{summary['name'] or 'unnamed'}: {summary['title']} ({summary['law']})")
+    print_unwrapped_line(summary["formula"])
     table = Table("parameter", "value", "standard error", "unit")
     for column in table.columns[1:3]:
         column.justify = "right"
@@ -173,31 +173,31 @@ def print_material_summary(summary: dict[str, Any], console: Console) -> None:
         error = parameter.get("standard_error")
         table.add_row(name, f"{parameter['value']:.6g}", "-" if error is None else f"{error:.3g}", parameter["unit"])
     console.print(table)
-    for sentence in list_moduli_lines(summary):
-        print_line(sentence)
-    for sentence in list_effect_lines(summary):
-        print_line(sentence)
+    for sentence in list_instantaneous_and_long_term_moduli(summary):
+        print_unwrapped_line(sentence)
+    for sentence in list_effect_and_region_lines(summary):
+        print_unwrapped_line(sentence)
     if summary["density_kg_m3"] is not None:
-        print_line(f"density {summary['density_kg_m3']:g} kg/m3")
+        print_unwrapped_line(f"density {summary['density_kg_m3']:g} kg/m3")
     low, high = summary["stability"]["stretch_range"]
     for mode, (lower, upper) in summary["stability"]["modes"].items():
         ends = " and ".join(name for name, lost in (("below", lower > low), ("above", upper < high)) if lost)
-        print_line(f"stable in {mode} loading: stretch {lower:.3g} to {upper:.3g} "
-                   f"({f'unstable {ends}' if ends else 'no instability found'})")
+        print_unwrapped_line(f"stable in {mode} loading: stretch {lower:.3g} to {upper:.3g} "
+                             f"({f'unstable {ends}' if ends else 'no instability found'})")
     for title in ("valid_range", "provenance"):
         content = summary[title]
-        print_line(f"{title.replace('_', ' ')}: {'not stated' if not content else ''}".rstrip())
+        print_unwrapped_line(f"{title.replace('_', ' ')}: {'not stated' if not content else ''}".rstrip())
         for key, value in (content or {}).items():
             if value not in (None, [], {}):
-                print_line(f"  {key}: {_format_summary_entry(value)}")
+                print_unwrapped_line(f"  {key}: {_format_range_or_provenance_value(value)}")
 
 
-def _format_summary_entry(value: Any) -> str:
+def _format_range_or_provenance_value(value: Any) -> str:
     """Format an entry of valid range or provenance on one line."""
     if isinstance(value, list | tuple):
         if all(isinstance(entry, dict) for entry in value):
             return ", ".join(str(entry["file"]) for entry in value)
-        return " to ".join(_format_summary_entry(entry) for entry in value)
+        return " to ".join(_format_range_or_provenance_value(entry) for entry in value)
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_format_summary_entry(entry)}" for key, entry in value.items())
+        return ", ".join(f"{key} {_format_range_or_provenance_value(entry)}" for key, entry in value.items())
     return f"{value:g}" if isinstance(value, float) else str(value)

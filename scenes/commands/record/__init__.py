@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from scenes.commands.shared.console import make_progress_console, make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import CommandParser, add_json_flag
+from scenes.commands.shared.parsing import InputErrorArgumentParser, add_json_flag
 from scenes.stop_signals import call_stop_at_signals
 from tissue_sim.errors import InputError
 
@@ -28,22 +28,22 @@ EXAMPLE = "tissue-sim record protocol.toml -o run --dry-run"
 CAMPAIGN = "campaign.toml"
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the arguments of `tissue-sim record`."""
     parser.add_argument("protocol", type=Path, metavar="PROTOCOL.toml",
                         help="campaign file with a protocol for each test and the tables [limits], [devices], [record] "
-                             "and [virtual]")
+                        "and [virtual]")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR",
                         help="folder of the run; required without --dry-run")
     parser.add_argument("--test", metavar="NAME",
                         help="record only this test; required with real devices if the file has several tests, since "
-                             "only one specimen and tool are mounted")
+                        "only one specimen and tool are mounted")
     parser.add_argument("--arm", action="store_true", help="allow the motor of a real stage to move")
     parser.add_argument("--dry-run", action="store_true",
                         help="print the motion, its duration and the stop conditions without starting a device")
     parser.add_argument("--resume", action="store_true",
                         help="record the missing recordings of an interrupted run; the stage is homed, and zero and "
-                             "contact are checked again")
+                        "contact are checked again")
     add_json_flag(parser)
     parser.set_defaults(run=run)
 
@@ -54,19 +54,19 @@ def run(arguments) -> int:
     Raises:
         InputError: an invalid protocol file, or flags that do not suit its tests and devices.
     """
-    from scenes.commands.record.bench import make_bench_devices, uses_virtual_rig
+    from scenes.commands.record.bench import make_unstarted_bench, uses_virtual_rig
     from scenes.commands.record.protocol_file import read_protocol_file
     from scenes.commands.record.results import print_recording_plans, print_run_state
 
     protocol = read_protocol_file(arguments.protocol)
-    tests = _select_tests(protocol, arguments.test)
+    tests = _find_test_or_list_all_tests(protocol, arguments.test)
     console = make_results_console(quiet=arguments.json)
     if arguments.dry_run:
-        from haptics.recorder.plan import check_plans_against_limits
+        from haptics.recorder.plan import check_plans_and_compute_duration
 
-        bench = make_bench_devices(protocol, tests[0])
-        seconds = sum(check_plans_against_limits([protocol.plans[test.name]], protocol.limits, bench.stage,
-                                                 1.0 / bench.sensor.rate)
+        bench = make_unstarted_bench(protocol, tests[0])
+        seconds = sum(check_plans_and_compute_duration([protocol.plans[test.name]], protocol.limits, bench.stage,
+                                                       1.0 / bench.sensor.rate)
                       for test in tests)
         if arguments.json:
             print_json({"state": "planned", "seconds": seconds, "tests": [
@@ -89,10 +89,10 @@ def run(arguments) -> int:
     if not virtual and len(tests) > 1:
         raise InputError("is required, because only one test can be mounted. Name it: "
                          f"{', '.join(test.name for test in tests)}", field="--test")
-    return _record_tests(arguments, protocol, tests, console, print_run_state)
+    return _record_tests_and_get_exit_code(arguments, protocol, tests, console, print_run_state)
 
 
-def _select_tests(protocol: ProtocolFile, name: str | None) -> list[Any]:
+def _find_test_or_list_all_tests(protocol: ProtocolFile, name: str | None) -> list[Any]:
     """Return the test of a name, or all tests for None.
 
     Raises:
@@ -100,14 +100,16 @@ def _select_tests(protocol: ProtocolFile, name: str | None) -> list[Any]:
     """
     tests = [test for test in protocol.campaign.tests if name in (None, test.name)]
     if not tests:
-        from tissue_sim.errors import suggest_known_word
+        from tissue_sim.errors import make_hint_with_similar_or_known_words
 
-        raise InputError(f"unknown test {name!r}{suggest_known_word(str(name), list(protocol.plans))}", field="--test")
+        raise InputError(
+            f"unknown test {name!r}{make_hint_with_similar_or_known_words(str(name), list(protocol.plans))}",
+            field="--test")
     return tests
 
 
-def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: Console,
-                  show: Callable[[RunFolder, Console], None]) -> int:
+def _record_tests_and_get_exit_code(arguments, protocol: ProtocolFile, tests: list[Any], console: Console,
+                                    show: Callable[[RunFolder, Console], None]) -> int:
     """Record the tests into the run folder, then print its state with `show` or as JSON.
 
     Args:
@@ -125,7 +127,7 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
     from haptics.recorder.live import LiveProgressFile
     from haptics.recorder.recorder import Recorder
     from haptics.recorder.run_folder import RunFolder
-    from scenes.commands.record.bench import make_bench_devices
+    from scenes.commands.record.bench import make_unstarted_bench
     from tissue_sim import __version__
 
     folder = RunFolder(arguments.output, protocol.digest)
@@ -137,8 +139,8 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
                                                              "stage": protocol.devices.stage}}
     stopped: str | None = None
     live = LiveProgressFile(arguments.output)
-    with (folder, _watch_for_stop_request(arguments.json) as stop_request,
-          _display_run_status(arguments.json) as show_status, live.run_writing_thread()):
+    with (folder, _stop_reason_getter_context(arguments.json) as stop_request,
+          _display_run_status(arguments.json) as show_status, live.running_writing_thread()):
 
         def publish_and_show_progress(moment: RunProgress) -> None:
             """Store the progress for the live file, and show it on the terminal."""
@@ -147,19 +149,19 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
 
         for test in tests:
             plan = protocol.plans[test.name]
-            if not folder.list_missing_replicates(plan.name, plan.replicates):
+            if not folder.list_missing_replicate_numbers(plan.name, plan.replicates):
                 continue
             try:
-                recorder = Recorder(make_bench_devices(protocol, test), plan, protocol.limits, folder, about=about,
+                recorder = Recorder(make_unstarted_bench(protocol, test), plan, protocol.limits, folder, about=about,
                                     stop_request=stop_request, on_progress=publish_and_show_progress)
                 # Copied before the motion starts, because a file may change or disappear during the run.
-                for path in protocol.referenced_files:
-                    folder.copy_file(path)
+                for path in protocol.mesh_profile_and_rig_files:
+                    folder.copy_input_file_once(path)
                 recorder.run()
             except (StoppedError, DeviceError) as error:
                 stopped = str(error)
                 break
-        if not stopped and not any(folder.list_missing_replicates(plan.name, plan.replicates)
+        if not stopped and not any(folder.list_missing_replicate_numbers(plan.name, plan.replicates)
                                    for plan in protocol.plans.values()):
             folder.update_state(state="complete")
         _write_campaign_file(protocol, folder)
@@ -188,13 +190,14 @@ def _write_campaign_file(protocol: ProtocolFile, folder: RunFolder) -> None:
                          if f"{name}_{number}.csv" in done] for name, plan in protocol.plans.items()}
     if any(recordings.values()):
         missing = [f"{name}_{number}.csv" for name, plan in protocol.plans.items()
-                   for number in folder.list_missing_replicates(name, plan.replicates)]
+                   for number in folder.list_missing_replicate_numbers(name, plan.replicates)]
         words = f"# Not recorded yet: {', '.join(missing)}.\n" if missing else ""
-        write_text(folder.folder / CAMPAIGN, words + protocol.make_campaign_text(recordings, folder.copy_file))
+        write_text(folder.folder / CAMPAIGN,
+                   words + protocol.make_campaign_text(recordings, folder.copy_input_file_once))
 
 
 @contextmanager
-def _watch_for_stop_request(quiet: bool) -> Iterator[Callable[[], str | None]]:
+def _stop_reason_getter_context(quiet: bool) -> Iterator[Callable[[], str | None]]:
     """Watch for a request of the user to stop the run: Ctrl-C, SIGTERM, or Enter on a terminal.
 
     Args:
@@ -205,13 +208,13 @@ def _watch_for_stop_request(quiet: bool) -> Iterator[Callable[[], str | None]]:
     """
     requests: list[str] = []
 
-    def wait_for_enter_key() -> None:
+    def append_stop_request_on_enter() -> None:
         """Wait for a line from the keyboard, then append a stop request."""
         sys.stdin.readline()
         requests.append("stopped at the keyboard")
 
     if not quiet and sys.stdin is not None and sys.stdin.isatty():
-        threading.Thread(target=wait_for_enter_key, name="emergency stop", daemon=True).start()
+        threading.Thread(target=append_stop_request_on_enter, name="emergency stop", daemon=True).start()
     with call_stop_at_signals(lambda: requests.append("stopped by a signal (Ctrl-C, or the end of the session)"),
                               ignore_repeats=True):
         yield lambda: requests[0] if requests else None

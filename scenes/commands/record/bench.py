@@ -10,7 +10,7 @@ from haptics.devices.contracts import Bench, StageLimits
 from haptics.devices.virtual.faults import parse_faults
 from haptics.devices.virtual.rig import ElasticSpecimen, HistoryDependentSpecimen, Specimen, VirtualRig
 from scenes.commands.record.protocol_file import ProtocolFile
-from scenes.commands.shared.tissue_flags import load_material_or_default
+from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
 from tissue_sim import Model, Rig, load_rig
 from tissue_sim.errors import InputError
 
@@ -38,7 +38,7 @@ def uses_virtual_rig(protocol: ProtocolFile) -> bool:
     return sensor == "virtual"
 
 
-def make_bench_devices(protocol: ProtocolFile, test: Test) -> Bench:
+def make_unstarted_bench(protocol: ProtocolFile, test: Test) -> Bench:
     """Return the devices for a test, not started.
 
     Raises:
@@ -59,7 +59,7 @@ def make_virtual_rig(protocol: ProtocolFile, test: Test) -> VirtualRig:
     rig = Rig() if table.rig is None else load_rig(folder / table.rig)
     plan = protocol.plans[test.name]
     compliance = 0.0 if table.remembers else rig.compliance
-    material = load_material_or_default(None if table.material is None else folder / table.material)
+    material = load_material_or_study_silicone(None if table.material is None else folder / table.material)
     if test.experiment is None:
         raise InputError("the kind of test has no tool, so that the virtual rig cannot perform it. Leave the test out",
                          field=test.place, file=protocol.path)

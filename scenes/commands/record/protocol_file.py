@@ -12,17 +12,17 @@ from typing import Any, Literal
 import msgspec
 
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.named_files import list_named_files, replace_file_names
+from calibration.campaign.named_files import list_mesh_profile_and_rig_paths, replace_mesh_profile_and_rig_paths
 from calibration.campaign.schema import PRISM
 from calibration.report.additions import format_toml
 from haptics.recorder.lag import measure_lag
 from haptics.recorder.plan import IndentationPlan
 from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits
-from tissue_sim.decode import decode_struct, read_toml
-from tissue_sim.errors import InputError, add_location_to_errors
+from tissue_sim.decode import decode_struct, read_toml_dict
+from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.experiment.protocol import STUDY_SPEED
 from tissue_sim.experiment.protocol_text import parse_protocol
-from tissue_sim.experiment.segments import expand_legs
+from tissue_sim.experiment.segments import iterate_motion_legs
 from tissue_sim.files import read_text
 from tissue_sim.recording.file import read_recording
 from tissue_sim.specimen import Specimen
@@ -142,7 +142,7 @@ class RecordTable(_ProtocolTable, frozen=True, kw_only=True):
     notes: str | None = None
 
 
-class _ProtocolTables(_ProtocolTable, frozen=True, kw_only=True):
+class _ProtocolOnlyTables(_ProtocolTable, frozen=True, kw_only=True):
     """All tables of `PROTOCOL_TABLES`."""
 
     devices: DevicesTable = DevicesTable()
@@ -178,9 +178,9 @@ class ProtocolFile:
     content: Mapping[str, Any]
 
     @property
-    def referenced_files(self) -> list[Path]:
+    def mesh_profile_and_rig_files(self) -> list[Path]:
         """Files of meshes, tool profiles and rigs that the tests use."""
-        return list_named_files(self.content, self.path.parent)
+        return list_mesh_profile_and_rig_paths(self.content, self.path.parent)
 
     def make_campaign_text(self, recordings: Mapping[str, list[str]], file_name: Callable[[Path], str]) -> str:
         """Return the campaign file (TOML) of the recordings; tests without recordings are left out.
@@ -197,7 +197,7 @@ class ProtocolFile:
                 tests.append({**entry, "name": name, "recordings": recordings[name]})
         defaults = {key: value for key, value in content.get("defaults", {}).items() if key != "protocol"}
         content = {**content, "test": tests, **({"defaults": defaults} if defaults else {})}
-        content = replace_file_names(content, self.path.parent, file_name)
+        content = replace_mesh_profile_and_rig_paths(content, self.path.parent, file_name)
         return f"# Recorded by {self.path.name}.\n{format_toml(content)}"
 
 
@@ -207,15 +207,15 @@ def read_protocol_file(path: Path) -> ProtocolFile:
     Raises:
         InputError: invalid content; the error has the file and the dotted field.
     """
-    content, text = read_toml(path, _EXPECTED), read_text(path, _EXPECTED)
+    content, text = read_toml_dict(path, _EXPECTED), read_text(path, _EXPECTED)
     tables_content = {key: content[key] for key in PROTOCOL_TABLES if key in content}
-    with add_location_to_errors(file=path):
+    with located_and_converted_errors(file=path):
         if "limits" not in tables_content:
             raise InputError("is required, because a motor moves. Give force_N, lowest_mm, highest_mm, speed_mm_s, "
                              "duration_s, stiffness_N_per_mm and force_margin_N", field="limits")
-        tables = decode_struct(tables_content, _ProtocolTables)
-        campaign = _read_planned_campaign(path, content)
-        lag = _measure_sensor_lag(tables.record, path.parent)
+        tables = decode_struct(tables_content, _ProtocolOnlyTables)
+        campaign = _read_protocol_tests_as_campaign(path, content)
+        lag = _compute_lag_from_recording_or_none(tables.record, path.parent)
         plans = {test.name: _make_test_plan(test, tables.record, lag, number, content,
                                             prism=test.specimen is not None and test.specimen.name in campaign.prisms)
                  for number, test in enumerate(campaign.tests)}
@@ -246,7 +246,7 @@ def _check_future_campaign(protocol: ProtocolFile) -> None:
                              field=error.field) from None
 
 
-def _read_planned_campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
+def _read_protocol_tests_as_campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
     """Read the tests as a planned campaign; the tables ``[fit]`` and ``[noise]`` are ignored.
 
     Raises:
@@ -274,7 +274,7 @@ def _read_planned_campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
         Path(file.name).unlink(missing_ok=True)
 
 
-def _measure_sensor_lag(record: RecordTable, folder: Path) -> dict[str, Any] | None:
+def _compute_lag_from_recording_or_none(record: RecordTable, folder: Path) -> dict[str, Any] | None:
     """Return the lag of the sensor with its 95 % interval, measured in the recording ``lag_from``; None without one."""
     if record.lag_from is None:
         return None
@@ -289,7 +289,7 @@ def _make_test_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, 
     Args:
         test: test of the campaign.
         record: table ``[record]``.
-        lag: lag of the sensor with its 95 % interval, from `_measure_sensor_lag`; None: not measured.
+        lag: lag of the sensor with its 95 % interval, from `_compute_lag_from_recording_or_none`; None: not measured.
         number: index of the test.
         content: whole content of the file.
         prism: whether the specimen is a prism of known cross-section only.
@@ -308,7 +308,7 @@ def _make_test_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, 
     # A plate that is bonded to the specimen is in contact from the start.
     bonded = test.experiment.tool.is_plate and test.experiment.friction == "bonded"
     contact = record.contact if record.contact != "auto" else "here" if bonded else "force"
-    legs = tuple(expand_legs(parse_protocol(test.protocol), STUDY_SPEED))
+    legs = tuple(iterate_motion_legs(parse_protocol(test.protocol), STUDY_SPEED))
     return IndentationPlan(test.name, legs, record.replicates,
                            contact, record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3,
                            record.retract_mm * 1e-3, record.preconditioning, record.rest_s, record.sign, record.axis,

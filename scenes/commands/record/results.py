@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from scenes.commands.shared.text_table import make_text_table, print_sentence
+from scenes.commands.shared.text_table import make_table_with_headings, print_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -29,7 +29,7 @@ def print_recording_plans(plans: Sequence[IndentationPlan], limits: MotionLimits
         seconds: least duration of all recordings, s.
         console: console of the results.
     """
-    table = make_text_table("test", "motion", "recordings", "preconditioning", "duration", text=2)
+    table = make_table_with_headings("test", "motion", "recordings", "preconditioning", "duration", text=2)
     table.columns[1].no_wrap = False
     for plan in plans:
         table.add_row(plan.name, plan.motion_summary, f"{plan.replicates}", f"{plan.preconditioning}",
@@ -39,15 +39,15 @@ def print_recording_plans(plans: Sequence[IndentationPlan], limits: MotionLimits
     print_sentence(console, devices)
     print_sentence(console, f"Duration: at least {seconds:.0f} s, plus the time to find contact.")
     print_sentence(console, f"The run stops at a force above {limits.force:g} N, a position outside "
-                            f"{limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm, a speed above "
-                            f"{limits.speed * 1e3:g} mm/s, a duration above {limits.duration:g} s, a sensor that is "
-                            f"saturated, faulty or silent for {limits.sensor_silence:g} s, or a fault of the stage. "
-                            "After a stop the tool "
-                            + ("retracts, unless the position of the stage is unreliable." if limits.retracts else
-                               "stays where it is."))
+                   f"{limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm, a speed above "
+                   f"{limits.speed * 1e3:g} mm/s, a duration above {limits.duration:g} s, a sensor that is "
+                   f"saturated, faulty or silent for {limits.sensor_silence:g} s, or a fault of the stage. "
+                   "After a stop the tool "
+                   + ("retracts, unless the position of the stage is unreliable." if limits.retracts else
+                      "stays where it is."))
     print_sentence(console, f"{_describe_motion_after_crash(bench.stage.runs_on)} "
-                            + ("The encoder detects a stalled motor." if bench.stage.measures_position else
-                               "A stalled motor is not detected, because the stage reports its commanded position."))
+                   + ("The encoder detects a stalled motor." if bench.stage.measures_position else
+                      "A stalled motor is not detected, because the stage reports its commanded position."))
 
 
 def _describe_motion_after_crash(seconds: float) -> str:

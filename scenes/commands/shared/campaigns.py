@@ -10,28 +10,33 @@ from typing import TYPE_CHECKING
 
 from scenes.commands.shared.console import make_progress_console
 from scenes.commands.shared.log_lines import TaskLogLines
-from scenes.commands.shared.parsing import CommandParser, add_json_flag, add_overwrite_flag, make_integer_parser
+from scenes.commands.shared.parsing import (
+    InputErrorArgumentParser,
+    add_json_flag,
+    add_overwrite_flag,
+    make_integer_parser,
+)
 
 if TYPE_CHECKING:
     from scenes.commands.shared.progress import CampaignProgressDisplay
 
 
-def add_campaign_flags(parser: CommandParser, tasks: str) -> None:
+def add_worker_figure_overwrite_json_flags(parser: InputErrorArgumentParser, tasks: str) -> None:
     """Add the flags of a command that runs campaigns, and its default ``resume_hint``.
 
     Args:
         parser: parser of the command.
         tasks: tasks that the processes share, in words for the help.
     """
-    add_worker_flags(parser, tasks)
-    add_figures_format_flag(parser)
+    add_workers_and_dask_flags(parser, tasks)
+    add_optional_figure_files_flag(parser)
     add_overwrite_flag(parser)
     add_json_flag(parser)
     parser.set_defaults(resume_hint="no campaign was finished. Run the same command to start again")
 
 
 @contextmanager
-def show_campaign_progress(arguments: Namespace, last_file: str) -> Iterator[CampaignProgressDisplay]:
+def progress_and_resume_hint_context(arguments: Namespace, last_file: str) -> Iterator[CampaignProgressDisplay]:
     """Show the progress of campaigns, and on Ctrl-C set ``arguments.resume_hint`` to the results that are kept.
 
     Args:
@@ -40,19 +45,19 @@ def show_campaign_progress(arguments: Namespace, last_file: str) -> Iterator[Cam
     """
     from scenes.commands.shared.progress import CampaignProgressDisplay
 
-    stamp = read_result_folder_stamp(arguments.output)
+    stamp = get_work_file_time_and_inode_or_none(arguments.output)
     try:
         with CampaignProgressDisplay(make_progress_console(quiet=arguments.json), len(arguments.campaigns),
                                      TaskLogLines(quiet=arguments.json)) as progress:
             yield progress
     except KeyboardInterrupt:
         # Until the run writes its stamp, --overwrite leaves the results of another run in the folder.
-        if not arguments.overwrite or read_result_folder_stamp(arguments.output) != stamp:
-            arguments.resume_hint = describe_how_to_resume(arguments, last_file)
+        if not arguments.overwrite or get_work_file_time_and_inode_or_none(arguments.output) != stamp:
+            arguments.resume_hint = describe_kept_results_and_resuming(arguments, last_file)
         raise
 
 
-def add_worker_flags(parser: CommandParser, tasks: str) -> None:
+def add_workers_and_dask_flags(parser: InputErrorArgumentParser, tasks: str) -> None:
     """Add ``--workers`` (number of processes, default 1) and ``--dask`` (cluster), which exclude each other.
 
     Args:
@@ -66,13 +71,13 @@ def add_worker_flags(parser: CommandParser, tasks: str) -> None:
                        help="share the tasks on a running dask cluster: tcp://HOST:PORT, or its scheduler file")
 
 
-def add_figures_format_flag(parser: CommandParser) -> None:
+def add_optional_figure_files_flag(parser: InputErrorArgumentParser) -> None:
     """Add ``--figures-format``; without this flag the figures are drawn in the report only."""
     parser.add_argument("--figures-format", choices=("svg", "pdf", "png"),
                         help="also write each figure of the report as a file of this format")
 
 
-def read_result_folder_stamp(output: Path) -> tuple[int, int] | None:
+def get_work_file_time_and_inode_or_none(output: Path) -> tuple[int, int] | None:
     """Identify the calibration or diagnosis to which a result folder belongs.
 
     Returns:
@@ -86,7 +91,7 @@ def read_result_folder_stamp(output: Path) -> tuple[int, int] | None:
     return file.st_mtime_ns, file.st_ino
 
 
-def describe_how_to_resume(arguments: Namespace, last_file: str) -> str:
+def describe_kept_results_and_resuming(arguments: Namespace, last_file: str) -> str:
     """Describe the results that an interrupted command has kept, and how to resume it.
 
     Args:

@@ -35,7 +35,7 @@ def make_results_console(*, quiet: bool = False) -> Console:
     """Return a console that prints results on stdout, or prints nothing if `quiet` (``--json``)."""
     from rich.console import Console
 
-    class ResultsConsole(Console):
+    class ConsoleRaisingBrokenPipe(Console):
         """Console that passes a closed pipe on to `scenes.cli`; rich itself would end the process with code 1."""
 
         def on_broken_pipe(self) -> None:
@@ -43,7 +43,7 @@ def make_results_console(*, quiet: bool = False) -> Console:
             raise BrokenPipeError
 
     width = None if sys.stdout.isatty() else TABLES.pipe_width
-    return ResultsConsole(quiet=quiet, width=width, highlight=False, soft_wrap=False)
+    return ConsoleRaisingBrokenPipe(quiet=quiet, width=width, highlight=False, soft_wrap=False)
 
 
 def make_progress_console(*, quiet: bool = False) -> Console:

@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING, Any
 
 from scenes.catalogue import SCENES
 from scenes.commands.shared.parsing import (
-    CommandParser,
+    InputErrorArgumentParser,
     make_integer_parser,
-    make_number_parser,
-    parse_interface,
+    make_open_interval_number_parser,
+    parse_contact_interface_or_friction,
     parse_non_negative_number,
     parse_positive_number,
 )
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.tools.tool import (
     TOOLS,
     Tool,
     convert_tool_sizes_to_si,
+    interpret_shape_or_profile_path,
+    list_all_tool_sizes_by_key,
     list_shapes_without_file,
-    parse_shape_name,
-    tool_sizes,
 )
 from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen, specimen_sizes
 from tissue_sim.specimen.specimen import make_specimen_from_keys
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class MotionFlagSettings:
+class RampDepthAndPointDefaults:
     """Defaults and limits of the flags of the motion.
 
     Attributes:
@@ -50,12 +50,12 @@ class MotionFlagSettings:
 
 
 #: Defaults of all commands with these flags.
-MOTION_FLAGS = MotionFlagSettings()
+MOTION_FLAGS = RampDepthAndPointDefaults()
 #: Sizes of the cylinder without flags: the silicone specimen of the reference study.
 DEFAULT_CYLINDER_SIZES = {"radius_mm": 40.0, "height_mm": 70.0}
 
 
-def add_experiment_flags(parser: CommandParser, *, motion: bool = True) -> None:
+def add_experiment_flags(parser: InputErrorArgumentParser, *, motion: bool = True) -> None:
     """Add the flags of motion, specimen, and tool with interfaces, each in its argument group.
 
     Args:
@@ -66,27 +66,27 @@ def add_experiment_flags(parser: CommandParser, *, motion: bool = True) -> None:
     if motion:
         _add_motion_flags(parser)
     needs = "; requires --solid" if motion else ""
-    _add_specimen_flags(parser, needs)
-    _add_tool_flags(parser, needs)
+    _add_specimen_mesh_and_weight_flags(parser, needs)
+    _add_tool_and_interface_flags(parser, needs)
 
 
-def _add_motion_flags(parser: CommandParser) -> None:
+def _add_motion_flags(parser: InputErrorArgumentParser) -> None:
     """Add the flags of the motion."""
     motion = parser.add_argument_group("motion")
     motion.add_argument("--depth-mm", type=parse_positive_number, metavar="N",
                         help=f"largest tool displacement of a single ramp (default: {MOTION_FLAGS.depth_mm:g})")
     motion.add_argument("--protocol", metavar="TEXT",
                         help="motion in segments instead of --depth-mm, such as 'approach 2mm; ramp 10mm @0.248mm/s; "
-                             "hold 60s; unload; reload; retract 2mm' or 'repeat 3 (ramp 5mm; unload)'")
+                        "hold 60s; unload; reload; retract 2mm' or 'repeat 3 (ramp 5mm; unload)'")
     motion.add_argument("--points", type=make_integer_parser(2, MOTION_FLAGS.max_points), metavar="N",
                         default=MOTION_FLAGS.points,
                         help="number of samples of the ramp, or of each moving segment, its first one included "
-                             "(default: 21)")
+                        "(default: 21)")
     motion.add_argument("--speed-mm-s", type=parse_positive_number, metavar="N", default=0.248,
                         help="speed of the tool where the protocol states none (default: 0.248)")
 
 
-def _add_specimen_flags(parser: CommandParser, needs: str) -> None:
+def _add_specimen_mesh_and_weight_flags(parser: InputErrorArgumentParser, needs: str) -> None:
     """Add the flags of the specimen: shape, sizes, mesh file and self-weight.
 
     Args:
@@ -100,45 +100,48 @@ def _add_specimen_flags(parser: CommandParser, needs: str) -> None:
     for key, (declaration, name, shapes) in specimen_sizes().items():
         size = DEFAULT_CYLINDER_SIZES.get(key)
         default = "" if size is None else f" (default of the cylinder: {size:g})"
-        specimen.add_argument(f"--{key.replace('_', '-')}", type=_make_size_parser(declaration), metavar="N",
+        specimen.add_argument(f"--{key.replace('_', '-')}", type=_make_flag_unit_size_parser(declaration), metavar="N",
                               help=f"{name.replace('_', ' ')} of a specimen of shape {' or '.join(shapes)}{default}")
     specimen.add_argument("--mesh", type=Path, metavar="FILE",
                           help="mesh of a specimen of any shape: .msh, .vtu, .vtk or .inp file of tetrahedra or "
-                               f"hexahedra with z upwards{needs}")
+                          f"hexahedra with z upwards{needs}")
     specimen.add_argument("--mesh-unit", choices=("m", "cm", "mm", "um", "in"),
                           help="length unit of the mesh file (default: mm)")
     specimen.add_argument("--mesh-base", metavar="NAME",
                           help="name of the faces in the mesh file that are fixed (default: the faces in its lowest "
-                               "plane)")
+                          "plane)")
     specimen.add_argument("--mesh-top", metavar="NAME",
                           help="name of the faces in the mesh file that the tool can touch (default: the faces in its "
-                               "highest plane, or all faces that point upwards)")
+                          "highest plane, or all faces that point upwards)")
     specimen.add_argument("--gravity", action="store_true",
                           help="apply self-weight; the specimen settles before the test")
     specimen.add_argument("--density-kg-m3", type=parse_positive_number, metavar="N",
                           help="density of the specimen with --gravity (default: density of the material file)")
     specimen.add_argument("--height-is", choices=("moulded", "placed"),
                           help="with --gravity: whether --height-mm is the height before (moulded) or after (placed) "
-                               "the specimen settles (default: moulded)")
+                          "the specimen settles (default: moulded)")
 
 
-def _add_tool_flags(parser: CommandParser, needs: str) -> None:
-    """Add the flags of the tool and of the contact at its faces; arguments as of `_add_specimen_flags`."""
+def _add_tool_and_interface_flags(parser: InputErrorArgumentParser, needs: str) -> None:
+    """Add the flags of the tool and of the contact at its faces.
+
+    Arguments as of `_add_specimen_mesh_and_weight_flags`.
+    """
     tool = parser.add_argument_group("tool and interfaces (default: as the scene defines)")
     tool.add_argument("--tool", metavar="SHAPE",
                       help=f"{', '.join(list_shapes_without_file())}, or a file with the columns r and z of its "
-                           "profile")
-    for key, (declaration, name, shapes) in tool_sizes().items():
-        tool.add_argument(f"--{key.replace('_', '-')}", type=_make_size_parser(declaration), metavar="N",
+                      "profile")
+    for key, (declaration, name, shapes) in list_all_tool_sizes_by_key().items():
+        tool.add_argument(f"--{key.replace('_', '-')}", type=_make_flag_unit_size_parser(declaration), metavar="N",
                           help=f"{name.replace('_', ' ')} of a tool of shape {' or '.join(shapes)}")
-    tool.add_argument("--friction", type=parse_interface, metavar="CONTACT",
+    tool.add_argument("--friction", type=parse_contact_interface_or_friction, metavar="CONTACT",
                       help="contact at the face of the tool: bonded, stick (no slip, can lift off), frictionless or a "
-                           "friction coefficient such as 0.7")
-    tool.add_argument("--friction-wall", type=parse_interface, metavar="CONTACT",
+                      "friction coefficient such as 0.7")
+    tool.add_argument("--friction-wall", type=parse_contact_interface_or_friction, metavar="CONTACT",
                       help="contact at the shaft of the tool, as for --friction")
-    tool.add_argument("--friction-base", type=parse_interface, metavar="CONTACT",
+    tool.add_argument("--friction-base", type=parse_contact_interface_or_friction, metavar="CONTACT",
                       help="contact at the base of the specimen, as for --friction (default between two plates: the "
-                           "contact at the face of the tool)")
+                      "contact at the face of the tool)")
     tool.add_argument("--adhesion-N", type=parse_positive_number, metavar="N",
                       help="pull-off force of the face of the tool")
     tool.add_argument("--adhesion-length-mm", type=parse_positive_number, metavar="N",
@@ -147,14 +150,14 @@ def _add_tool_flags(parser: CommandParser, needs: str) -> None:
                       help="additional contact law from an installed package; may be given several times")
     tool.add_argument("--tilt-mm", type=parse_positive_number, metavar="N",
                       help="height difference across the face of a tilted tool; corrects the force curve")
-    tool.add_argument("--offset-mm", type=make_number_parser(-1e3, 1e3), metavar="N",
+    tool.add_argument("--offset-mm", type=make_open_interval_number_parser(-1e3, 1e3), metavar="N",
                       help=f"distance of the needle from the axis of the specimen{needs}")
-    tool.add_argument("--tilt-deg", type=make_number_parser(-80.0, 80.0), metavar="N",
+    tool.add_argument("--tilt-deg", type=make_open_interval_number_parser(-80.0, 80.0), metavar="N",
                       help="angle between the needle and the axis of the specimen; the needle moves along its own "
-                           f"axis{needs}")
-    tool.add_argument("--slip", type=make_number_parser(0.0, 1.0), metavar="N",
+                      f"axis{needs}")
+    tool.add_argument("--slip", type=make_open_interval_number_parser(0.0, 1.0), metavar="N",
                       help="fraction of the bonded faces that slips: interpolates between the bonded and the "
-                           "frictionless test")
+                      "frictionless test")
 
 
 def require_known_scene(name: str) -> None:
@@ -164,7 +167,7 @@ def require_known_scene(name: str) -> None:
         InputError: unknown scene; the message names the nearest one.
     """
     if name not in SCENES:
-        raise InputError(f"unknown scene {name!r}{suggest_known_word(name, SCENES)}")
+        raise InputError(f"unknown scene {name!r}{make_hint_with_similar_or_known_words(name, SCENES)}")
 
 
 def make_protocol_from_flags(arguments) -> Protocol:
@@ -184,7 +187,7 @@ def make_protocol_from_flags(arguments) -> Protocol:
     return Protocol.parse(arguments.protocol, arguments.points, speed)
 
 
-def refuse_curve_corrections(arguments) -> None:
+def refuse_tilt_and_slip_correction_flags(arguments) -> None:
     """Refuse the flags of corrections of whole force curves, which do not exist in real time.
 
     Args:
@@ -214,7 +217,7 @@ def make_experiment_from_flags(arguments, protocol: Protocol, material: Material
 
     scene = SCENES[arguments.scene]
     scene_tool = scene.require_tool()
-    shape, profile = parse_shape_name(arguments.tool or scene_tool.shape)
+    shape, profile = interpret_shape_or_profile_path(arguments.tool or scene_tool.shape)
     kind = TOOLS.find(shape, field="--tool")
     if not scene.allows_tool(kind):
         fitting = [name for name, other in SCENES.items() if other.allows_tool(kind)]
@@ -231,7 +234,7 @@ def make_experiment_from_flags(arguments, protocol: Protocol, material: Material
         if getattr(arguments, name) is not None and not arguments.gravity:
             raise InputError("has an effect only with --gravity. Add --gravity, or leave this flag out",
                              field=f"--{name.replace('_', '-')}")
-    changes = {name: value for name in scene.face_interfaces
+    changes = {name: value for name in scene.face_interfaces_by_field
                if (value := getattr(arguments, name)) is not None}
     if (arguments.adhesion_N is None) != (arguments.adhesion_length_mm is None):
         raise InputError("adhesion requires --adhesion-N and --adhesion-length-mm. Give both or neither",
@@ -241,7 +244,7 @@ def make_experiment_from_flags(arguments, protocol: Protocol, material: Material
 
         changes["adhesion"] = Adhesion(arguments.adhesion_N, arguments.adhesion_length_mm * 1e-3)
     if arguments.contact_law:
-        changes["contact_laws"] = [_parse_contact_law(text) for text in arguments.contact_law]
+        changes["contact_laws"] = [_parse_contact_law_name_and_keys(text) for text in arguments.contact_law]
     if arguments.tilt_mm is not None:
         changes["tilt"] = arguments.tilt_mm * 1e-3
     if arguments.slip is not None:
@@ -273,7 +276,7 @@ def _make_specimen_from_flags(arguments, weight: dict[str, Any]) -> Specimen:
         raise InputError(error.problem, field=f"--{(error.field or '').replace('_', '-')}") from None
 
 
-def _parse_contact_law(text: str) -> ContactLaw:
+def _parse_contact_law_name_and_keys(text: str) -> ContactLaw:
     """Read a contact law from text such as ``tacky_film:tack_Pa=30,thickness_mm=0.3``.
 
     Raises:
@@ -292,12 +295,12 @@ def _parse_contact_law(text: str) -> ContactLaw:
     return make_from_file_keys(CONTACT_LAWS.find(name, "--contact-law"), content, f"--contact-law {name}")
 
 
-def _make_size_parser(declaration: Declaration):
+def _make_flag_unit_size_parser(declaration: Declaration):
     """Return a function for argparse's ``type`` that checks a size of a specimen or a tool, in the unit of its flag."""
     low, high = (bound / declaration.factor for bound in declaration.bounds)
     if declaration.absent == 0:
         return parse_non_negative_number
-    return parse_positive_number if declaration.unit == "m" else make_number_parser(low, high)
+    return parse_positive_number if declaration.unit == "m" else make_open_interval_number_parser(low, high)
 
 
 def _make_tool_from_flags(arguments, shape: str, profile: Path | None, scene_tool: Tool) -> Tool:
@@ -309,7 +312,7 @@ def _make_tool_from_flags(arguments, shape: str, profile: Path | None, scene_too
         profile: file of a profile, which defines the sizes of the tool; None otherwise.
         scene_tool: tool of the scene without flags; its sizes are kept where the new shape has them too.
     """
-    known = tool_sizes()
+    known = list_all_tool_sizes_by_key()
     stated = {key: value for key in known if (value := getattr(arguments, key)) is not None}
     kept = {name: getattr(scene_tool, name) for _, name, shapes in known.values()
             if {scene_tool.shape, shape} <= {*shapes}}

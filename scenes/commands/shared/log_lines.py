@@ -39,7 +39,7 @@ class TaskLogLines:
         if self._quiet or now - self._last < MIN_INTERVAL:
             return
         self._last = now
-        print(f"{format_duration(round(now - self._start))} {sentence}", file=sys.stderr, flush=True)
+        print(f"{format_minutes_and_seconds(round(now - self._start))} {sentence}", file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -61,6 +61,6 @@ def display_task(console: Console, sentence: str, *, quiet: bool) -> Iterator[Ta
         yield status
 
 
-def format_duration(seconds: int) -> str:
+def format_minutes_and_seconds(seconds: int) -> str:
     """Format a duration, s, as minutes and seconds, such as ``1:05``."""
     return f"{seconds // 60}:{seconds % 60:02d}"

@@ -11,7 +11,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.interfaces import INTERFACES
 
 
-class CommandParser(argparse.ArgumentParser):
+class InputErrorArgumentParser(argparse.ArgumentParser):
     """Argument parser that raises `InputError`, accepts no abbreviations and keeps the line breaks of its epilog."""
 
     def __init__(self, **options):
@@ -34,12 +34,12 @@ def describe_planned_feature(feature: str) -> str:
     return f"{feature} is not available in this version. 'tissue-sim --help' lists the available commands"
 
 
-def add_json_flag(parser: CommandParser) -> None:
+def add_json_flag(parser: InputErrorArgumentParser) -> None:
     """Add ``--json``, with which a command prints one JSON object on stdout and nothing else."""
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
 
 
-def add_overwrite_flag(parser: CommandParser) -> None:
+def add_overwrite_flag(parser: InputErrorArgumentParser) -> None:
     """Add ``--overwrite``, without which a command refuses to replace existing output."""
     parser.add_argument("--overwrite", action="store_true", help="replace existing output")
 
@@ -60,18 +60,18 @@ def parse_non_negative_number(text: str) -> float:
     return value
 
 
-def make_number_parser(lowest: float, highest: float):
+def make_open_interval_number_parser(lowest: float, highest: float):
     """Return a function for argparse's ``type`` that converts text to a number above `lowest` and below `highest`."""
-    def parse_number_in_range(text: str) -> float:
+    def parse_number_in_open_interval(text: str) -> float:
         """Convert text to a number above `lowest` and below `highest`."""
         value = _parse_number_or_nan(text)
         if not lowest < value < highest:
             raise argparse.ArgumentTypeError(f"must be between {lowest:.3g} and {highest:.3g}; got {text!r}")
         return value
-    return parse_number_in_range
+    return parse_number_in_open_interval
 
 
-def parse_interface(text: str) -> str | float:
+def parse_contact_interface_or_friction(text: str) -> str | float:
     """Convert an argument to an interface of a face: a word of `INTERFACES` or a Coulomb friction coefficient."""
     if text in INTERFACES:
         return text

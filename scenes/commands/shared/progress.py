@@ -13,14 +13,14 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from scenes.commands.shared.log_lines import TaskLogLines, format_duration
-from scenes.commands.shared.text_table import make_text_table
+from scenes.commands.shared.log_lines import TaskLogLines, format_minutes_and_seconds
+from scenes.commands.shared.text_table import make_table_with_headings
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-    from calibration.fit.fit import DescentIteration
+    from calibration.fit.fit import DescentEvaluation
 
 _COMPILING = "loading the solver (the first run on a computer compiles it, about half a minute)"
 
@@ -66,7 +66,7 @@ class CampaignProgressDisplay:
         self._sentence, self._start, self._last_report = "reading", time.monotonic(), time.monotonic()
         self._part_start = self._start
         self._campaign_and_law, self._solves = ("", ""), 0
-        self._rows: list[DescentIteration] = []
+        self._rows: list[DescentEvaluation] = []
         self._done, self._total, self._has_finished_task = 0, 0, False
         self._started_campaigns: list[str] = []
         self._spinner = Spinner("dots")
@@ -108,7 +108,7 @@ class CampaignProgressDisplay:
         """Print a sentence above the live display, where it stays."""
         self._console.print(sentence, style="dim", markup=False, emoji=False, highlight=False)
 
-    def add_fit_iteration(self, campaign: str, law: str, iteration: DescentIteration) -> None:
+    def add_fit_iteration(self, campaign: str, law: str, iteration: DescentEvaluation) -> None:
         """Add one iteration of a fit to the table; a new campaign or law starts a new table."""
         if self._campaign_and_law != (campaign, law):
             self._campaign_and_law, self._rows = (campaign, law), []
@@ -127,7 +127,7 @@ class CampaignProgressDisplay:
         bar = ProgressBar(total=self._total, completed=self._done, width=width) if self._total else \
             ProgressBar(width=width, pulse=True, animation_time=now)
         line.add_row(self._spinner, bar, Text(f"{self._done} of {self._total}" if self._total else ""),
-                     Text(format_duration(seconds)), Text(self._estimate_remaining_time(now)),
+                     Text(format_minutes_and_seconds(seconds)), Text(self._describe_remaining_time(now)),
                      Text(f"{self._solves} solves" if self._solves else ""),
                      Text(f"campaign {max(number, 1)} of {self._campaigns}" if self._campaigns > 1 else ""))
         parts: list[RenderableType] = [self._make_iteration_table()] if self._rows else []
@@ -137,13 +137,13 @@ class CampaignProgressDisplay:
             parts.append(Text(_COMPILING, style="dim"))
         return Group(*parts)
 
-    def _estimate_remaining_time(self, now: float) -> str:
+    def _describe_remaining_time(self, now: float) -> str:
         """Return the estimated remaining time of the current tasks as text; empty without an estimate."""
         elapsed = self._last_report - self._part_start
         if not 0 < self._done < self._total or elapsed < _SETTINGS.estimate_after:
             return ""
         remaining = elapsed * (self._total - self._done) / self._done - (now - self._last_report)
-        return f"about {format_duration(max(round(remaining), 1))} remaining in this part"
+        return f"about {format_minutes_and_seconds(max(round(remaining), 1))} remaining in this part"
 
     def _make_iteration_table(self) -> Table:
         """Return the iteration table of the current fit; parameters in SI units."""
@@ -151,7 +151,7 @@ class CampaignProgressDisplay:
         names = list(self._rows[-1].parameters)
         # The last component of a parameter path, such as bulk_ratio of bulk.bulk_ratio, is enough as a heading.
         headings = [f"{name.rpartition('.')[2]} {law.units.get(name, '')}".removesuffix("1").strip() for name in names]
-        table = make_text_table("start", "run", *headings, "error", "RMSE", "mesh", text=0)
+        table = make_table_with_headings("start", "run", *headings, "error", "RMSE", "mesh", text=0)
         for column in table.columns[2:2 + len(names)]:
             column.no_wrap, column.overflow = False, "fold"
         visible_rows = max(self._console.size.height - _SETTINGS.other_lines, _SETTINGS.min_rows)

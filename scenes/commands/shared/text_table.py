@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class PrintedTableSettings:
+class PrintedTableLimits:
     """Sizes of printed tables. The JSON objects and reports contain all rows.
 
     Attributes:
@@ -28,10 +28,10 @@ class PrintedTableSettings:
 
 
 #: Sizes of all printed tables.
-TABLES = PrintedTableSettings()
+TABLES = PrintedTableLimits()
 
 
-def make_text_table(*headings: str, text: int = 1) -> Table:
+def make_table_with_headings(*headings: str, text: int = 1) -> Table:
     """Return an empty table of the library rich, without lines.
 
     Args:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenes.commands.shared.parsing import CommandParser
-from tissue_sim.errors import InputError, suggest_known_word
+from scenes.commands.shared.parsing import InputErrorArgumentParser
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 
 if TYPE_CHECKING:
     from tissue_sim import Material, ReducedModel
@@ -16,11 +16,12 @@ if TYPE_CHECKING:
 _REALTIME_LEVELS = ("realtime_120", "realtime_63", "realtime_35", "realtime_20")
 #: Resolution -> description in the help.
 _RESOLUTIONS = {"realtime": f"realtime (the finest of {', '.join(_REALTIME_LEVELS)} that this computer solves within "
-                            "the time budget of a step; naming one of these selects it)",
+                "the time budget of a step; naming one of these selects it)",
                 "fast": "fast (force error about 1 %%)", "accurate": "accurate (force error about 0.2 %%)"}
 
 
-def add_solver_flags(parser: CommandParser, resolutions: Sequence[str] = tuple(_RESOLUTIONS)) -> None:
+def add_resolution_and_solver_flags(parser: InputErrorArgumentParser,
+                                    resolutions: Sequence[str] = tuple(_RESOLUTIONS)) -> None:
     """Add the flags of the solver and its resolution.
 
     Args:
@@ -32,19 +33,19 @@ def add_solver_flags(parser: CommandParser, resolutions: Sequence[str] = tuple(_
                         help=f"mesh: {', '.join(_RESOLUTIONS[name] for name in resolutions)} (default: %(default)s)")
     parser.add_argument("--solver", metavar="NAME", default="axisymmetric",
                         help="axisymmetric, solid (three-dimensional), or a solver of an installed package (default: "
-                             "%(default)s)")
+                        "%(default)s)")
     parser.add_argument("--solid", dest="solver", action="store_const", const="solid",
                         help="same as --solver solid")
 
 
-def add_reduced_flag(parser: CommandParser) -> None:
+def add_reduced_flag(parser: InputErrorArgumentParser) -> None:
     """Add ``--reduced FILE``, a reduced model that replaces specimen, tool and solver of the other flags."""
     parser.add_argument("--reduced", type=Path, metavar="FILE",
                         help="reduced model from `tissue-sim reduce` (NAME.reduced.npz); it contains specimen, tool "
-                             "and interfaces")
+                        "and interfaces")
 
 
-def load_reduced_model(arguments) -> ReducedModel | None:
+def load_reduced_model_and_set_flags(arguments) -> ReducedModel | None:
     """Load the reduced model of ``--reduced``, and set ``solver`` and the default ``depth_mm`` of the arguments.
 
     Returns:
@@ -58,11 +59,11 @@ def load_reduced_model(arguments) -> ReducedModel | None:
     if arguments.solver != "axisymmetric":
         raise InputError("cannot be combined with --reduced, which selects its solver. Leave this flag out",
                          field="--solver")
-    from tissue_sim.experiment.tools.tool import tool_sizes
+    from tissue_sim.experiment.tools.tool import list_all_tool_sizes_by_key
     from tissue_sim.specimen.specimen import specimen_sizes
 
     stated = ("tool", "friction", "friction_base", "friction_wall", "offset_mm", "tilt_deg", "shape", "mesh",
-              "mesh_unit", "mesh_base", "mesh_top", "gravity", *tool_sizes(), *specimen_sizes())
+              "mesh_unit", "mesh_base", "mesh_top", "gravity", *list_all_tool_sizes_by_key(), *specimen_sizes())
     for name in stated:
         if getattr(arguments, name, None) not in (None, False):
             raise InputError("cannot be combined with --reduced, whose file defines it. Leave this flag out, or "
@@ -86,10 +87,11 @@ def require_known_solver(name: str) -> None:
     from tissue_sim.fem.solver import SOLVERS
 
     if name not in SOLVERS:
-        raise InputError(f"unknown solver {name!r}{suggest_known_word(name, SOLVERS)}", field="--solver")
+        raise InputError(f"unknown solver {name!r}{make_hint_with_similar_or_known_words(name, SOLVERS)}",
+                         field="--solver")
 
 
-def load_material_or_default(path: Path | None) -> Material:
+def load_material_or_study_silicone(path: Path | None) -> Material:
     """Return the material of a file, or for None the silicone of the reference study."""
     import tissue_sim as ts
 

@@ -15,17 +15,22 @@ from scenes.commands.shared.experiment_flags import (
     require_known_scene,
 )
 from scenes.commands.shared.log_lines import display_task
-from scenes.commands.shared.parsing import CommandParser, add_json_flag, add_overwrite_flag, check_output_file
-from scenes.commands.shared.tissue_flags import add_solver_flags, require_known_solver
+from scenes.commands.shared.parsing import (
+    InputErrorArgumentParser,
+    add_json_flag,
+    add_overwrite_flag,
+    check_output_file,
+)
+from scenes.commands.shared.tissue_flags import add_resolution_and_solver_flags, require_known_solver
 from scenes.commands.simulate.replicates import (
     add_rig_flags,
-    list_output_files,
-    make_rig_from_flags,
+    list_replicate_curve_files,
+    load_rig_with_noise_and_seed_flags,
     simulate_replicate_readings,
 )
-from scenes.commands.simulate.report import make_json_object, print_force_curve, print_solution_quality
+from scenes.commands.simulate.report import make_simulation_json_object, print_force_curve, print_mesh_cost_and_remarks
 from scenes.field_labels import LABELS
-from scenes.provenance import describe_provenance
+from scenes.provenance import make_kind_specimen_tool_metadata
 from tissue_sim.errors import ConvergenceError, InputError
 
 SUMMARY = "simulate a mechanical test and print force against displacement"
@@ -35,14 +40,14 @@ EXAMPLE = ("tissue-sim simulate needle_indentation --material m.material.json --
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
-def add_arguments(parser: CommandParser) -> None:
+def add_arguments(parser: InputErrorArgumentParser) -> None:
     """Declare the arguments of `tissue-sim simulate`."""
     parser.add_argument("scene", metavar="SCENE", help=f"test to simulate: {', '.join(SCENES)}")
     parser.add_argument("--material", type=Path, required=True, metavar="FILE",
                         help="material file NAME.material.json (tissue-sim material new or calibrate writes it)")
     add_experiment_flags(parser)
     add_rig_flags(parser)
-    add_solver_flags(parser, ("fast", "accurate"))
+    add_resolution_and_solver_flags(parser, ("fast", "accurate"))
     parser.add_argument("-o", dest="output", type=Path, metavar="CURVE.csv",
                         help="write the force curve as a recording")
     parser.add_argument("--figure", type=Path, metavar="F.png",
@@ -64,7 +69,7 @@ def run(arguments) -> int:
         ConvergenceError: the solver stopped early; its partial curve was printed and written.
     """
     require_known_scene(arguments.scene)
-    outputs = list_output_files(arguments.output, arguments.replicates)
+    outputs = list_replicate_curve_files(arguments.output, arguments.replicates)
     for path in outputs:
         check_output_file(path, "-o", overwrite=arguments.overwrite, suffixes=(".csv",))
         check_output_file(path.with_suffix(".json"), "-o", overwrite=arguments.overwrite)
@@ -79,14 +84,14 @@ def run(arguments) -> int:
 
     for path in outputs:
         require_overwritable_sidecar(path)
-    protocol, rig = make_protocol_from_flags(arguments), make_rig_from_flags(arguments)
+    protocol, rig = make_protocol_from_flags(arguments), load_rig_with_noise_and_seed_flags(arguments)
     points = rig.count_readings(protocol.time)
     if outputs and points < MIN_POINTS:
         raise InputError(f"a recording needs at least {MIN_POINTS} samples; got {points}. Add samples, or leave out -o",
                          field="--points" if rig.sampling_rate is None else "--rig")
     material_file = ts.read_material_file(arguments.material)
 
-    from scenes.commands.material.summary import list_range_warnings
+    from scenes.commands.material.summary import list_warnings_if_test_leaves_range
 
     experiment = make_experiment_from_flags(arguments, protocol, material_file.material)
     # The solver needs the compliance of the rig only; the sensor is applied below, once for each replicate.
@@ -107,18 +112,19 @@ def run(arguments) -> int:
         raise InputError(f"requires fields, which the solver {arguments.solver!r} does not compute. Leave --figure out",
                          field="--figure")
     recordings = simulate_replicate_readings(
-        rig, recording.with_metadata(**describe_provenance(arguments.scene, experiment)), arguments.replicates)
+        rig, recording.with_metadata(**make_kind_specimen_tool_metadata(arguments.scene, experiment)),
+        arguments.replicates)
     for path, written in zip(outputs, recordings, strict=bool(outputs)):
         ts.write_recording(written, path)
     if arguments.figure is not None:
         from scenes.figures import draw_simulation
 
         draw_simulation(recording, model, arguments.figure, field=arguments.field or "von_mises")
-    warnings = [*list_range_warnings(material_file, recording, experiment.specimen.height),
+    warnings = [*list_warnings_if_test_leaves_range(material_file, recording, experiment.specimen.height),
                 *recording.metadata.get("solver", {}).get("warnings", [])]
     if arguments.json:
-        print_json(make_json_object(recordings, arguments.resolution, failure, warnings,
-                                    replicates=arguments.replicates is not None))
+        print_json(make_simulation_json_object(recordings, arguments.resolution, failure, warnings,
+                                               replicates=arguments.replicates is not None))
     else:
         print_simulation_results(recordings, arguments, [*outputs, arguments.figure])
         for warning in warnings:
@@ -150,7 +156,7 @@ def print_simulation_results(recordings, arguments, written: list[Path | None]) 
     print_force_curve(recordings[0], arguments.scene.replace("_", " "), console)
     if len(recordings) > 1:
         console.print(f"replicate 1 of {len(recordings)} is shown", markup=False)
-    print_solution_quality(recordings[0], console)
+    print_mesh_cost_and_remarks(recordings[0], console)
     for path in written:
         if path is not None and path.exists():
             console.print(f"wrote {path}", markup=False, soft_wrap=True)

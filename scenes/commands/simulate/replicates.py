@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenes.commands.shared.parsing import CommandParser, make_integer_parser, parse_non_negative_number
+from scenes.commands.shared.parsing import InputErrorArgumentParser, make_integer_parser, parse_non_negative_number
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 MAX_REPLICATES = 1000
 
 
-def add_rig_flags(parser: CommandParser) -> None:
+def add_rig_flags(parser: InputErrorArgumentParser) -> None:
     """Add the flags of rig file, noise, replicates and seed."""
     rig = parser.add_argument_group("rig")
     rig.add_argument("--rig", type=Path, metavar="FILE",
@@ -26,12 +26,12 @@ def add_rig_flags(parser: CommandParser) -> None:
                      help="standard deviation of the force noise (default: value of the rig file, or 0)")
     rig.add_argument("--replicates", type=make_integer_parser(1, MAX_REPLICATES), metavar="N",
                      help="number of recordings with independent noise; -o CURVE.csv writes CURVE_1.csv, "
-                          "CURVE_2.csv, ...")
+                     "CURVE_2.csv, ...")
     rig.add_argument("--seed", type=make_integer_parser(0), metavar="N",
                      help="seed of the noise; equal seeds give equal files (default: value of the rig file, or 0)")
 
 
-def make_rig_from_flags(arguments) -> Rig:
+def load_rig_with_noise_and_seed_flags(arguments) -> Rig:
     """Return the rig of ``--rig`` with the noise and the seed of the flags.
 
     Raises:
@@ -51,7 +51,7 @@ def make_rig_from_flags(arguments) -> Rig:
     return rig if arguments.seed is None else replace(rig, seed=arguments.seed)
 
 
-def list_output_files(curve: Path | None, replicates: int | None) -> list[Path]:
+def list_replicate_curve_files(curve: Path | None, replicates: int | None) -> list[Path]:
     """Return the files of the recordings: CURVE.csv, or CURVE_1.csv, CURVE_2.csv, ... for replicates."""
     if curve is None:
         return []

@@ -18,9 +18,8 @@ if TYPE_CHECKING:
 OPTIONAL_KEYS = ("force_error", "penetration_mm", "penetration_tolerance_mm", "slipping_points", "self_weight")
 
 
-def make_json_object(recordings: Sequence[Recording], resolution: str, failure: Exception | None, warnings: list[str],
-                     *,
-                     replicates: bool = False) -> dict[str, Any]:
+def make_simulation_json_object(recordings: Sequence[Recording], resolution: str, failure: Exception | None,
+                                warnings: list[str], *, replicates: bool = False) -> dict[str, Any]:
     """Return the object of ``simulate --json``; the names of the keys contain the units.
 
     Args:
@@ -67,7 +66,7 @@ def print_force_curve(recording: Recording, title: str, console: Console) -> Non
     from rich.table import Table
     from rich.text import Text
 
-    rows = select_printed_samples(recording)
+    rows = select_segment_ends_and_even_samples(recording)
     table = Table(title=title)
     columns = []
     segments = [str(name) for name in recording.labels.get("segment", ())]
@@ -90,8 +89,8 @@ def print_force_curve(recording: Recording, title: str, console: Console) -> Non
         console.print(sentence, markup=False)
 
 
-def select_printed_samples(recording: Recording) -> np.ndarray:
-    """Return the indices of the printed samples, at most `PrintedTableSettings.max_curve_rows`.
+def select_segment_ends_and_even_samples(recording: Recording) -> np.ndarray:
+    """Return the indices of the printed samples, at most `PrintedTableLimits.max_curve_rows`.
 
     A short curve is printed completely. Of a long one the last sample of each segment is printed (unless the segments
     would take more than half of the rows), and evenly spaced samples.
@@ -108,7 +107,7 @@ def select_printed_samples(recording: Recording) -> np.ndarray:
     return np.union1d(ends, np.linspace(0, samples - 1, TABLES.max_curve_rows - ends.size).round().astype(int))
 
 
-def print_solution_quality(recording: Recording, console: Console) -> None:
+def print_mesh_cost_and_remarks(recording: Recording, console: Console) -> None:
     """Print size, cost and force error of the solution, and remarks on contact and self-weight."""
     solver = recording.metadata.get("solver")
     if not solver:
@@ -116,11 +115,11 @@ def print_solution_quality(recording: Recording, console: Console) -> None:
     mesh = solver["mesh"]
     console.print(f"{mesh['elements']} elements, {mesh['freedoms']} degrees of freedom, {solver['newton_iterations']} "
                   f"Newton iterations, {solver['wall_s']:.2f} s", markup=False)
-    for sentence in list_solution_remarks(solver):
+    for sentence in iterate_error_contact_and_weight_remarks(solver):
         console.print(sentence, markup=False, soft_wrap=True)
 
 
-def list_solution_remarks(solver: dict) -> Iterator[str]:
+def iterate_error_contact_and_weight_remarks(solver: dict) -> Iterator[str]:
     """Yield one sentence each on force error, penetration, friction and self-weight, as far as they apply."""
     if solver.get("force_error") is not None:
         yield (f"estimated force error: {100 * solver['force_error']:.2g} % of the largest force, from a comparison "

@@ -14,7 +14,7 @@ import numpy as np
 from haptics.recorder.live import UPDATE_INTERVAL
 from scenes.stop_signals import call_stop_at_signals
 from scenes.viewer.bench.sources import BenchSource, BenchView
-from scenes.viewer.plots import make_sample_plot_options, round_axis_range
+from scenes.viewer.plots import keep_or_round_axis_range_with_zero, make_unconnected_sample_plot_options
 from scenes.viewer.web_server import ViewerServer, describe_network_access, open_viewer_server
 
 
@@ -36,13 +36,13 @@ class BenchPage:
         gui, empty = self.server.gui, np.zeros(2)
         self._status = gui.add_html("")
         self._ranges: dict[str, tuple] = {}
-        self._plots = {name: gui.add_uplot((empty, empty),
-                                           **make_sample_plot_options(label, (0.0, 1.0), (0.0, 1.0), dark=dark))
+        self._plots = {name: gui.add_uplot((empty, empty), **make_unconnected_sample_plot_options(
+                           label, (0.0, 1.0), (0.0, 1.0), dark=dark))
                        for name, label in (("depth", "depth [mm]"), ("time", "time [s]"))}
 
     def show_view(self, view: BenchView) -> None:
         """Update the texts and the plots of the page to a state of the bench."""
-        self._status.content = bench_status_html(view)
+        self._status.content = make_bench_status_html(view)
         finite = np.isfinite(view.displacement)
         order = np.argsort(view.displacement[finite], kind="stable")
         self._draw_force_plot("depth", "depth [mm]", view.displacement[finite][order], view.forces[finite][order])
@@ -53,12 +53,14 @@ class BenchPage:
         """Draw force over one quantity with rounded axis ranges; with fewer than two samples, draw nothing."""
         if x.size < 2:
             return
-        ranges = (round_axis_range((float(x.min()), float(x.max())), self._ranges.get(name, (None, None))[0]),
-                  round_axis_range((float(force.min()), float(force.max())), self._ranges.get(name, (None, None))[1]))
+        ranges = (keep_or_round_axis_range_with_zero((float(x.min()), float(x.max())),
+                                                     self._ranges.get(name, (None, None))[0]),
+                  keep_or_round_axis_range_with_zero((float(force.min()), float(force.max())),
+                                                     self._ranges.get(name, (None, None))[1]))
         plot = self._plots[name]
         if ranges != self._ranges.get(name):
             self._ranges[name] = ranges
-            for key, value in make_sample_plot_options(label, *ranges, dark=self._dark).items():
+            for key, value in make_unconnected_sample_plot_options(label, *ranges, dark=self._dark).items():
                 setattr(plot, key, value)
         plot.data = (x, force)
 
@@ -81,7 +83,7 @@ class BenchPage:
         self.source.close()
 
 
-def bench_status_html(view: BenchView) -> str:
+def make_bench_status_html(view: BenchView) -> str:
     """Return HTML with the title, the progress, a message, and force and depth in large digits."""
     def format_value_html(key: str, label: str, value: float | None, decimals: int, unit: str) -> str:
         """Return HTML of a label and a value with its unit; a dash replaces None."""
@@ -102,8 +104,8 @@ def bench_status_html(view: BenchView) -> str:
             f'{format_value_html("depth", "depth", view.depth, 3, "mm")}</div></div>')
 
 
-def run_bench_page(source: BenchSource, page: dict[str, Any], *, seconds: float | None = None,
-                   json: bool = False) -> int:
+def serve_bench_page_and_get_exit_code(source: BenchSource, page: dict[str, Any], *, seconds: float | None = None,
+                                       json: bool = False) -> int:
     """Serve the page of a bench until Ctrl-C, SIGTERM or the end of a given time.
 
     Args:

@@ -14,7 +14,7 @@ import numpy as np
 from haptics.devices.contracts import DeviceError, ForceSensor, SampleStatus, Stage
 from haptics.recorder.live import LIVE_FILE
 from haptics.recorder.run_folder import PARTIAL_SUFFIX, RUN_FILE
-from tissue_sim.decode import read_json
+from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
 
 
@@ -91,7 +91,7 @@ class RecordRunSource(BenchSource):
         state, live = self._read_json(RUN_FILE), self._read_json(LIVE_FILE)
         if state is None:
             return BenchView(f"No run in {self._folder} yet", "Start the run with: tissue-sim record PROTOCOL.toml -o "
-                                                              f"{self._folder}")
+                             f"{self._folder}")
         time, displacement, force = self._read_thinned_recording()
         done = len(state.get("done", []))
         messages = {"running": "The recorder does not respond. It may have been killed.", "complete": "", "new": ""}
@@ -108,7 +108,7 @@ class RecordRunSource(BenchSource):
     def _read_json(self, name: str) -> dict | None:
         """Return the content of a JSON file of the run; None if the file is missing or invalid."""
         with contextlib.suppress(OSError, ValueError):
-            content = read_json(self._folder / name, "a file of the run")
+            content = read_json_value(self._folder / name, "a file of the run")
             return content if isinstance(content, dict) else None
         return None
 
@@ -118,7 +118,7 @@ class RecordRunSource(BenchSource):
         Returns:
             Time, s, displacement, mm, and force, N, each of shape (n,).
         """
-        partial = max(self._folder.glob(f"*{PARTIAL_SUFFIX}"), key=_get_modification_time, default=None)
+        partial = max(self._folder.glob(f"*{PARTIAL_SUFFIX}"), key=_modification_time_or_zero, default=None)
         if partial is not None and partial != self._partial:
             self._partial, self._rows, self._read = partial, [], 0
         if self._partial is not None and self._partial.exists():
@@ -199,7 +199,7 @@ class ConnectedDevicesSource(BenchSource):
         self._sensor.stop()
 
 
-def _get_modification_time(path: Path) -> float:
+def _modification_time_or_zero(path: Path) -> float:
     """Return the modification time of a file, s; 0 if the file does not exist."""
     try:
         return path.stat().st_mtime

@@ -26,7 +26,7 @@ from scenes.viewer.web_server import LOOPBACK, SERVER, open_viewer_server
 
 
 @dataclass(frozen=True)
-class PageUpdateSettings:
+class PageUpdateAndPanelSettings:
     """Rate of updates and width of the page.
 
     Attributes:
@@ -38,7 +38,7 @@ class PageUpdateSettings:
     panel_width: int = 380
 
 
-_SETTINGS = PageUpdateSettings()
+_SETTINGS = PageUpdateAndPanelSettings()
 
 
 class Page:
@@ -131,7 +131,7 @@ class Page:
             if self._solid.levels is not None and self._solid.levels is not levels:
                 label, _ = LABELS[self._look.options.field]
                 self._bar.content = colour_bar_html(self._solid.levels, self._solid.colours, label)
-            self._saving.record_frame(frame)
+            self._saving.keep_frame_and_record_replay(frame)
             if self._frames % _SETTINGS.update_interval == 0:
                 self._update_texts_and_controls(frame)
         # Without the flush viser waits 1/60 s, and longer if the next frame is then incomplete.
@@ -160,4 +160,4 @@ class Page:
     def _apply_colour_scheme(self, dark: bool) -> None:
         """Select the dark or the light colour scheme of the page and its plots."""
         self.server.set_page_theme(dark_mode=dark)
-        self._plots.set_colour_scheme(dark)
+        self._plots.set_colour_scheme_of_next_update(dark)

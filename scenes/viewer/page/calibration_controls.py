@@ -13,9 +13,9 @@ from scenes.viewer.calibration_task import CalibrationResult
 from scenes.viewer.frame import CommandReceiver, SessionFrame
 from scenes.viewer.material_files import SUFFIX
 from scenes.viewer.page.notices import make_browser_reply, send_download
-from scenes.viewer.recording_upload import read_recording_upload
+from scenes.viewer.recording_upload import read_uploaded_recordings_or_sidecar
 from scenes.viewer.scene import Scene
-from tissue_sim.units import get_display_unit
+from tissue_sim.units import get_display_unit_and_factor
 
 _SMALL = "font-size:0.85em;padding:0.2em 0.75em"
 
@@ -35,7 +35,7 @@ class CalibrationControls:
         self._shown: tuple[CalibrationState, Scene] | None = None
         self._upload = gui.add_upload_button("Upload recording", icon=viser.Icon.UPLOAD, mime_type="*/*",
                                              hint="one file at a time: a file of a test machine, a recording NAME.csv, "
-                                                  "or its description NAME.json")
+                                             "or its description NAME.json")
         self._begin = gui.add_button("Calibrate", icon=viser.Icon.ADJUSTMENTS,
                                      hint="fit the material to the recordings, starting from its present parameters")
         self._cancel = gui.add_button("Cancel calibration", icon=viser.Icon.X, color="red", visible=False)
@@ -54,7 +54,7 @@ class CalibrationControls:
             """Read the uploaded file, and post its recordings; show the message of a file that is refused."""
             file = self._upload.value
             try:
-                uploads = read_recording_upload(file.name, file.content)
+                uploads = read_uploaded_recordings_or_sidecar(file.name, file.content)
             except ts.InputError as error:
                 make_browser_reply(event)(str(error))
                 return
@@ -71,13 +71,13 @@ class CalibrationControls:
             name = self._name.value.strip().removesuffix(SUFFIX)
             state = None if self._shown is None else self._shown[0]
 
-            def notify_and_send_file(problem: str | None) -> None:
+            def reply_and_download_if_saved(problem: str | None) -> None:
                 """Show the problem, or without a problem the success, and send the saved file to the browser."""
                 make_browser_reply(event, f"Saved as {name}{SUFFIX} in {folder}.")(problem)
                 if problem is None and state is not None and state.result is not None:
                     send_download(event.client, f"{name}{SUFFIX}", state.result.file)
 
-            session.post("save_calibration", reply=notify_and_send_file, folder=folder, name=name)
+            session.post("save_calibration", reply=reply_and_download_if_saved, folder=folder, name=name)
 
     def _post_command_on_click(self, session: CommandReceiver, button: viser.GuiButtonHandle, command: str) -> None:
         """Post a command without arguments at each click of a button."""
@@ -117,12 +117,12 @@ def recordings_html(state: CalibrationState, scene: Scene) -> str:
 
 def _describe_recording_html(uploaded: UploadedRecording, scene: Scene) -> str:
     """Return HTML of one recording: file, kind of test, tool, depth, force, duration and warnings."""
-    facts = [uploaded.measured.stated_test_kind or "kind of test not stated", uploaded.stated_tool or "tool not stated",
-             f"{len(uploaded.recording)} samples",
+    facts = [uploaded.measured.stated_test_kind or "kind of test not stated",
+             uploaded.stated_tool_text or "tool not stated", f"{len(uploaded.recording)} samples",
              f"maximum depth {uploaded.max_displacement * 1e3:.3g} mm, "
              f"maximum force {uploaded.recording.force.max():.3g} N"]
-    if uploaded.recording_duration is not None:
-        facts.append(f"duration {uploaded.recording_duration:.3g} s")
+    if uploaded.recording_duration_or_none is not None:
+        facts.append(f"duration {uploaded.recording_duration_or_none:.3g} s")
     warnings = "".join(f'<div style="color:#C0392B">{escape(warning)}</div>'
                        for warning in uploaded.list_scene_mismatches(scene))
     understood = "".join(f"<div>{escape(line)}</div>" for line in uploaded.file.understood)
@@ -137,7 +137,7 @@ def calibration_html(state: CalibrationState) -> str:
         status = state.status
         parts.append(f'<div data-testid="calibrating"><b>{escape(status.sentence)}</b></div>')
         if status.solves:
-            numbers = ", ".join(_format_parameter(name, value, status.units.get(name, "1"))
+            numbers = ", ".join(_format_name_value_and_unit(name, value, status.units.get(name, "1"))
                                 for name, value in status.parameters.items())
             misfit = "" if status.rmse is None else f", RMSE {status.rmse:.3g} N"
             parts.append(f"<div>iteration {status.solves}{misfit}<br>{escape(numbers)}</div>")
@@ -149,9 +149,9 @@ def calibration_html(state: CalibrationState) -> str:
     return f'<div style="{_SMALL}">{"".join(parts)}</div>' if parts else ""
 
 
-def _format_parameter(name: str, value: float, si_unit: str) -> str:
+def _format_name_value_and_unit(name: str, value: float, si_unit: str) -> str:
     """Return name, value and display unit of a parameter as text; `value` is in SI."""
-    unit, factor = get_display_unit(si_unit)
+    unit, factor = get_display_unit_and_factor(si_unit)
     return f"{name} {factor * value:.5g} {unit}".rstrip()
 
 
@@ -159,7 +159,7 @@ def _fit_result_html(result: CalibrationResult) -> str:
     """Return HTML with a table of the fitted parameters and their 95 % intervals, then RMSE and warnings."""
     rows = []
     for name, found in result.values.items():
-        unit, factor = get_display_unit(found.unit)
+        unit, factor = get_display_unit_and_factor(found.unit)
         interval = "none" if found.interval is None else " to ".join(f"{factor * end:.4g}" for end in found.interval)
         note = f" ({found.note})" if found.note else ""
         rows.append(f"<tr><td>{escape(name)}</td><td>{factor * found.value:.4g} {escape(unit)}</td>"

@@ -8,21 +8,21 @@ import numpy as np
 import viser
 
 from scenes.viewer.frame import CommandReceiver, SessionFrame
-from scenes.viewer.live_gap import compute_live_force_gap, select_extrapolated_forces
+from scenes.viewer.live_gap import find_largest_live_force_gap, select_forces_of_late_ticks_on_grid
 from scenes.viewer.measurement import interpolate_loading_and_unloading
 from scenes.viewer.page.notices import make_browser_reply
-from scenes.viewer.page.readouts import live_force_gap_html, model_agreement_html
+from scenes.viewer.page.readouts import largest_live_model_gap_html, model_rmse_html
 from scenes.viewer.plots import (
     Pair,
+    keep_or_round_axis_range_with_zero,
     make_depth_grid,
-    make_force_depth_data,
+    make_force_depth_columns_and_range,
     make_force_depth_options,
-    make_force_time_data,
+    make_force_time_columns_and_range,
     make_force_time_options,
-    make_residual_depth_data,
+    make_residual_depth_columns_and_range,
     make_residual_depth_options,
     plot_legend_html,
-    round_axis_range,
 )
 from tissue_sim.recording.recording import Recording
 
@@ -66,7 +66,7 @@ class CurvePlots:
             """Keep the present model curve for comparison, or remove the kept curve."""
             session.post("keep_curve", reply=make_browser_reply(event), name="" if self._kept else "kept")
 
-    def set_colour_scheme(self, dark: bool) -> None:
+    def set_colour_scheme_of_next_update(self, dark: bool) -> None:
         """Select the colours of a dark or a light page; the next `update_plots` redraws all plots."""
         self._dark, self._ranges, self._drawn = dark, {}, ()
 
@@ -81,38 +81,41 @@ class CurvePlots:
         grid = make_depth_grid(frame.scene.max_tool_displacement)
         x = (0.0, frame.scene.max_tool_displacement * 1e3)
         measured, trace = curves.measurement, curves.trace
-        model = self._get_cached_branches("model", curves.model, grid)
-        compared = self._get_cached_branches("compared", None if curves.compared is None else curves.compared[1], grid)
-        live = trace.interpolate_newest_passes(grid) if trace is not None and len(trace) else None
-        late = None if trace is None else select_extrapolated_forces(trace, grid)
-        columns, extent = make_force_depth_data(grid, measured=measured, model=model, compared=compared, live=live,
-                                                late=late, now=current)
+        model = self._interpolate_branches_with_cache("model", curves.model, grid)
+        compared = self._interpolate_branches_with_cache("compared",
+                                                         None if curves.compared is None else curves.compared[1], grid)
+        live = trace.interpolate_newest_force_at_each_depth(grid) if trace is not None and len(trace) else None
+        late = None if trace is None else select_forces_of_late_ticks_on_grid(trace, grid)
+        columns, extent = make_force_depth_columns_and_range(grid, measured=measured, model=model, compared=compared,
+                                                             live=live, late=late, now=current)
         self._send_plot_if_changed(self._force, columns,
-                                   ("force", x, round_axis_range(extent, self._ranges.get("force"))),
+                                   ("force", x, keep_or_round_axis_range_with_zero(extent, self._ranges.get("force"))),
                                    lambda y: make_force_depth_options(x, y, dark=self._dark))
-        columns, extent = make_residual_depth_data(curves.residual, measured, grid)
+        columns, extent = make_residual_depth_columns_and_range(curves.residual, measured, grid)
         self._residual.visible = measured is not None
         self._send_plot_if_changed(self._residual, columns,
                                    ("residual", x,
-                                    round_axis_range(extent, self._ranges.get("residual"), about_zero=True)),
+                                    keep_or_round_axis_range_with_zero(extent, self._ranges.get("residual"),
+                                                                       about_zero=True)),
                                    lambda y: make_residual_depth_options(x, y, dark=self._dark))
         time, force = (np.empty(0), np.empty(0)) if trace is None else (trace.time, trace.force)
         now = readouts.time if readouts else 0.0
         hand = trace.rendered_force if trace is not None and curves.has_hand_force else None
-        columns, extent = make_force_time_data(time, force, now, measured=curves.replayed, hand=hand)
-        self._send_plot_if_changed(self._time, columns, ("time", x, round_axis_range(extent, self._ranges.get("time"))),
+        columns, extent = make_force_time_columns_and_range(time, force, now, measured=curves.replayed, hand=hand)
+        self._send_plot_if_changed(self._time, columns,
+                                   ("time", x, keep_or_round_axis_range_with_zero(extent, self._ranges.get("time"))),
                                    lambda y: make_force_time_options(y, dark=self._dark))
         _assign_if_changed(self._legend, "content", plot_legend_html(
             measured=0 if measured is None else len(measured.recordings), model=model is not None,
             compared=None if curves.compared is None else curves.compared[0], live=live is not None,
             hand=curves.has_hand_force, dark=self._dark))
-        _assign_if_changed(self._agreement, "content", model_agreement_html(frame))
+        _assign_if_changed(self._agreement, "content", model_rmse_html(frame))
         gap = None
         if trace is not None and live is not None and model is not None:
-            gap = compute_live_force_gap(trace, grid, live, model)
-        _assign_if_changed(self._live_gap, "content", live_force_gap_html(gap))
+            gap = find_largest_live_force_gap(trace, grid, live, model)
+        _assign_if_changed(self._live_gap, "content", largest_live_model_gap_html(gap))
 
-    def _get_cached_branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:
+    def _interpolate_branches_with_cache(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:
         """Return the loading and unloading force of a curve on the grid, N; None without a curve.
 
         The result is cached until the curve or the grid changes.

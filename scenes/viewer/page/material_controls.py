@@ -13,11 +13,17 @@ from scenes.viewer.frame import CommandReceiver, SessionFrame
 from scenes.viewer.material_files import (
     SUFFIX,
     compute_parameter_slider_ranges,
-    format_exact_parameter_values,
+    format_parameter_values_by_path,
     list_material_files,
     read_uploaded_material,
 )
-from scenes.viewer.page.notices import FAILED, make_browser_reply, notify_browser, send_download, set_control_value
+from scenes.viewer.page.notices import (
+    FAILED,
+    assign_control_value,
+    make_browser_reply,
+    notify_browser_unless_none,
+    send_download,
+)
 from tissue_sim.parameters import parameter_values
 
 _NONE = "(no file)"
@@ -78,21 +84,21 @@ class MaterialControls:
             """Post the command that writes the edited material into the folder."""
             name = self._name.value
 
-            def notify_and_send_file(problem: str | None) -> None:
+            def reply_update_list_and_download_if_saved(problem: str | None) -> None:
                 """Show the problem; without a problem, update the file list and send the file to the browser."""
                 make_browser_reply(event, f"Saved as {name}{SUFFIX} in {folder}.")(problem)
                 if problem is None:
                     self._update_file_list()
                     send_download(event.client, f"{name}{SUFFIX}", (folder / f"{name}{SUFFIX}").read_bytes())
 
-            session.post("save_material", reply=notify_and_send_file, folder=folder, name=name)
+            session.post("save_material", reply=reply_update_list_and_download_if_saved, folder=folder, name=name)
 
     def _load_and_post_material(self, path: Path, event: viser.GuiEvent) -> None:
         """Read a material file and post its material to the session."""
         try:
             material = ts.load_material(path)
         except ts.InputError as error:
-            notify_browser(event.client, FAILED, f"{error} The material is unchanged.", "red")
+            notify_browser_unless_none(event.client, FAILED, f"{error} The material is unchanged.", "red")
             return
         self._session.post("use_material", reply=make_browser_reply(event), material=material, source=path.name)
 
@@ -113,21 +119,22 @@ class MaterialControls:
         if self._shown == (material, source) or self._entered != self._answered:
             return
         self._shown = material, source
-        set_control_value(self._file, source if source in self._file.options else _NONE)
+        assign_control_value(self._file, source if source in self._file.options else _NONE)
         values = parameter_values(material)
         # The sliders round to their step; this text shows the full values.
-        exact = ", ".join(f"{name} {text}" for name, text in format_exact_parameter_values(material).items())
+        exact = ", ".join(f"{name} {text}" for name, text in format_parameter_values_by_path(material).items())
         self._law.content = f"**{material.energy_law.title}**, from {source}: {exact}"
         structure = (material.law, tuple(values), source)
         if structure != self._structure:
             self._structure = structure
             self._replace_sliders(material)
         for name, slider in self._sliders.items():
-            value = _round_to_slider_step(values[name] * self._factors[name], slider.min, slider.max, slider.step)
+            value = _round_to_step_multiple_in_range(values[name] * self._factors[name], slider.min, slider.max,
+                                                     slider.step)
             # A typed number outside of the range may still be incomplete: do not overwrite it.
-            if abs(_round_to_slider_step(slider.value, slider.min, slider.max,
-                                         slider.step) - value) > 0.01 * slider.step:
-                set_control_value(slider, value)
+            if abs(_round_to_step_multiple_in_range(slider.value, slider.min, slider.max,
+                                                    slider.step) - value) > 0.01 * slider.step:
+                assign_control_value(slider, value)
 
     def _replace_sliders(self, material: ts.Material) -> None:
         """Remove all sliders, and add a slider for each parameter that can change."""
@@ -140,9 +147,10 @@ class MaterialControls:
                 if limits.high <= limits.low:
                     continue
                 unit = f" [{limits.unit}]" if limits.unit else ""
+                value = _round_to_step_multiple_in_range(values[name] * limits.factor, limits.low, limits.high,
+                                                         limits.step)
                 slider = self._gui.add_slider(f"{name}{unit}", min=limits.low, max=limits.high, step=limits.step,
-                                              initial_value=_round_to_slider_step(values[name] * limits.factor,
-                                                                                  limits.low, limits.high, limits.step))
+                                              initial_value=value)
                 self._sliders[name], self._factors[name] = slider, limits.factor
                 slider.on_update(self._make_slider_callback(name, slider, limits.factor))
 
@@ -170,6 +178,6 @@ class MaterialControls:
         return post_slider_value
 
 
-def _round_to_slider_step(value: float, low: float, high: float, step: float) -> float:
+def _round_to_step_multiple_in_range(value: float, low: float, high: float, step: float) -> float:
     """Round a value to the nearest step of a slider within its range."""
     return min(max(float(f"{round(value / step) * step:.9g}"), low), high)

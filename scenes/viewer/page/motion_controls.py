@@ -10,7 +10,7 @@ from typing import Any
 import viser
 
 from scenes.viewer.frame import CommandReceiver, Phase, SessionFrame
-from scenes.viewer.page.notices import make_browser_reply, set_control_value
+from scenes.viewer.page.notices import assign_control_value, make_browser_reply
 from scenes.viewer.page.solid import DRAGS
 from scenes.viewer.scene import Scene
 
@@ -30,7 +30,7 @@ def _make_example_protocol(name: str, scene: Scene) -> str:
     return "; ".join(part for part in parts if may_lift or not part.startswith(("approach", "retract")))
 
 
-def _round_slider_limits(limits: tuple[float, float]) -> tuple[float, float]:
+def _round_limits_inwards_to_mm(limits: tuple[float, float]) -> tuple[float, float]:
     """Round a range in m inwards to steps of 0.01 mm; return it in mm, as one step if the range is narrower."""
     low, high = math.ceil(1e5 * limits[0] - 1e-6) / 100, math.floor(1e5 * limits[1] + 1e-6) / 100
     return min(low, high), max(low, high)
@@ -52,11 +52,11 @@ class PositionSlider:
         #: slider has another value, its callback is still to come.
         self._last_value = slider.value
 
-    def register_entry_callback(self, callback: Callable[[viser.GuiEvent], None]) -> None:
+    def register_entry_event_callback(self, callback: Callable[[viser.GuiEvent], None]) -> None:
         """Register a callback for values that users enter; values that the program writes do not call it."""
 
         @self.slider.on_update
-        async def call_back_on_entry(event: viser.GuiEvent) -> None:
+        async def forward_user_entry_event(event: viser.GuiEvent) -> None:
             # viser runs a coroutine before it writes another value.
             if event.client is not None:
                 self._last_value = self.slider.value
@@ -66,7 +66,7 @@ class PositionSlider:
         """Limit a value to the range of the slider, mm."""
         return min(max(value, self.slider.min), self.slider.max)
 
-    def display_coordinate(self, value: float) -> None:
+    def display_mm_unless_entry_pending(self, value: float) -> None:
         """Set the slider to a coordinate of the tool, mm, unless a new entry is being processed.
 
         A typed number outside of the range is not overwritten if the tool stands at the nearest limit, because the
@@ -74,7 +74,7 @@ class PositionSlider:
         """
         if self.slider.value == self._last_value and abs(value - self.clip_to_slider_range(self._last_value)) >= 0.01:
             self._last_value = value
-            set_control_value(self.slider, value)
+            assign_control_value(self.slider, value)
 
 
 class MotionControls:
@@ -106,15 +106,15 @@ class MotionControls:
             f"{name} [mm]", min=low, max=high, step=0.01, initial_value=min(max(round(1e3 * value, 2), low), high),
             visible=False, hint=f"{name} coordinate at which the tool's axis crosses the undeformed surface"))
             for name, value, (low, high) in zip("xy", frame.across,
-                                                map(_round_slider_limits, frame.scene.lateral_range),
+                                                map(_round_limits_inwards_to_mm, frame.scene.allowed_tool_xy_ranges),
                                                 strict=True)]
         self._drags = gui.add_dropdown("mouse moves it", tuple(DRAGS), visible=False,
                                        hint="directions in which the mouse drags the tool")
         self.on_drag_mode: Callable[[str], None] = lambda _: None
         self._buttons = gui.add_button_group("run", ("Play", "Pause", "Step", "Reset"),
-                                              hint="keys: P plays or pauses, N steps one frame, R resets; Ctrl+K lists "
-                                                   "all keys")
-        self._source = gui.add_dropdown("motion", self._list_motion_choices(frame), initial_value="protocol")
+                                             hint="keys: P plays or pauses, N steps one frame, R resets; Ctrl+K lists "
+                                             "all keys")
+        self._source = gui.add_dropdown("motion", self._list_playable_motions(frame), initial_value="protocol")
         self._named = gui.add_dropdown("example", tuple(PROTOCOLS), initial_value="press and release")
         self._text = gui.add_text("protocol", examples["press and release"],
                                   hint="approach 2mm; ramp 10mm @5mm/s; hold 60s; unload; repeat 3 (ramp 5mm; unload)")
@@ -123,22 +123,23 @@ class MotionControls:
         self._repeat = gui.add_checkbox("repeat", False)
         self._speed_factor = gui.add_number("speed factor", 10.0, min=0.1, max=1000.0, step=0.1, visible=False,
                                             hint="speed relative to the measurement. The force of viscoelastic tissue "
-                                                 "depends on the speed")
+                                            "depends on the speed")
 
         #: Last refusal that was shown, so that dragging a slider does not show the same refusal many times.
         self._refusal: str | None = None
 
-        self._depth.register_entry_callback(lambda event: self._move_to_depth(self._depth.slider.value, event))
+        self._depth.register_entry_event_callback(
+            lambda event: self._move_to_clipped_depth_mm(self._depth.slider.value, event))
         for coordinate in self._across:
-            coordinate.register_entry_callback(self._move_to_lateral_position)
+            coordinate.register_entry_event_callback(self._move_to_lateral_slider_position)
 
         @self._drags.on_update
         def change_drag_direction_on_update(_: viser.GuiEvent) -> None:
             self.on_drag_mode(self._drags.value)
 
         for key, step, words in (("pagedown", 0.1, "deeper"), ("pageup", -0.1, "up")):
-            self._bind_key(gui, f"0.1 mm {words}", key, partial(self._move_by_axial_step, step))
-            self._bind_key(gui, f"1 mm {words}", key, partial(self._move_by_axial_step, 10 * step), modifier="shift")
+            self._bind_key(gui, f"0.1 mm {words}", key, partial(self._move_by_axial_step_mm, step))
+            self._bind_key(gui, f"1 mm {words}", key, partial(self._move_by_axial_step_mm, 10 * step), modifier="shift")
         self._bind_key(gui, "Play or pause", "P",
                        lambda event: self._post_button_command("Pause" if self._plays else "Play", event))
         self._bind_key(gui, "Step", "N", lambda event: self._post_button_command("Step", event))
@@ -151,7 +152,7 @@ class MotionControls:
         @self._named.on_update
         def insert_example_protocol_on_update(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                set_control_value(self._text, examples[self._named.value])
+                assign_control_value(self._text, examples[self._named.value])
 
         @self._source.on_update
         def show_fields_of_motion_on_update(_: viser.GuiEvent) -> None:
@@ -166,16 +167,16 @@ class MotionControls:
         """Bind a key of the keyboard; the key is also listed by its label when the user presses Ctrl+K."""
         gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(callback)
 
-    def _move_by_axial_step(self, step: float, event: Any) -> None:
+    def _move_by_axial_step_mm(self, step: float, event: Any) -> None:
         """Move the tool by a step along its axis from the last aimed depth, mm, positive into the tissue."""
-        self._move_to_depth(self._aimed + step, event)
+        self._move_to_clipped_depth_mm(self._aimed + step, event)
 
-    def _move_to_depth(self, depth: float, event: Any) -> None:
+    def _move_to_clipped_depth_mm(self, depth: float, event: Any) -> None:
         """Move the tool to a depth, mm, limited to the range of the slider."""
         self._aimed = self._depth.clip_to_slider_range(depth)
         self._post_aim_command(event, depth=self._aimed * 1e-3)
 
-    def _move_to_lateral_position(self, event: Any) -> None:
+    def _move_to_lateral_slider_position(self, event: Any) -> None:
         """Move the tool to the x and y of the sliders."""
         x, y = (coordinate.clip_to_slider_range(coordinate.slider.value) * 1e-3 for coordinate in self._across)
         self._post_aim_command(event, across=(x, y))
@@ -194,7 +195,7 @@ class MotionControls:
         self._session.post("aim", reply=count_answer_and_notify, **position)
 
     @staticmethod
-    def _list_motion_choices(frame: SessionFrame) -> tuple[str, ...]:
+    def _list_playable_motions(frame: SessionFrame) -> tuple[str, ...]:
         """Return the motions that Play can start: the protocol, and the measured motion if there is a measurement."""
         return ("protocol",) if frame.scene.measurement is None else ("protocol", "measured motion")
 
@@ -215,18 +216,18 @@ class MotionControls:
         """Update the sliders, the list of motions and the state of Play; others may have moved or paused the tool."""
         self._paused = frame.phase is Phase.PAUSED
         self._plays = not self._paused and frame.motion in ("protocol", "recording")
-        sources = self._list_motion_choices(frame)
+        sources = self._list_playable_motions(frame)
         if self._source.options != sources:
             self._source.options = sources
         depth = frame.target if frame.motion == "hand" or frame.readouts is None else frame.readouts.depth
         depth = round(depth * 1e3, 2)
         in_space = (frame.snapshot is not None and frame.snapshot.is_three_dimensional
-                    and frame.scene.lateral_range[0][0] < frame.scene.lateral_range[0][1])
+                    and frame.scene.allowed_tool_xy_ranges[0][0] < frame.scene.allowed_tool_xy_ranges[0][1])
         for handle in (*(coordinate.slider for coordinate in self._across), self._drags):
             if handle.visible != in_space:
                 handle.visible = in_space
         if self._entered == self._answered:  # An entry that is not answered yet is newer than the frame.
             self._aimed = depth
-            self._depth.display_coordinate(depth)
+            self._depth.display_mm_unless_entry_pending(depth)
             for coordinate, value in zip(self._across, frame.across, strict=True):
-                coordinate.display_coordinate(round(value * 1e3, 2))
+                coordinate.display_mm_unless_entry_pending(round(value * 1e3, 2))

@@ -14,7 +14,7 @@ Reply = Callable[[str | None], None]
 FAILED = "Not done"
 
 
-def set_control_value(control: viser.GuiInputHandle[Value], value: Value) -> None:
+def assign_control_value(control: viser.GuiInputHandle[Value], value: Value) -> None:
     """Assign a value to a control of the page."""
     # viser defines the setter apart from the getter, so type checkers see a read-only property.
     control.value = value  # type: ignore[misc]
@@ -31,15 +31,15 @@ def make_browser_reply(event: viser.GuiEvent | viser.SceneNodeDragEvent, done: s
 
     def notify_of_outcome(problem: str | None) -> None:
         if problem is not None:
-            notify_browser(client, FAILED, problem, "red")
+            notify_browser_unless_none(client, FAILED, problem, "red")
         elif done:
-            notify_browser(client, "Done", done, "teal")
+            notify_browser_unless_none(client, "Done", done, "teal")
 
     return notify_of_outcome
 
 
-def notify_browser(client: viser.ClientHandle | None, title: str, sentence: str,
-                   colour: Literal["red", "teal"]) -> None:
+def notify_browser_unless_none(client: viser.ClientHandle | None, title: str, sentence: str,
+                               colour: Literal["red", "teal"]) -> None:
     """Show a notification in a browser for 12 s; do nothing if `client` is None."""
     if client is not None:
         client.add_notification(title, sentence, color=colour, auto_close_seconds=12.0)

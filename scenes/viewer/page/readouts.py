@@ -5,9 +5,9 @@ from __future__ import annotations
 from html import escape
 
 from scenes.viewer.frame import Phase, SessionFrame
-from scenes.viewer.live_gap import LiveForceGap
+from scenes.viewer.live_gap import LargestLiveForceGap
 from scenes.viewer.scene import Scene
-from tissue_sim.experiment.tools.tool import tool_sizes
+from tissue_sim.experiment.tools.tool import list_all_tool_sizes_by_key
 from tissue_sim.specimen.cylinder import Cylinder
 
 #: Colour of the dot that shows each phase.
@@ -23,7 +23,7 @@ def scene_title_html(scene: Scene) -> str:
     body = (f"cylinder \u2300 {2e3 * specimen.radius:g} \u00d7 {1e3 * specimen.height:g} mm"
             if isinstance(specimen, Cylinder) else f"{specimen.shape}, {specimen.in_words}")
     sizes = []
-    for key, (declaration, name, shapes) in tool_sizes().items():
+    for key, (declaration, name, shapes) in list_all_tool_sizes_by_key().items():
         words, _, unit = key.rpartition("_")
         if tool.shape in shapes and getattr(tool, name):
             sizes.append(f"{words.replace('_', ' ')} {getattr(tool, name) / declaration.factor:.4g} {unit}")
@@ -73,7 +73,7 @@ _GREY = "#777777"
 _NAMED_FRACTION = 0.0005
 
 
-def _highlighted_word_html(word: str, meaning: str, colour: str) -> str:
+def _badge_with_tooltip_html(word: str, meaning: str, colour: str) -> str:
     """Return HTML of a highlighted word with a tooltip."""
     return (f'<div data-testid="badge" title="{escape(meaning, quote=True)}" style="display:inline-block;'
             f'margin-top:0.2em;padding:0 0.6em;border-radius:0.3em;color:white;font-weight:600;'
@@ -83,10 +83,10 @@ def _highlighted_word_html(word: str, meaning: str, colour: str) -> str:
 def readouts_html(frame: SessionFrame) -> str:
     """Return HTML with force and depth in large digits and the other read-outs in a table."""
     now, stale = frame.readouts, frame.phase is Phase.DIED
-    large = [("force", "force", "–" if now is None else _format_decimals(now.force, 3), "N"),
-             ("depth", "depth", "–" if now is None else _format_decimals(now.depth * 1e3, 2), "mm")]
+    large = [("force", "force", "–" if now is None else _format_fixed_without_minus_zero(now.force, 3), "N"),
+             ("depth", "depth", "–" if now is None else _format_fixed_without_minus_zero(now.depth * 1e3, 2), "mm")]
     small = [("stiffness", "tissue stiffness",
-              "–" if now is None else f"{_format_decimals(now.stiffness * 1e-3, 3)} N/mm"),
+              "–" if now is None else f"{_format_fixed_without_minus_zero(now.stiffness * 1e-3, 3)} N/mm"),
              ("step-time", "step time", "–" if now is None else f"{now.step_time * 1e3:.2f} ms"),
              ("iterations", "iterations", "–" if now is None else f"{now.iterations:.1f} per tick"),
              ("rate", "loop rate", "–" if now is None else f"{now.rate:.0f} Hz"),
@@ -96,12 +96,12 @@ def readouts_html(frame: SessionFrame) -> str:
              ("mesh", "mesh", "–" if now is None else now.mesh or "–")]
     if frame.snapshot is not None and frame.snapshot.is_three_dimensional:
         small.insert(0, ("across", "force along x and y", "–" if now is None else
-                         " and ".join(f"{_format_decimals(part, 3)} N" for part in now.across)))
+                         " and ".join(f"{_format_fixed_without_minus_zero(part, 3)} N" for part in now.across)))
     badge = ""
     if stale and now is not None:
-        badge = _highlighted_word_html("old", "The simulation has stopped. These are its last numbers.", _GREY)
+        badge = _badge_with_tooltip_html("old", "The simulation has stopped. These are its last numbers.", _GREY)
     elif now is not None and now.warning:
-        badge = _highlighted_word_html(now.status.upper(), now.warning, _RED)
+        badge = _badge_with_tooltip_html(now.status.upper(), now.warning, _RED)
     cells = "".join(f'<div style="flex:1" title="{_MEANING[key]}">'
                     f'<div style="font-size:0.75em;opacity:0.7">{label}</div>'
                     f'<div style="font-size:1.7em;font-weight:600;font-variant-numeric:tabular-nums">'
@@ -116,7 +116,7 @@ def readouts_html(frame: SessionFrame) -> str:
             f'<table style="font-size:0.8em;margin-top:0.3em;border-collapse:collapse">{rows}</table></div>')
 
 
-def model_agreement_html(frame: SessionFrame) -> str:
+def model_rmse_html(frame: SessionFrame) -> str:
     """Return HTML with the RMSE between model and measurement over the whole test, or why there is none."""
     curves = frame.curves
     if curves.measurement is None:
@@ -125,7 +125,7 @@ def model_agreement_html(frame: SessionFrame) -> str:
     elif curves.residual is None:
         words = "The model curve is being computed."
     else:
-        gap, noise = curves.residual, curves.measurement.replicate_scatter
+        gap, noise = curves.residual, curves.measurement.replicate_force_rms_scatter
         spread = "" if noise is None else f", noise {noise:.3f} N"
         words = (f'<span title="RMSE: root mean square of model minus measurement; noise: standard deviation of the '
                  f'replicates">'
@@ -135,7 +135,7 @@ def model_agreement_html(frame: SessionFrame) -> str:
             words = (f'<span data-testid="old-curve" style="opacity:0.5">{words}</span> '
                      f'<span style="color:{_RED};font-size:0.85em">of the previous model; the new curve is being '
                      "computed</span>")
-        other = curves.measurement.describe_deviating_tool(frame.scene.experiment.tool)
+        other = curves.measurement.describe_deviating_tool_or_empty(frame.scene.experiment.tool)
         warning = "" if not other else (
             f'<div data-testid="other-tool" style="color:{_RED};font-size:0.85em">measured with another tool: '
             f'{escape(other)}</div>')
@@ -144,7 +144,7 @@ def model_agreement_html(frame: SessionFrame) -> str:
             "</div>")
 
 
-def live_force_gap_html(gap: LiveForceGap | None) -> str:
+def largest_live_model_gap_html(gap: LargestLiveForceGap | None) -> str:
     """Return HTML with the largest difference of live force and model curve, and its causes; empty for None."""
     if gap is None:
         return ""
@@ -153,11 +153,11 @@ def live_force_gap_html(gap: LiveForceGap | None) -> str:
         reasons.append(f"at {gap.speed * 1e3:.2g} mm/s the inertia of the tissue contributes")
     if gap.late_fraction > _NAMED_FRACTION:
         reasons.append(f"{gap.late_fraction:.1%} of the points are extrapolated by late ticks (grey)")
-    words = f"live \u2212 model: up to {_format_decimals(gap.force, 3)} N at {gap.depth * 1e3:.3g} mm"
+    words = f"live \u2212 model: up to {_format_fixed_without_minus_zero(gap.force, 3)} N at {gap.depth * 1e3:.3g} mm"
     return ('<div data-testid="live-gap" title="The live force is computed on a coarser mesh than the model curve." '
             f'style="padding:0 0.75em;font-size:0.75em">{escape("; ".join([words, *reasons]))}</div>')
 
 
-def _format_decimals(value: float, decimals: int) -> str:
+def _format_fixed_without_minus_zero(value: float, decimals: int) -> str:
     """Format a number with fixed decimals, without a minus sign before zero."""
     return f"{round(value, decimals) + 0.0:.{decimals}f}"

@@ -12,16 +12,16 @@ import numpy as np
 import viser
 
 from scenes.field_labels import LABELS
-from scenes.provenance import describe_provenance
+from scenes.provenance import make_kind_specimen_tool_metadata
 from scenes.viewer.frame import SessionFrame
 from scenes.viewer.measurement import interpolate_loading_and_unloading
-from scenes.viewer.page.notices import FAILED, make_browser_reply, notify_browser, send_download
+from scenes.viewer.page.notices import FAILED, make_browser_reply, notify_browser_unless_none, send_download
 from scenes.viewer.page.solid import ScenePicture
 from scenes.viewer.page.view_controls import ViewControls
 from scenes.viewer.picture_file import DrawnForceCurve, compose_picture_png
 from scenes.viewer.plots import LIGHT, make_depth_grid
 from scenes.viewer.scene import Scene
-from scenes.viewer.trace import Trace, make_csv_and_sidecar
+from scenes.viewer.trace import Trace, make_csv_and_sidecar_bytes_by_name
 from tissue_sim.errors import InputError
 
 
@@ -67,7 +67,7 @@ class SaveControls:
         self._finished: bytes | None = None
         curve = gui.add_button("Save curve (CSV)", icon=viser.Icon.DOWNLOAD,
                                hint="saves two files: the curve as CSV and the description of the test as JSON. Keep "
-                                    "both in one folder")
+                               "both in one folder")
         picture = gui.add_button("Save picture (PNG)", icon=viser.Icon.PHOTO)
         self._replay = gui.add_button("Record replay", icon=viser.Icon.PLAYER_RECORD,
                                       hint="records an HTML file that plays the moving picture without a server")
@@ -84,7 +84,7 @@ class SaveControls:
         def start_or_send_replay_on_click(event: viser.GuiEvent) -> None:
             run_later(lambda: self._start_or_send_replay(event))
 
-    def record_frame(self, frame: SessionFrame) -> None:
+    def keep_frame_and_record_replay(self, frame: SessionFrame) -> None:
         """Store the newest frame for saving, and add it to a replay that is being recorded.
 
         A replay that has lasted `SavedFileLimits.longest_replay` is finished and kept for download.
@@ -96,7 +96,7 @@ class SaveControls:
         self._recorder.insert_sleep(now - self._last)
         self._recorded, self._last = self._recorded + now - self._last, now
         if self._recorded >= SAVING.longest_replay:
-            self._finish_replay_recording(self._recorder)
+            self._store_finished_replay_html(self._recorder)
         label = f"Save replay ({self._recorded:.0f} s)"
         if self._replay.label != label:
             self._replay.label = label
@@ -124,9 +124,9 @@ class SaveControls:
             return
         camera = client.camera
         width, height = (min(size, SAVING.max_picture_size) for size in (camera.image_width, camera.image_height))
-        render = _request_browser_image(client, height, width)
+        render = _request_browser_image_or_none(client, height, width)
         if render is None:
-            notify_browser(client, FAILED, "The browser did not render the picture. Try again.", "red")
+            notify_browser_unless_none(client, FAILED, "The browser did not render the picture. Try again.", "red")
             return
         scene, now = frame.scene, frame.readouts
         caption = [f"{scene.kind.title}, {scene.material.energy_law.title} ({scene.source})"]
@@ -136,7 +136,7 @@ class SaveControls:
         content = compose_picture_png(render, self._solid.levels, np.array(self._solid.colours, dtype=np.uint8), label,
                                       caption,
                                       now=None if now is None else (now.depth, now.force),
-                                      **_select_drawn_curves(frame))
+                                      **_make_drawn_curve_arguments(frame))
         send_download(client, f"{scene.kind.name}.png", content)
 
     def _start_or_send_replay(self, event: viser.GuiEvent) -> None:
@@ -146,12 +146,12 @@ class SaveControls:
             self._recorded, self._last = 0.0, time.monotonic()
             return
         if self._recorder is not None:
-            self._finish_replay_recording(self._recorder)
+            self._store_finished_replay_html(self._recorder)
         if self._finished is not None:
             send_download(event.client, "replay.html", self._finished)
         self._finished, self._replay.label = None, "Record replay"
 
-    def _finish_replay_recording(self, recorder: viser.infra.StateSerializer) -> None:
+    def _store_finished_replay_html(self, recorder: viser.infra.StateSerializer) -> None:
         """End the recording of a replay and keep its HTML page for download."""
         self._finished, self._recorder = recorder.as_html(dark_mode=False).encode(), None
 
@@ -170,11 +170,12 @@ def make_trace_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
         InputError: The trace has fewer than two equilibria.
     """
     name = scene.kind.name
-    about = {"name": name, **describe_provenance(name, scene.experiment), "material": scene.source, "simulated": True}
-    return make_csv_and_sidecar(trace.recording(about), name)
+    about = {"name": name, **make_kind_specimen_tool_metadata(name, scene.experiment), "material": scene.source,
+             "simulated": True}
+    return make_csv_and_sidecar_bytes_by_name(trace.recording(about), name)
 
 
-def _request_browser_image(client: viser.ClientHandle, height: int, width: int) -> np.ndarray | None:
+def _request_browser_image_or_none(client: viser.ClientHandle, height: int, width: int) -> np.ndarray | None:
     """Return the view of a browser as an image, shape (height, width, 4); None if the browser does not answer."""
     for _ in range(SAVING.render_attempts):
         with suppress(TimeoutError, RuntimeError):
@@ -182,7 +183,7 @@ def _request_browser_image(client: viser.ClientHandle, height: int, width: int) 
     return None
 
 
-def _select_drawn_curves(frame: SessionFrame) -> dict[str, Any]:
+def _make_drawn_curve_arguments(frame: SessionFrame) -> dict[str, Any]:
     """Return the keyword arguments ``curves`` and ``band`` of `compose_picture_png` for a frame.
 
     ``curves`` holds the mean measurement, the curve kept for comparison, the model curve and the live curve; ``band``
@@ -201,7 +202,7 @@ def _select_drawn_curves(frame: SessionFrame) -> dict[str, Any]:
     if curves.model is not None:
         pairs.append(("model", "model", grid, interpolate_loading_and_unloading(curves.model, grid)))
     if curves.trace is not None and len(curves.trace):
-        pairs.append(("live", "live", grid, curves.trace.interpolate_newest_passes(grid)))
+        pairs.append(("live", "live", grid, curves.trace.interpolate_newest_force_at_each_depth(grid)))
     shown = [DrawnForceCurve(depth, force, name if force is branches[0] else "", LIGHT[role],
                              dashed=force is not branches[0])
              for role, name, depth, branches in pairs for force in branches

@@ -10,10 +10,10 @@ import viser
 import tissue_sim as ts
 from scenes.catalogue import SCENES
 from scenes.viewer.frame import CommandReceiver, SessionFrame
-from scenes.viewer.page.notices import make_browser_reply, set_control_value
+from scenes.viewer.page.notices import assign_control_value, make_browser_reply
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.interfaces import INTERFACES
-from tissue_sim.experiment.tools.tool import TOOLS, list_shapes_without_file, tool_sizes
+from tissue_sim.experiment.tools.tool import TOOLS, list_all_tool_sizes_by_key, list_shapes_without_file
 from tissue_sim.parameters import Declaration
 
 _INTERFACES = (*INTERFACES, "friction")
@@ -54,8 +54,8 @@ class SceneControls:
         self._scene = gui.add_dropdown("scene", tuple(self._titles), initial_value=frame.scene.kind.title)
         self._needles = tuple(shape for shape in list_shapes_without_file() if not TOOLS[shape].is_plate)
         self._shape = gui.add_dropdown("tool", self._needles, initial_value=self._needles[0])
-        self._declared_sizes = tool_sizes()
-        self._sizes = {key: _add_size_control(gui, key, declaration)
+        self._declared_sizes = list_all_tool_sizes_by_key()
+        self._sizes = {key: _add_size_field_in_key_unit(gui, key, declaration)
                        for key, (declaration, _, _) in self._declared_sizes.items()}
         self._interface = gui.add_dropdown("tool's face", _INTERFACES, initial_value="bonded",
                                            hint="interface between tool and tissue")
@@ -69,14 +69,14 @@ class SceneControls:
             @handle.on_update
             def adapt_controls_to_tool_on_update(event: viser.GuiEvent) -> None:
                 if event.client is not None:
-                    self._adapt_interface_to_tool()
+                    self._replace_unsuitable_interface_and_edge()
                 self._update_control_visibility()
 
         @self._scene.on_update
         def adapt_controls_to_scene_on_update(event: viser.GuiEvent) -> None:
             if event.client is not None:
                 self._display_interface(SCENES[self._titles[self._scene.value]].face.usual)
-                self._adapt_interface_to_tool()
+                self._replace_unsuitable_interface_and_edge()
             self._update_control_visibility()
 
         @self._apply.on_click
@@ -84,14 +84,14 @@ class SceneControls:
             name = self._titles[self._scene.value]
             reply = make_browser_reply(event)
             try:
-                tool, friction = self._build_selected_tool(name), self._friction.value
+                tool, friction = self._build_tool_or_none_for_plates(name), self._friction.value
             except ts.InputError as error:
                 reply(str(error))
                 return
             session.post("use_scene", reply=reply, name=name, tool=tool,
                          friction=friction if self._interface.value == "friction" else self._interface.value)
 
-    def _build_selected_tool(self, scene: str) -> ts.Tool | None:
+    def _build_tool_or_none_for_plates(self, scene: str) -> ts.Tool | None:
         """Return the tool with the chosen shape and sizes; None if the scene uses plates."""
         if SCENES[scene].require_tool().is_plate:
             return None
@@ -100,21 +100,21 @@ class SceneControls:
                                  for key, (declaration, name, shapes) in self._declared_sizes.items()
                                  if shape in shapes})
 
-    def _adapt_interface_to_tool(self) -> None:
+    def _replace_unsuitable_interface_and_edge(self) -> None:
         """Adapt the interface and the edge radius to the tool: only flat faces bond, and sliding needs a round edge."""
-        tool = self._build_selected_tool_if_valid()
+        tool = self._build_valid_tool_or_none()
         if tool is None:
             return
         if tool.face_radius == 0 and self._interface.value == "bonded":
-            set_control_value(self._interface, "stick")
+            assign_control_value(self._interface, "stick")
         if tool.sharp_edge and self._interface.value in _SLIDING:
             for key, (declaration, name, _) in self._declared_sizes.items():
                 if name == "edge_radius":
-                    set_control_value(self._sizes[key], _SLIDING_DEFAULTS.edge_radius / declaration.factor)
+                    assign_control_value(self._sizes[key], _SLIDING_DEFAULTS.edge_radius / declaration.factor)
 
     def _update_control_visibility(self) -> None:
         """Show only the controls and interfaces that apply to the chosen scene and tool."""
-        tool = self._build_selected_tool_if_valid()
+        tool = self._build_valid_tool_or_none()
         flat = tool is None or tool.face_radius != 0
         self._interface.options = _INTERFACES if flat else tuple(each for each in _INTERFACES if each != "bonded")
         needle = not SCENES[self._titles[self._scene.value]].require_tool().is_plate
@@ -123,10 +123,10 @@ class SceneControls:
             self._sizes[key].visible = needle and self._shape.value in shapes
         self._friction.visible = self._interface.value == "friction"
 
-    def _build_selected_tool_if_valid(self) -> ts.Tool | None:
+    def _build_valid_tool_or_none(self) -> ts.Tool | None:
         """Return the chosen tool; None for plates and for invalid sizes, which Apply reports."""
         try:
-            return self._build_selected_tool(self._titles[self._scene.value])
+            return self._build_tool_or_none_for_plates(self._titles[self._scene.value])
         except ts.InputError:
             return None
 
@@ -137,23 +137,23 @@ class SceneControls:
             return
         self._shown = scene
         tool, friction = scene.experiment.tool, scene.experiment.friction
-        set_control_value(self._scene, scene.kind.title)
+        assign_control_value(self._scene, scene.kind.title)
         if tool.shape in self._needles:
-            set_control_value(self._shape, tool.shape)
+            assign_control_value(self._shape, tool.shape)
             for key, (declaration, name, shapes) in self._declared_sizes.items():
                 if tool.shape in shapes:
-                    set_control_value(self._sizes[key], getattr(tool, name) / declaration.factor)
+                    assign_control_value(self._sizes[key], getattr(tool, name) / declaration.factor)
         self._display_interface(friction)
         self._update_control_visibility()
 
     def _display_interface(self, friction: str | float) -> None:
         """Display an interface: its name, or "friction" and the coefficient."""
-        set_control_value(self._interface, friction if isinstance(friction, str) else "friction")
+        assign_control_value(self._interface, friction if isinstance(friction, str) else "friction")
         if not isinstance(friction, str):
-            set_control_value(self._friction, friction)
+            assign_control_value(self._friction, friction)
 
 
-def _add_size_control(gui: viser.GuiApi, key: str, size: Declaration) -> viser.GuiInputHandle[float]:
+def _add_size_field_in_key_unit(gui: viser.GuiApi, key: str, size: Declaration) -> viser.GuiInputHandle[float]:
     """Add a number field for a tool size in the unit of its key; the step is 1 % of the default size."""
     words, _, unit = key.replace("_", " ").rpartition(" ")
     default = _DEFAULT_SIZES[size.unit] / size.factor

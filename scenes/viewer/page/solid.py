@@ -11,7 +11,7 @@ import viser
 
 from scenes.field_labels import LABELS
 from scenes.viewer.bodies import DrawableBody, can_draw_fields, make_drawable_body
-from scenes.viewer.colours import PALETTE, compute_colour_range, update_band_levels
+from scenes.viewer.colours import PALETTE, compute_field_quantile_range, update_band_levels
 from scenes.viewer.frame import SessionFrame
 from scenes.viewer.page.notices import Reply, make_browser_reply
 from scenes.viewer.page.picture_settings import COLOURS, LIGHTS, RESOLUTION, PictureOptions
@@ -20,10 +20,10 @@ from scenes.viewer.revolution import TriangulatedSurface, WedgeOpening
 from scenes.viewer.scene import Scene
 from scenes.viewer.tone import compute_displayed_srgb, find_surface_srgb
 from scenes.viewer.tool_picture import (
-    compute_arrow_foot_height,
+    compute_arrow_foot_above_tool_tip,
     make_base_plate,
-    make_force_arrow,
-    make_scale_bar,
+    make_force_arrow_or_none,
+    make_scale_bar_lines_and_length,
     make_tool_mesh,
     rotate_force_arrow,
 )
@@ -67,10 +67,9 @@ class ScenePicture:
         specimen = scene.experiment.specimen
         self.scale = SIZE / max(2.0 * specimen.outer_radius, specimen.height)
         self._segments = RESOLUTION.low_graphics_segments if low_graphics else RESOLUTION.segments
-        surface_colours = [find_surface_srgb(colour) for colour in PALETTE]
-        self.colours = [compute_displayed_srgb(colour) for colour in surface_colours]
-        self._bands = [self._add_hidden_mesh_node(f"/tissue/band_{k}", colour)
-                       for k, colour in enumerate(surface_colours)]
+        colours = [find_surface_srgb(colour) for colour in PALETTE]
+        self.colours = [compute_displayed_srgb(colour) for colour in colours]
+        self._bands = [self._add_hidden_mesh_node(f"/tissue/band_{k}", colour) for k, colour in enumerate(colours)]
         self._surface = self._add_hidden_mesh_node("/tissue/surface", COLOURS.tissue)
         #: Frames of the tool, of the force arrow, and of the base, on which the specimen stands.
         self._tool_frame, self._force_frame, self._ground = (self._nodes.add_frame(name, show_axes=False)
@@ -129,8 +128,8 @@ class ScenePicture:
                 offset, height = grabbed[client]
                 end = np.array(event.end_position)
                 if self._in_space and DRAGS[self.drag_way] == "sideways":
-                    end = _intersect_ray_with_height(event.client.camera.position, end, height)
-                aim(*self._compute_drag_target((end - offset) / self.scale), reply)
+                    end = _intersect_height_or_keep_point(event.client.camera.position, end, height)
+                aim(*self._compute_dragged_depth_and_lateral((end - offset) / self.scale), reply)
 
         self._tool.on_drag("left")(move_dragged_tool)
 
@@ -138,7 +137,7 @@ class ScenePicture:
         """Choose the direction in which the mouse drags the tool, a key of `DRAGS`."""
         self.drag_way = mode
 
-    def _compute_drag_target(self, tip: np.ndarray) -> tuple[float, tuple[float, float] | None]:
+    def _compute_dragged_depth_and_lateral(self, tip: np.ndarray) -> tuple[float, tuple[float, float] | None]:
         """Convert the dragged position of the tool's end to the arguments of `Session.set_hand_target`.
 
         Args:
@@ -160,18 +159,14 @@ class ScenePicture:
         return depth, (float(tip[0] + lean[0] * tip[2]), float(tip[1] + lean[1] * tip[2]))
 
     def draw_frame(self, frame: SessionFrame, options: PictureOptions) -> bool:
-        """Send the parts of the picture that differ from the last frame.
-
-        Returns:
-            Whether anything was sent.
-        """
+        """Send the parts of the picture that differ from the last frame; return whether anything was sent."""
         snapshot = frame.snapshot
         opening = _make_wedge_opening(options.cut, self._segments, options.turn)
         static = (frame.scene.experiment, options.cut, options.turn, options.ahead, options.outline)
         changed = static != self._drawn_static
         if snapshot is None:
             if changed:
-                self._draw_undeformed_specimen(frame.scene, opening, options)
+                self._draw_scene_before_first_state(frame.scene, opening, options)
                 self._drawn_static = static
             return changed
         # Solvers of plug-ins may give fields of an unknown kind.
@@ -180,7 +175,8 @@ class ScenePicture:
         if fields is not None and fields.mesh is not self._mesh_drawn:
             changed = True
         if changed:
-            body = self._get_drawable_body(_make_undeformed_mesh(frame.scene) if fields is None else fields.mesh)
+            mesh = _build_undeformed_finite_element_mesh(frame.scene) if fields is None else fields.mesh
+            body = self._get_cached_drawable_body_of_mesh(mesh)
             self._draw_static_parts(body, frame.scene, opening, options)
             self._drawn_static = static
         to_draw = snapshot.pose, None if fields is None else fields.material, options
@@ -196,38 +192,39 @@ class ScenePicture:
                 self._draw_coloured_tissue(fields, snapshot, frame.scene, opening, options)
             self._move_tool_arrow_and_base(snapshot, frame.scene)
             self._drawn, self._state, changed = to_draw, state, True
-        return self._update_force_arrow(_read_newest_force(frame), frame.scene) or changed
+        return self._update_force_arrow_and_return_changed(_newest_force_vector_or_zero(frame), frame.scene) or changed
 
     def _draw_coloured_tissue(self, fields: Any, snapshot: Snapshot, scene: Scene, opening: WedgeOpening,
                               options: PictureOptions) -> None:
         """Draw the tissue in the colours of a field, with contact lines and element edges."""
-        body, positions = self._get_drawable_body(fields.mesh), snapshot.node_positions
+        body, positions = self._get_cached_drawable_body_of_mesh(fields.mesh), snapshot.node_positions
         wedge = Wedge(opening, snapshot.pose, 1e-3 * options.ahead)
         _, factor = LABELS[options.field]
-        values, at_points, sampled = body.evaluate_field(fields, options.field, positions, wedge)
+        values, at_points, sampled = body.evaluate_field_at_nodes_and_samples(fields, options.field, positions, wedge)
         before = self.levels if self._drawn is not None and options.field == self._drawn[2].field else None
         self.levels = levels = before if before is not None and options.hold else update_band_levels(
-            before, *compute_colour_range(at_points * factor, sampled, options.field, factor))
+            before, *compute_field_quantile_range(at_points * factor, sampled, options.field, factor))
         surfaces = body.compute_band_surfaces(positions, values * factor, levels, wedge)
         for handle, surface in zip(self._bands, surfaces, strict=True):
-            self._send_mesh_node(handle, surface)
+            self._send_or_hide_mesh_node(handle, surface)
         _set_node_visibility(self._surface, False)
-        self._send_line_node(self._contact, body.find_contact_lines(positions, scene.experiment.tool, wedge))
-        edge_lines = body.compute_edge_lines(positions, wedge) if options.mesh_lines else None
-        self._send_line_node(self._mesh_lines, edge_lines)
+        contact_lines = body.find_contact_lines_or_none(positions, scene.experiment.tool, wedge)
+        self._send_or_hide_line_node(self._contact, contact_lines)
+        edge_lines = body.compute_element_edge_lines(positions, wedge) if options.mesh_lines else None
+        self._send_or_hide_line_node(self._mesh_lines, edge_lines)
 
     def _draw_plain_tissue(self, surface: TriangulatedSurface | None) -> None:
         """Draw the surface of tissue without fields in one colour; hide the tissue if it has no surface."""
         for handle in (*self._bands, self._contact, self._mesh_lines):
             _set_node_visibility(handle, False)
-        self._send_mesh_node(self._surface, surface)
+        self._send_or_hide_mesh_node(self._surface, surface)
 
     def _move_tool_arrow_and_base(self, snapshot: Snapshot, scene: Scene) -> None:
         """Move the tool to its pose, the force arrow above the tool, and the base under the specimen."""
         self._pose = pose = snapshot.pose
         x, y, z = pose.position
         send_node_position(self._tool_frame, (self.scale * x, self.scale * y, self.scale * z))
-        foot = compute_arrow_foot_height(scene.experiment.tool, scene.experiment.specimen)
+        foot = compute_arrow_foot_above_tool_tip(scene.experiment.tool, scene.experiment.specimen)
         (_, _, u), (_, _, v), (_, _, w) = pose.rotation
         send_node_position(self._force_frame, (self.scale * (x + u * foot), self.scale * (y + v * foot),
                                                self.scale * (z + (w - 1.0) * foot)))
@@ -237,21 +234,20 @@ class ScenePicture:
         if self._ground.position[2] != -snapshot.datum * self.scale:
             self._ground.position = (0.0, 0.0, -snapshot.datum * self.scale)
 
-    def _get_drawable_body(self, mesh: Any) -> DrawableBody:
+    def _get_cached_drawable_body_of_mesh(self, mesh: Any) -> DrawableBody:
         """Return the drawable body of a mesh, and keep it until the mesh changes."""
         if self._body is None or self._mesh_drawn is not mesh:
             self._body, self._mesh_drawn, self._drawn = make_drawable_body(mesh), mesh, None
         return self._body
 
-    def _draw_undeformed_specimen(self, scene: Scene, opening: WedgeOpening, options: PictureOptions) -> None:
+    def _draw_scene_before_first_state(self, scene: Scene, opening: WedgeOpening, options: PictureOptions) -> None:
         """Draw the undeformed specimen while the simulation starts."""
-        mesh = _make_undeformed_mesh(scene)
-        body, positions = self._get_drawable_body(mesh), mesh.nodes
+        mesh = _build_undeformed_finite_element_mesh(scene)
+        body, nodes = self._get_cached_drawable_body_of_mesh(mesh), mesh.nodes
         wedge = Wedge(opening, Pose.at_depth(0.0))
-        surfaces = body.compute_band_surfaces(positions, np.zeros(len(positions)), np.arange(len(self._bands) + 1.0),
-                                              wedge)
+        surfaces = body.compute_band_surfaces(nodes, np.zeros(len(nodes)), np.arange(len(self._bands) + 1.0), wedge)
         for handle, surface in zip(self._bands, surfaces, strict=True):
-            self._send_mesh_node(handle, surface)
+            self._send_or_hide_mesh_node(handle, surface)
         for hidden in (self._surface, self._contact, self._mesh_lines, self._arrow, self._force_label):
             _set_node_visibility(hidden, False)
         self._drawn_arrow = None
@@ -273,18 +269,18 @@ class ScenePicture:
         # A wedge that is moved away from the tool's axis does not cut the tool.
         cut, segments = 0.0 if self._in_space and options.ahead else options.cut, RESOLUTION.static_segments
         tool_opening = _make_wedge_opening(cut, segments, options.turn)
-        self._send_mesh_node(self._tool, make_tool_mesh(tool, specimen, tool_opening))
-        self._send_mesh_node(self._base, make_base_plate(specimen, _make_wedge_opening(0.0, segments)))
+        self._send_or_hide_mesh_node(self._tool, make_tool_mesh(tool, specimen, tool_opening))
+        self._send_or_hide_mesh_node(self._base, make_base_plate(specimen, _make_wedge_opening(0.0, segments)))
         covered = specimen.outer_radius if tool.is_plate else tool.radius or 0.0
         wedge, tool_extent = Wedge(opening, Pose.at_depth(0.0)), (covered, scene.max_tool_displacement)
         outline = body.make_undeformed_outline(wedge, tool_extent) if options.outline else None
-        self._send_line_node(self._outline, outline)
-        bar, length = make_scale_bar(specimen)
-        self._send_line_node(self._scale_bar, bar)
+        self._send_or_hide_line_node(self._outline, outline)
+        bar, length = make_scale_bar_lines_and_length(specimen)
+        self._send_or_hide_line_node(self._scale_bar, bar)
         self._scale_length.text = f"{1e3 * length:g} mm"
         self._scale_length.position = tuple(self.scale * bar[0].mean(axis=0))
 
-    def _update_force_arrow(self, force: np.ndarray, scene: Scene) -> bool:
+    def _update_force_arrow_and_return_changed(self, force: np.ndarray, scene: Scene) -> bool:
         """Draw the arrow and the label of a force (x, y, z), N, shape (3,); return whether either has changed."""
         magnitude = float(np.linalg.norm(force))
         while magnitude > self._full_force:
@@ -301,12 +297,12 @@ class ScenePicture:
         self._force_label.text = text
         if to_draw != self._drawn_arrow:
             self._drawn_arrow = to_draw
-            arrow = make_force_arrow(to_draw[0] / lengths * full, full, scene.experiment.tool,
-                                     scene.experiment.specimen)
+            arrow = make_force_arrow_or_none(to_draw[0] / lengths * full, full, scene.experiment.tool,
+                                             scene.experiment.specimen)
             _set_node_visibility(self._force_label, arrow is not None)
             if arrow is not None and any(lateral):
                 arrow = rotate_force_arrow(arrow, lateral)
-            self._send_mesh_node(self._arrow, None if arrow is None else arrow.surface)
+            self._send_or_hide_mesh_node(self._arrow, None if arrow is None else arrow.surface)
             if arrow is not None:
                 x, y, z = (max(arrow.start, arrow.tip, key=lambda end: end[2]) * self.scale).tolist()
                 send_node_position(self._force_label, (x, y, z))
@@ -321,7 +317,7 @@ class ScenePicture:
         return self._nodes.add_line_segments(name, np.zeros((1, 2, 3), np.float32), colour, thickness=pixels,
                                              thickness_units="screen", visible=False, scale=self.scale)
 
-    def _send_mesh_node(self, handle: viser.MeshHandle, surface: TriangulatedSurface | None) -> None:
+    def _send_or_hide_mesh_node(self, handle: viser.MeshHandle, surface: TriangulatedSurface | None) -> None:
         """Send the triangles of a surface; hide the node if there are none."""
         if surface is None or not len(surface.faces):
             _set_node_visibility(handle, False)
@@ -329,7 +325,7 @@ class ScenePicture:
         send_node_arrays(handle, vertices=surface.vertices, faces=surface.faces)
         _set_node_visibility(handle, True)
 
-    def _send_line_node(self, handle: viser.LineSegmentsHandle, lines: np.ndarray | None) -> None:
+    def _send_or_hide_line_node(self, handle: viser.LineSegmentsHandle, lines: np.ndarray | None) -> None:
         """Send lines, shape (lines, 2, 3); hide the node if there are none."""
         has_lines = lines is not None and len(lines) > 0
         if has_lines:
@@ -355,7 +351,7 @@ def _are_arrays_equal(arrays: tuple[np.ndarray, ...], others: tuple[np.ndarray, 
     return others is not None and len(arrays) == len(others) and all(map(np.array_equal, arrays, others))
 
 
-def _intersect_ray_with_height(camera: np.ndarray, point: np.ndarray, height: float) -> np.ndarray:
+def _intersect_height_or_keep_point(camera: np.ndarray, point: np.ndarray, height: float) -> np.ndarray:
     """Intersect the ray from a camera through a point with a horizontal plane.
 
     Args:
@@ -373,13 +369,13 @@ def _intersect_ray_with_height(camera: np.ndarray, point: np.ndarray, height: fl
     return camera + descent / ray[2] * ray
 
 
-def _read_newest_force(frame: SessionFrame) -> np.ndarray:
+def _newest_force_vector_or_zero(frame: SessionFrame) -> np.ndarray:
     """Return the newest force of the tissue on the tool (x, y, z), N, shape (3,); zero before the first tick."""
     now = frame.readouts
     return np.zeros(3) if now is None else np.array([*now.across, now.force])
 
 
-def _make_undeformed_mesh(scene: Scene) -> Mesh | SolidMesh:
+def _build_undeformed_finite_element_mesh(scene: Scene) -> Mesh | SolidMesh:
     """Return the mesh of the undeformed specimen: a half section for a cylinder, otherwise a mesh in 3D."""
     if scene.reduced is not None:
         return scene.reduced.mesh

@@ -8,11 +8,11 @@ from dataclasses import replace
 import viser
 
 from scenes.field_labels import LABELS
-from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, compute_camera_pose
+from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, compute_preset_camera_pose
 from scenes.viewer.frame import SessionFrame
-from scenes.viewer.page.notices import set_control_value
+from scenes.viewer.page.notices import assign_control_value
 from scenes.viewer.page.picture_settings import PictureOptions
-from scenes.viewer.tool_picture import compute_picture_height
+from scenes.viewer.tool_picture import compute_tool_and_arrow_height
 
 
 class ViewControls:
@@ -37,7 +37,7 @@ class ViewControls:
                              hint="angle of the wedge that is removed from the picture")
         turn = gui.add_slider("cut turned [°]", min=-180, max=180, step=5, initial_value=round(self.options.turn),
                               hint="rotates the removed wedge about the tool's axis")
-        half_width = round(1e3 * frame.scene.max_distance_from_axis)
+        half_width = round(1e3 * frame.scene.specimen_outer_radius)
         self._ahead = ahead = gui.add_slider("cut moved [mm]", min=-half_width, max=half_width, step=0.5,
                                              initial_value=0.0, visible=False,
                                              hint="moves the removed wedge away from the tool's axis")
@@ -46,14 +46,14 @@ class ViewControls:
         camera = gui.add_button_group("camera", tuple(name.capitalize() for name in PRESETS))
         dark = gui.add_checkbox("dark page", False)
 
-        def update_options(_: viser.GuiEvent) -> None:
+        def store_options_on_update(_: viser.GuiEvent) -> None:
             # A browser may request a field from an outdated list.
             name = fields[field.value] if field.value in field.options else self.options.field
             self.options = PictureOptions(name, float(cut.value), float(turn.value), float(ahead.value),
                                           mesh_lines.value, outline.value, hold.value)
 
         for handle in (field, hold, cut, turn, ahead, mesh_lines, outline):
-            handle.on_update(update_options)
+            handle.on_update(store_options_on_update)
 
         @camera.on_click
         def move_camera_on_click(event: viser.GuiEvent) -> None:
@@ -63,18 +63,18 @@ class ViewControls:
         self.on_dark: Callable[[bool], None] = lambda _: None
 
         @dark.on_update
-        def set_colour_scheme_on_update(_: viser.GuiEvent) -> None:
+        def forward_dark_choice_on_update(_: viser.GuiEvent) -> None:
             self.on_dark(dark.value)
 
         self._dark = dark
-        pose = self._compute_preset_camera_pose("iso", 1.0)
+        pose = self._compute_preset_eye_and_target("iso", 1.0)
         initial = server.initial_camera
         initial.up, initial.fov = (0.0, 0.0, 1.0), FIELD_OF_VIEW
         initial.position, initial.look_at = pose
 
     def set_colour_scheme(self, dark: bool) -> None:
         """Switch the page to the dark or the light colour scheme."""
-        set_control_value(self._dark, dark)
+        assign_control_value(self._dark, dark)
         self.on_dark(dark)
 
     def update_controls(self, frame: SessionFrame) -> None:
@@ -98,17 +98,17 @@ class ViewControls:
 
     def move_camera_to_preset(self, client: viser.ClientHandle, preset: str) -> None:
         """Move the camera of one browser to a preset view, a key of `scenes.viewer.camera.PRESETS`."""
-        position, look_at = self._compute_preset_camera_pose(preset, client.camera.aspect)
+        position, look_at = self._compute_preset_eye_and_target(preset, client.camera.aspect)
         with client.atomic():
             client.camera.fov = FIELD_OF_VIEW
             client.camera.up_direction = (0.0, 0.0, 1.0)
             client.camera.position, client.camera.look_at = position, look_at
 
-    def _compute_preset_camera_pose(self, preset: str, aspect: float):
+    def _compute_preset_eye_and_target(self, preset: str, aspect: float):
         """Return the position and the target of the camera of a preset view, each in browser units, shape (3,)."""
         experiment, snapshot = self._frame.scene.experiment, self._frame.snapshot
         tool_pose = experiment.tool_pose(0.0) if snapshot is None else snapshot.pose
-        above = compute_picture_height(experiment.tool, experiment.specimen)
-        pose = compute_camera_pose(preset, experiment.specimen, experiment.tool, tool_pose.depth, above, aspect,
-                                   self.options.turn, tool_pose.position[:2])
+        above = compute_tool_and_arrow_height(experiment.tool, experiment.specimen)
+        pose = compute_preset_camera_pose(preset, experiment.specimen, experiment.tool, tool_pose.depth, above, aspect,
+                                          self.options.turn, tool_pose.position[:2])
         return pose.position * self._scale, pose.look_at * self._scale

@@ -77,7 +77,7 @@ def test_candidates_are_within_bounds_and_can_be_added(plain, name):
             assert expected <= set(held) and not set(candidate.sizes) & set(varied)
             # Gradient descent cannot move a jump, so the depth of the jump is fixed.
             assert candidate.jump in {"", *fit.fixed}
-        assert all(candidate.list_symbols(plain.campaign).values())
+        assert all(candidate.make_symbols_by_path(plain.campaign).values())
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_effect_changes_the_force_and_is_absent_at_its_absent_value(plain, name)
     without = ts.simulate(candidate.effect.apply(model, {**absent, **candidate.shape})).force
     # A layer changes the mesh; its score compares forces on one mesh.
     np.testing.assert_allclose(without, force, atol=(3e-3 if name == "layer" else 1e-9) * force.max())
-    assert candidate.changes_mesh(plain.campaign) == (name == "layer")
+    assert candidate.has_mesh_changing_shape_parameter(plain.campaign) == (name == "layer")
 
 
 @pytest.mark.slow

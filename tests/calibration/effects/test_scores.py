@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from virtual_campaign import TESTS, TRUTH, fitted, measured_campaign
 
-from calibration.diagnosis.extended import add_effect_to_problem
+from calibration.diagnosis.extended import add_effect_to_problem_and_campaign
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import NotTestableError
 
@@ -88,13 +88,14 @@ def test_puncture_is_a_jump_at_a_sample(plain):
     """The force drops by a fraction from the first sample beyond the depth on, without smearing between knots."""
     candidate = CATALOGUE["puncture"]().candidates(plain.situation)[4]
     (drop,), (depth,) = candidate.sizes.values(), candidate.shape.values()
-    problem, _ = add_effect_to_problem(plain.problem, plain.campaign, candidate, free=True)
+    problem, _ = add_effect_to_problem_and_campaign(plain.problem, plain.campaign, candidate, free=True)
     theta = np.array([TRUTH.get(each.name, {**candidate.sizes, **candidate.shape}.get(each.path))
                       for each in problem.space.free_parameters])
     base = np.array([TRUTH[name] for name in plain.problem.space.free])
     for test, before in zip(problem.tests, plain.problem.tests, strict=True):
-        force, rates, _ = test.evaluate_force(test.solve(problem.space, theta, problem.solves), 0, 0.0)
-        whole, whole_rates, _ = before.evaluate_force(before.solve(plain.problem.space, base, problem.solves), 0, 0.0)
+        force, rates, _ = test.evaluate_force_and_derivatives(test.solve(problem.space, theta, problem.solves), 0, 0.0)
+        whole, whole_rates, _ = before.evaluate_force_and_derivatives(before.solve(plain.problem.space, base,
+                                                                                   problem.solves), 0, 0.0)
         left = np.where((test.name == "needle") & (np.maximum.accumulate(test.measured[0].displacement) > depth),
                         1.0 - drop, 1.0)
         np.testing.assert_allclose(force, left * whole, rtol=1e-9, atol=1e-9)

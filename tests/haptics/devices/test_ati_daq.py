@@ -11,13 +11,13 @@ from haptics.devices import ati_daq
 from haptics.devices.ati_daq import AtiDaqSensor
 from haptics.devices.back_ends import open_sensor
 from haptics.devices.contracts import DeviceError, SampleStatus
-from haptics.protocols.ati_calibration import AtiCalibration, read_calibration
+from haptics.protocols.ati_calibration import AtiVoltageCalibration, parse_ati_calibration
 from tissue_sim.errors import InputError
 
 MATRIX = ((0.5, 0.1, 0.0, -9.0, 0.2, 9.1), (0.0, 10.5, 0.1, -5.0, 0.2, -5.1), (16.0, -0.3, 16.5, -0.4, 16.2, -0.5),
           (0.01, 0.2, -0.7, -0.1, 0.7, -0.1), (0.8, 0.0, -0.4, 0.2, -0.4, -0.2), (0.0, -0.4, 0.0, -0.4, 0.0, -0.4))
-CALIBRATION = AtiCalibration("FT00001", "SI-40-2", "1/2/2003", MATRIX, (40.0, 40.0, 120.0, 2.0, 2.0, 2.0),
-                             (-10.0, 10.0), "UserAxis")
+CALIBRATION = AtiVoltageCalibration("FT00001", "SI-40-2", "1/2/2003", MATRIX, (40.0, 40.0, 120.0, 2.0, 2.0, 2.0),
+                                    (-10.0, 10.0), "UserAxis")
 LOAD = (1.0, -2.0, 3.0, 0.1, 0.2, -0.3)
 FILE = ('<FTSensor Serial="FT7" NumGages="6"><Calibration PartNumber="SI-40-2" ForceUnits="N" TorqueUnits="N-m" '
         'OutputRange="20">' + "".join(
@@ -119,7 +119,7 @@ def test_a_tare_is_the_mean_of_a_tenth_of_a_second():
     sensor.tare()
     samples = sensor.read()
     assert len(samples) == 50  # the samples that the tare has read
-    assert samples[-1].values == pytest.approx(CALIBRATION.compute_wrench((0.1,) * 6))
+    assert samples[-1].values == pytest.approx(CALIBRATION.compute_wrench_from_voltages((0.1,) * 6))
 
 
 def test_a_tare_waits_for_the_first_sample(monkeypatch):
@@ -158,7 +158,7 @@ def broken():
 
 @pytest.mark.parametrize(("read_volts", "sentence"), [
     (broken, r"^broken, which reads the voltages, failed \(OSError: the board was unplugged\); check the board, and "
-             r"start"),
+     r"start"),
     (lambda: None, r"must return an array \(n, 6\) of volts; got a NoneType"),
     (lambda: [1.0] * 6, r"must return an array \(n, 6\) of volts; got a list\. Return the samples since the last call"),
     (lambda: np.zeros((6, 3)), r"must return an array \(n, 6\) of volts; got shape \(6, 3\)"),
@@ -183,7 +183,7 @@ def test_a_silent_board_raises(monkeypatch):
     assert sensor.read() == ()
     clock[0] += 0.2
     with pytest.raises(DeviceError, match=r"^read_volts has returned no sample for 1\.1 s; check that the board is "
-                                          r"sampling"):
+                       r"sampling"):
         sensor.read()
 
 
@@ -191,16 +191,16 @@ def test_a_missing_function_raises_with_instructions(tmp_path):
     (tmp_path / "FT7.cal").write_text(FILE, encoding="utf-8")
     sensor = open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}")
     with pytest.raises(DeviceError, match=r"^the ATI sensor FT7 has no function that reads its voltages; give one that "
-                                          r"returns the new samples as an array \(n, 6\) of volts, as in "
-                                          r"ati-daq:FT01234\.cal,volts=my_board:read_volts$"):
+                       r"returns the new samples as an array \(n, 6\) of volts, as in "
+                       r"ati-daq:FT01234\.cal,volts=my_board:read_volts$"):
         sensor.start()
 
 
 @pytest.mark.parametrize(("place", "sentence"), [
     ("no_such_module_here:read", "no_such_module_here:read, which reads the voltages, cannot be imported .No module "
-                                 "named"),
+     "named"),
     ("math:read_volts", "math:read_volts, which reads the voltages, cannot be imported .module 'math' has no "
-                        "attribute"),
+     "attribute"),
     ("math:pi", r"math:pi must be a function; got a float\. Give a function that returns an array"),
 ])
 def test_a_missing_function_raises(place, sentence):
@@ -223,7 +223,7 @@ def test_invalid_settings_are_refused(tmp_path, settings, sentence):
 
 def test_a_missing_or_truncated_file_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"ati-daq.*no such file, expected the \.cal file of an ATI sensor; check the "
-                                         r"name"):
+                       r"name"):
         open_sensor(f"ati-daq:{tmp_path / 'FT8.cal'}")
     (tmp_path / "FT7.cal").write_text(FILE[:-40], encoding="utf-8")
     with pytest.raises(InputError, match=r"FT7\.cal: .*is not valid XML .*incomplete or damaged; copy the \.cal file"):
@@ -233,6 +233,6 @@ def test_a_missing_or_truncated_file_is_refused(tmp_path):
 
 
 def test_describe_returns_the_calibration():
-    described = AtiDaqSensor(read_calibration(FILE), volts=(-5.0, 5.0)).describe()
+    described = AtiDaqSensor(parse_ati_calibration(FILE), volts=(-5.0, 5.0)).describe()
     assert (described["serial"], described["part"], described["volts_V"]) == ("FT7", "SI-40-2", [-5.0, 5.0])
     assert described["verified"] == "with made-up voltages only" and described["calibration_rows"] == "UserAxis"

@@ -25,7 +25,12 @@ from haptics.emulators import ati_serial as emulation
 from haptics.emulators.ati_serial import AtiSerialEmulator
 from haptics.emulators.emulator import open_emulator
 from haptics.emulators.terminal import TerminalEmulator
-from haptics.protocols.ati_serial import AtiSerialRecord, decode_ascii_record, decode_binary_record, encode_ascii_record
+from haptics.protocols.ati_serial import (
+    AtiSerialRecord,
+    decode_ascii_record_or_none,
+    decode_binary_record_or_none,
+    encode_ascii_record_without_ending,
+)
 from tissue_sim.errors import InputError
 
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
@@ -119,21 +124,21 @@ def test_the_baud_rate_limits_the_rate_of_the_records(monkeypatch):
     for padded, mode, wanted in ((True, b"CD A", 21), (False, b"CD A", 32), (True, b"CD B", 73)):
         sensor = VirtualForceSensor(six, AXES, clock=lambda: clock[0])
         emulator = AtiSerialEmulator(sensor, padded=padded)
-        emulator.start_backing_device()
+        emulator.power_on_with_backing_device()
         clock[0] += 0.1
         monkeypatch.setattr(emulator, "_has_matching_baud", lambda: True)
-        emulator.answer_bytes(mode + b"\rQS\r")
+        emulator.execute_bytes_and_get_answers(mode + b"\rQS\r")
         sent = []
         for _ in range(200):
             clock[0] += 1e-3
-            sent += emulator.take_due_messages()
+            sent += emulator.advance_and_get_messages_to_send()
         records = []
         for _ in range(1000):
             clock[0] += 1e-3
-            records += emulator.take_due_messages()
+            records += emulator.advance_and_get_messages_to_send()
         assert len(records) == pytest.approx(wanted, abs=1)
-        decode = (decode_binary_record if mode == b"CD B"
-                  else lambda line: decode_ascii_record(line.removesuffix(b"\r\n")))
+        decode = (decode_binary_record_or_none if mode == b"CD B"
+                  else lambda line: decode_ascii_record_or_none(line.removesuffix(b"\r\n")))
         assert {decode(record) for record in records} == {AtiSerialRecord(0, COUNTS)}
 
 
@@ -189,9 +194,9 @@ def test_garbled_records_are_counted_and_undetected_ones_differ_by_a_digit():
         sensor.stop()
     assert garbled > 0
     assert sum(sample.counts == COUNTS for sample in samples) > len(samples) / 2
-    true = encode_ascii_record(AtiSerialRecord(0, COUNTS))
+    true = encode_ascii_record_without_ending(AtiSerialRecord(0, COUNTS))
     for sample in samples:
-        line = encode_ascii_record(AtiSerialRecord(0, sample.counts))
+        line = encode_ascii_record_without_ending(AtiSerialRecord(0, sample.counts))
         assert sum(a != b for a, b in zip(line, true, strict=True)) <= 1
 
 
@@ -228,19 +233,19 @@ def test_commands_of_the_manual(emulator):
     ask(b"SB\r")
     assert ask(b"qr\r").splitlines()[1] == b"0,     0,     0,     0,     0,     0,     0"
     ask(b"SU\r")
-    assert decode_ascii_record(ask(b"QR\r").splitlines()[1]) == AtiSerialRecord(0, COUNTS)
+    assert decode_ascii_record_or_none(ask(b"QR\r").splitlines()[1]) == AtiSerialRecord(0, COUNTS)
     for _ in range(5):
         ask(b"SB\r")
     ask(b"SZ\r")
     for silent in (b"SA 16\r", b"CD R\r", b"CD E\r", b"CD U\r"):
         assert ask(silent) == silent + b"\n\r\n>"
-    assert decode_ascii_record(ask(b"\x14", b"\n").removesuffix(b"\r\n")) == AtiSerialRecord(0, COUNTS)
+    assert decode_ascii_record_or_none(ask(b"\x14", b"\n").removesuffix(b"\r\n")) == AtiSerialRecord(0, COUNTS)
     ask(b"CD B\r")
     line.write(b"\x14")
-    assert decode_binary_record(line.read_exactly(13, LONG)) == AtiSerialRecord(0, COUNTS)
+    assert decode_binary_record_or_none(line.read_exactly(13, LONG)) == AtiSerialRecord(0, COUNTS)
     assert b"ERROR" in ask(b"XX\r")
     assert ask(b"\x17").startswith(b"ATI")
-    assert decode_ascii_record(ask(b"QR\r").splitlines()[1]) == AtiSerialRecord(0, COUNTS)
+    assert decode_ascii_record_or_none(ask(b"QR\r").splitlines()[1]) == AtiSerialRecord(0, COUNTS)
     line.close()
 
 
@@ -270,7 +275,7 @@ def test_a_missing_port_raises():
 def test_a_busy_port_raises_with_the_remedy(emulator):
     other = SerialLine(emulator.path, 9600, "the other")
     with pytest.raises(DeviceError, match=r"is in use by another program; close that one, then start the ATI "
-                                          r"controller"):
+                       r"controller"):
         sensor_at(emulator.path).start()
     other.close()
     sensor = sensor_at(emulator.path)
@@ -281,7 +286,7 @@ def test_a_busy_port_raises_with_the_remedy(emulator):
 @pytest.mark.parametrize("mode", ["ascii", "binary"])
 def test_a_wrong_baud_rate_raises(emulator, mode):
     with pytest.raises(DeviceError, match=r"^the bytes from \S+ are no text at 38400 baud; give the baud rate of the "
-                                          "ATI controller, which its display shows at power on, as in baud=38400$"):
+                       "ATI controller, which its display shows at power on, as in baud=38400$"):
         sensor_at(emulator.path, baud=38400, mode=mode).start()
 
 
@@ -298,16 +303,16 @@ class Talker(TerminalEmulator):
     def address(self):
         return self.path
 
-    def start_backing_device(self):
+    def power_on_with_backing_device(self):
         return
 
     def stop_backing_device(self):
         return
 
-    def answer_bytes(self, data):
+    def execute_bytes_and_get_answers(self, data):
         return [self._answer] * data.count(b"\r") if self._answer else []
 
-    def take_due_messages(self):
+    def advance_and_get_messages_to_send(self):
         unasked, self._unasked = self._unasked, []
         return unasked
 
@@ -318,13 +323,13 @@ class Talker(TerminalEmulator):
 @pytest.mark.slow
 @pytest.mark.parametrize(("answer", "unasked", "sentence"), [
     (b"", (), r"^nothing answers at \S+; check that the ATI controller has power, the cable, and the baud rate \(here "
-              r"9600"),
+     r"9600"),
     (b"ok\r\n", (b"\r\nGrbl 1.1h ['$' for help]\r\n",),
      r"^the device at \S+ is not an ATI controller \(it sent '.*ok' and no prompt '>'\); give the port of the "
      r"controller$"),
     (b"?\r\r>", (), r"^the ATI controller at \S+ sends no records of a flag and six counts \('\?'\); select all six"),
     (b"0,1,2,3,4\r\n>", (), r"sends no records of a flag and six counts \(.*0,1,2,3,4'\); select all six components "
-                            r"\(CV 3F"),
+     r"\(CV 3F"),
 ])
 @pytest.mark.parametrize("mode", ["ascii", "binary"])
 def test_another_device_at_the_port_raises(answer, unasked, sentence, mode, patience):
@@ -345,7 +350,7 @@ def test_an_answer_without_a_prompt_raises(emulator, monkeypatch, patience):
     answer = emulator._execute_command
     monkeypatch.setattr(emulator, "_execute_command", lambda command: None if command == b"CD R" else answer(command))
     with pytest.raises(DeviceError, match=r"did not end its answer to 'CD R' \(nothing arrived\) with its prompt '>'; "
-                                          r"switch it off and on"):
+                       r"switch it off and on"):
         sensor_at(emulator.path).start()
 
 
@@ -356,7 +361,7 @@ def test_a_silent_controller_raises(emulator, monkeypatch, mode):
     sensor.start()
     assert read_records(sensor)
     sensor._receiver._silence = 1.0
-    monkeypatch.setattr(emulator, "take_due_messages", lambda: [])
+    monkeypatch.setattr(emulator, "advance_and_get_messages_to_send", lambda: [])
     with pytest.raises(DeviceError, match=r"has sent nothing for 1 s; check its power, its sensor and the cable, and"):
         wait_until(lambda: sensor.read() and None)
     with pytest.raises(DeviceError, match="has sent nothing"):
@@ -372,7 +377,7 @@ def test_text_instead_of_records_raises_and_is_quoted(emulator, monkeypatch):
     sensor._receiver._silence = 1.0
     monkeypatch.setattr(emulator, "_encode_next_record", lambda: b"saturation error\r\n")
     with pytest.raises(DeviceError, match=r"has sent no complete record \('saturation error'\) for 1 s; check its "
-                                          r"power"):
+                       r"power"):
         wait_until(lambda: sensor.read() and None)
     assert sensor.describe()["garbled_records"] > 0
     sensor.stop()
@@ -409,18 +414,18 @@ def test_unread_records_are_lost_and_marked_as_a_gap(emulator, monkeypatch):
     ("ati-serial:baud=9600", "the port of the controller is missing"),
     ("ati-serial:/dev/ttyUSB0", r"counts_per_N: the counts per unit must be above 0; got 0\. Give the counts per unit "
      r"of the sensor's "
-                                r"calibration sheet"),
+     r"calibration sheet"),
     ("ati-serial:/dev/ttyUSB0,counts_per_N=100", "counts_per_Nm: the counts per unit must be above 0; got 0"),
     ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,mode=binry",
      "mode: the value must be one of ascii, binary; got "
-                                                                          "'binry'; did you mean 'binary'"),
+     "'binry'; did you mean 'binary'"),
     ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,bawd=1", "bawd: unknown setting; did you mean 'baud'"),
     ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,baud=-1", "baud: the baud rate must be above 0; got -1"),
     ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,rate_hz=-1",
      "rate_hz: the sampling rate must be above 0; got -1 Hz"),
     ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,average=300",
      "average: the number of averaged samples must be 0 to 255; got "
-                                                                           "300"),
+     "300"),
 ])
 def test_invalid_settings_are_refused(name, sentence):
     with pytest.raises(InputError, match=sentence):

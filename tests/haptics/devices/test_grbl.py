@@ -173,7 +173,7 @@ def test_an_alarm_sets_the_status_and_motions_raise(emulator, clock, number, wor
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
     pass_time(emulator, stage, clock, 0.3)
-    emulator.cause_alarm(number)
+    emulator.request_alarm(number)
     wait_until(lambda: stage.position().status & SampleStatus.FAULT, event="the alarm")
     sample = stage.position()
     assert not sample.homed and not sample.moving
@@ -191,7 +191,7 @@ def test_failed_homing_raises(clock):
         stage.start()
         stage.home()
         wait_until(lambda: emulator._homing, event="homing")
-        emulator.cause_alarm(9)
+        emulator.request_alarm(9)
         with pytest.raises(DeviceError, match="did not home: homing found no limit switch; check its wiring"):
             wait_until(lambda: not stage.position().moving)
         assert not stage.position().homed
@@ -223,10 +223,11 @@ def test_a_refused_jog_raises_once_and_ends_the_motion(emulator, clock):
 
 def test_a_restart_of_the_controller_raises(emulator, clock):
     stage = homed(emulator, clock)
-    emulator.take_due_messages, due = lambda: [b"Grbl 1.1h ['$' for help]\r\n"], emulator.take_due_messages
+    emulator.advance_and_get_messages_to_send, due = lambda: [
+        b"Grbl 1.1h ['$' for help]\r\n"], emulator.advance_and_get_messages_to_send
     with pytest.raises(DeviceError, match="has restarted and lost its zero; check its supply, and home it again"):
         wait_until(lambda: not stage.position())
-    emulator.take_due_messages = due
+    emulator.advance_and_get_messages_to_send = due
     wait_until(lambda: not stage.position().homed)
     with pytest.raises(DeviceError, match="home it first"):
         stage.move(0.001, 0.001)

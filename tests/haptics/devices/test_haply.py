@@ -19,7 +19,7 @@ from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import open_emulator
 from haptics.emulators.haply import START, TIMES, HaplyEmulator, emulate_haply
 from haptics.loop.ticker import Ticker
-from haptics.protocols.haply import HaplyDeviceState, decode_force_message, encode_state_message
+from haptics.protocols.haply import HaplyDeviceState, encode_state_message, find_force_in_client_message
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 
@@ -45,11 +45,11 @@ def started(service):
 class TestContract(HapticDeviceContract):
     def ticks(self, device, wrench=NO_WRENCH, start=0.0, count=50):
         poses, ticker = [], Ticker(1e-3)
-        ticker.start()
+        ticker.start_first_period()
         for _ in range(count):
             poses.append(device.pose(start))
             device.render(wrench)
-            ticker.wait_for_deadline()
+            ticker.wait_and_get_lateness_nanoseconds()
         return [pose for pose in poses if pose is not None] if wrench != NO_WRENCH else poses
 
     @pytest.fixture
@@ -65,7 +65,7 @@ class TestContract(HapticDeviceContract):
             # 1 N on a grip of 400 N/m is 2.5 mm.
             if force:
                 wait_until(lambda each=each, wrench=wrench: self.ticks(each, wrench, count=10)[-1].position[2]
-                         > places[0][2] + 2e-3)
+                           > places[0][2] + 2e-3)
             places.append(wait_until(lambda each=each, wrench=wrench: self.ticks(each, wrench, count=2)[-1]).position)
             each.stop()
         free, pushed = places
@@ -125,8 +125,8 @@ def test_the_tool_turns_with_the_grip_about_the_axes_of_the_scene():
     s = math.sqrt(0.5)
     # From a quarter turn about x, by a quarter turn about the device's z, which is the scene's y.
     first, now = (s, s, 0.0, 0.0), (0.5, 0.5, 0.5, 0.5)
-    assert device._rotation_since_start(now, first) == pytest.approx((s, 0.0, s, 0.0))
-    assert device._rotation_since_start(first, first) == pytest.approx((1.0, 0.0, 0.0, 0.0))
+    assert device._compute_quaternion_since_start(now, first) == pytest.approx((s, 0.0, s, 0.0))
+    assert device._compute_quaternion_since_start(first, first) == pytest.approx((1.0, 0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(("text", "field"), [
@@ -243,11 +243,11 @@ def test_a_slow_service_does_not_delay_the_loop():
         device = open_haptic(service.address)
         device.start()
         began, none, ticker = time.monotonic(), 0, Ticker(1e-3)
-        ticker.start()
+        ticker.start_first_period()
         for _ in range(100):
             none += device.pose(0.0) is None
             device.render(NO_WRENCH)
-            ticker.wait_for_deadline()
+            ticker.wait_and_get_lateness_nanoseconds()
         passed = time.monotonic() - began
         device.stop()
     # Waiting for an answer in each tick would take 20 s.
@@ -262,7 +262,7 @@ def test_forces_do_not_accumulate_at_a_slow_service():
         state = encode_state_message(HaplyDeviceState("1", (0.0, 0.0, 0.1)), (0.0, 0.0, 0.0))
         connection.send(state)
         for message in connection:
-            seen.append(decode_force_message(message, "1"))
+            seen.append(find_force_in_client_message(message, "1"))
             if is_slow.is_set():
                 answers.acquire()
             connection.send(state)
@@ -303,17 +303,17 @@ def test_a_stopped_loop_applies_no_force(started, service):
 def test_the_emulator_removes_the_force_after_a_silence(service):
     from websockets.sync.client import connect
 
-    from haptics.protocols.haply import decode_device_state, encode_force_message
+    from haptics.protocols.haply import encode_force_message, find_device_state_in_message
 
     with connect(service.address.removeprefix("haply:")) as client:
-        first = decode_device_state(client.recv())
+        first = find_device_state_in_message(client.recv())
         client.send(encode_force_message(first.device_id, (0.0, 0.0, 3.0)))
-        assert decode_device_state(client.recv()).device_id == "049D" and service.force == (0.0, 0.0, 3.0)
+        assert find_device_state_in_message(client.recv()).device_id == "049D" and service.force == (0.0, 0.0, 3.0)
         with pytest.raises(TimeoutError):
             client.recv(timeout=2 * TIMES.release_time)  # the service sends nothing unrequested
         wait_until(lambda: service.force == (0.0, 0.0, 0.0))
         client.send("nonsense")
-        assert decode_device_state(client.recv()).device_id == "049D", "each message has one answer"
+        assert find_device_state_in_message(client.recv()).device_id == "049D", "each message has one answer"
     assert service.refused == 1 and service.messages == 2
 
 
@@ -329,7 +329,8 @@ def test_the_emulated_hand_yields_to_a_force():
             return pose is not None and abs(pose.position[2] - 10e-3) < 0.1e-3
 
         wait_until(rises)
-        assert service.cursor_position() == pytest.approx((START[0], START[1], START[2] + 10e-3), abs=0.2e-3)
+        assert service.simulate_and_get_cursor_position() \
+            == pytest.approx((START[0], START[1], START[2] + 10e-3), abs=0.2e-3)
         device.stop()
 
 

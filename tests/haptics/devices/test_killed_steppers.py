@@ -53,9 +53,9 @@ def test_the_motor_stops_soon_after_a_kill(protocol, late, root):
             program.wait()
             program.stdout.close()
         stage = emulator._stage
-        died_at = stage.tool_position_at(time.monotonic())
+        died_at = stage.compute_tool_position_with_stall(time.monotonic())
         wait_until(lambda: not stage.position().moving, event="the motor to stand")
-        way = stage.tool_position_at(time.monotonic()) - died_at
+        way = stage.compute_tool_position_with_stall(time.monotonic()) - died_at
         assert 0.2e-3 < died_at < 0.5 * HIGHEST
         assert 0.0 <= way <= SPEED * (open_stage(emulator.address).runs_on + late) + 2e-6
         # Another program can use the stage.

@@ -257,7 +257,7 @@ def test_endless_homing_raises_and_stops(clock, monkeypatch):
 
 def test_a_halt_from_another_thread_stops_a_move_during_transmission(emulator, clock, monkeypatch):
     stage = homed(emulator, clock)
-    set_number = stage._send_and_verify
+    set_number = stage._send_and_require_acceptance
 
     def halted_meanwhile(*arguments):
         set_number(*arguments)
@@ -265,7 +265,7 @@ def test_a_halt_from_another_thread_stops_a_move_during_transmission(emulator, c
         thread.start()
         thread.join()
 
-    monkeypatch.setattr(stage, "_send_and_verify", halted_meanwhile)
+    monkeypatch.setattr(stage, "_send_and_require_acceptance", halted_meanwhile)
     stage.move(0.008, 0.004)
     clock.now += 1.0
     assert stage.position().position == pytest.approx(0.0, abs=2e-6)
@@ -377,12 +377,12 @@ def test_garbled_answers_never_pass_the_checksum(clock):
         stage = homed(emulator, clock)
         stage.move(0.005, 0.004)
         clock.now += 10.0
-        answer, number = emulator.answer_bytes, itertools.count()
+        answer, number = emulator.execute_bytes_and_get_answers, itertools.count()
 
         def garbled(data):
             return [bytes([part[0] ^ 0x10]) + part[1:] if next(number) % 3 == 2 else part for part in answer(data)]
 
-        emulator.answer_bytes = garbled
+        emulator.execute_bytes_and_get_answers = garbled
         refused = 0
         for _ in range(30):
             try:

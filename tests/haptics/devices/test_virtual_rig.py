@@ -83,7 +83,7 @@ def pressed():
                 clock.now += 0.01
                 for sample in sensor.read():
                     taken = 50.0 + (sample.sequence + 1) / 100.0
-                    rows.append((taken, stage.tool_position_at(taken), sample.values[0]))
+                    rows.append((taken, stage.compute_tool_position_with_stall(taken), sample.values[0]))
         return np.array(rows).T
 
     return pressed

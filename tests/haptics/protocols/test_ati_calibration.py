@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from haptics.protocols.ati_calibration import read_calibration
+from haptics.protocols.ati_calibration import parse_ati_calibration
 from haptics.protocols.ati_units import FORCE_UNITS, TORQUE_UNITS
 from tissue_sim.errors import InputError
 
@@ -32,19 +32,19 @@ def file_of(matrix=MATRIX, maxima=MAXIMA, tag="UserAxis", attributes='OutputRang
 
 
 def test_the_matrix_consists_of_the_rows():
-    calibration = read_calibration(file_of())
+    calibration = parse_ati_calibration(file_of())
     assert calibration.matrix == MATRIX and calibration.reach == MAXIMA and calibration.volts == (-10.0, 10.0)
     assert (calibration.serial, calibration.part, calibration.date) == ("FT00001", "SI-40-2", "1/2/2003")
     assert calibration.rows == "UserAxis"
-    wrench = calibration.compute_wrench((0.0, 0.0, 2.0, 0.0, 0.0, 1.0))
+    wrench = calibration.compute_wrench_from_voltages((0.0, 0.0, 2.0, 0.0, 0.0, 1.0))
     assert wrench == pytest.approx((9.1, -4.9, 32.5, -1.5, -1.0, -0.4))
-    assert read_calibration(file_of().encode()) == calibration
+    assert parse_ati_calibration(file_of().encode()) == calibration
 
 
 def test_axis_rows_are_ignored_if_there_are_user_axis_rows():
     inside = re.findall(r"\t\t<Axis.*\n", file_of(tuple(tuple(7.0 for _ in row) for row in MATRIX), tag="Axis"))
     assert len(inside) == 6
-    assert read_calibration(file_of(inside="".join(inside))) == read_calibration(file_of())
+    assert parse_ati_calibration(file_of(inside="".join(inside))) == parse_ati_calibration(file_of())
 
 
 @pytest.mark.parametrize(("force", "newtons"), [("N", 1.0), ("lbf", 4.4482216152605), ("klbf", 4448.2216152605),
@@ -54,7 +54,7 @@ def test_axis_rows_are_ignored_if_there_are_user_axis_rows():
                                                        ("kg-cm", 0.0980665), ("in-lb", 0.112984829027617)])
 def test_units_of_the_file(force, newtons, torque, newton_metres):
     """1 lbf, 1 lbf in and 1 lbf ft according to NIST SP 811, appendix B.8."""
-    calibration = read_calibration(file_of(force=force, torque=torque))
+    calibration = parse_ati_calibration(file_of(force=force, torque=torque))
     for row, wanted, unit in zip(calibration.matrix, MATRIX, (newtons,) * 3 + (newton_metres,) * 3, strict=True):
         assert row == pytest.approx([unit * value for value in wanted], rel=1e-12)
     assert calibration.reach[0] == pytest.approx(40.0 * newtons) and calibration.reach[5] == pytest.approx(
@@ -73,7 +73,7 @@ def test_axis_rows_give_the_same_matrix_as_user_axis_rows():
                    inside='<BasicTransform Dx="0" Dy="0" Dz="0.0120142" Rx="0" Ry="0" Rz="0"/>')
     for scale in scales:
         text = text.replace('scale="2.5"', f'scale="{scale}"', 1)
-    calibration = read_calibration(text)
+    calibration = parse_ati_calibration(text)
     assert calibration.rows == "Axis"
     for row, wanted in zip(calibration.matrix, user_axes, strict=True):
         assert row[:2] == pytest.approx(wanted, abs=1e-5) and not any(row[2:])
@@ -84,7 +84,7 @@ def test_a_transform_moves_the_torques_in_all_directions():
     one = tuple(tuple(2.5 * (row == column) for column in range(6)) for row in range(6))
     text = file_of(one, tag="Axis", inside='<BasicTransform Dx="3" Dy="20" Dz="100"/>', torque="N-mm").replace(
         'DistUnits="m"', 'DistUnits="mm"')
-    torques = read_calibration(text).matrix[3:]
+    torques = parse_ati_calibration(text).matrix[3:]
     assert [row[:3] for row in torques] == [pytest.approx((0.0, 0.1, -0.02)), pytest.approx((-0.1, 0.0, 0.003)),
                                             pytest.approx((0.02, -0.003, 0.0))]
 
@@ -93,7 +93,7 @@ def test_a_transform_moves_the_torques_in_all_directions():
                                                    ('OutputRange="10" OutputBipolar="False"', (0.0, 10.0)),
                                                    ("", (-10.0, 10.0))])
 def test_the_output_range_is_read(attributes, volts):
-    assert read_calibration(file_of(attributes=attributes)).volts == volts
+    assert parse_ati_calibration(file_of(attributes=attributes)).volts == volts
 
 
 @pytest.mark.parametrize(("old", "new", "sentence"), [
@@ -119,7 +119,7 @@ def test_invalid_files_are_refused_with_the_cause(old, new, sentence):
     text = file_of()
     assert old in text
     with pytest.raises(InputError, match=sentence) as caught:
-        read_calibration(text.replace(old, new), "FT1.cal")
+        parse_ati_calibration(text.replace(old, new), "FT1.cal")
     assert str(caught.value).startswith("FT1.cal: ")
 
 
@@ -132,25 +132,25 @@ def test_invalid_axis_rows_are_refused_with_the_cause():
                                ('scale="2.5"', 'scale="0"', "the scale of Axis Fx must be above 0; got 0"),
                                ('DistUnits="m"', 'DistUnits="mile"', "DistUnits: unknown unit 'mile'")):
         with pytest.raises(InputError, match=sentence):
-            read_calibration(text.replace(old, new))
+            parse_ati_calibration(text.replace(old, new))
 
 
 def test_a_truncated_file_is_refused():
     text = file_of()
     for end in range(len(text.rstrip())):
         with pytest.raises(InputError, match=r"is not valid XML .*: it is incomplete or damaged; copy the \.cal file"):
-            read_calibration(text[:end])
+            parse_ati_calibration(text[:end])
 
 
 def test_a_large_file_is_refused():
     with pytest.raises(InputError, match="must be smaller than 1 MB"):
-        read_calibration(b" " * 1_000_001)
+        parse_ati_calibration(b" " * 1_000_001)
 
 
 def checked(data):
     """Check that the data are refused or give a complete calibration."""
     try:
-        calibration = read_calibration(data)
+        calibration = parse_ati_calibration(data)
     except InputError:
         return
     assert len(calibration.matrix) == 6 and all(len(row) == 6 for row in calibration.matrix)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from virtual_bench import STIFFNESS, SURFACE
 
-from haptics.recorder.stage_path import StagePath, StagePoll, compute_position_tolerance
+from haptics.recorder.stage_path import StagePath, StagePoll, compute_position_tolerance_for_depth
 from haptics.recorder.stopped import StoppedError
 from tissue_sim import read_recording
 
@@ -59,7 +59,7 @@ def test_the_bound_contains_a_reversal_between_two_polls():
 
 def test_the_position_is_known_in_a_hold_at_any_interval_of_the_polls():
     polls = [StagePoll(0.0, 0.0, 1e-3), StagePoll(5.0, 5.0, 1e-3)]
-    assert StagePath(polls, [0.0], [2e-3, 0.0]).is_position_known(np.linspace(0.0, 5.0, 20), 1e-3).all()
+    assert StagePath(polls, [0.0], [2e-3, 0.0]).find_known_position_mask(np.linspace(0.0, 5.0, 20), 1e-3).all()
 
 
 def delay_answers(bench, rig, delay, is_late):
@@ -86,7 +86,7 @@ def test_samples_without_a_known_position_are_left_out_of_the_recording(bench):
     assert bench.run_folder.state["left_out"] == {"spring_1": recording.metadata["left_out"]}
     assert "answers of the stage were late" in recording.metadata["left_out"]["reason"]
     depth = np.maximum(recording.displacement + recording.metadata["touch_mm"] * 1e-3 - SURFACE, 0.0)
-    tolerance = STIFFNESS * compute_position_tolerance(3e-3) + 1e-3
+    tolerance = STIFFNESS * compute_position_tolerance_for_depth(3e-3) + 1e-3
     np.testing.assert_allclose(recording.force, STIFFNESS * depth, atol=tolerance)
 
 

@@ -11,7 +11,7 @@ from haptics.recorder.run_folder import RunFolder
 from haptics.safety.motion_guard import MotionLimits
 from tissue_sim import Rig
 from tissue_sim.experiment.protocol_text import parse_protocol
-from tissue_sim.experiment.segments import expand_legs
+from tissue_sim.experiment.segments import iterate_motion_legs
 
 #: Stiffness of the spring, N/m.
 STIFFNESS = 400.0
@@ -61,7 +61,7 @@ class VirtualBench:
                                "stiffness": 1000.0, "force_margin": 2.0, **changes})
 
     def plan(self, protocol="ramp 3mm @2mm/s; hold 0.5s; unload", **changes):
-        return IndentationPlan(**{"name": "spring", "legs": tuple(expand_legs(parse_protocol(protocol), 1e-3)),
+        return IndentationPlan(**{"name": "spring", "legs": tuple(iterate_motion_legs(parse_protocol(protocol), 1e-3)),
                                   "replicates": 2, "contact_force": 0.05, "approach_speed": 2e-3, **changes})
 
     def rig(self, specimen=None, rig=None, **options):

@@ -7,7 +7,7 @@ import pytest
 from waiting import wait_for_value
 
 import tissue_sim as ts
-from scenes.commands.shared.tissue_flags import load_material_or_default
+from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 
@@ -16,7 +16,7 @@ from tissue_sim.experiment.kinds.indentation import NEEDLE
 def needle() -> Scene:
     """Needle scene with the specimen of the reference study and a depth of 4 mm."""
     experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(4e-3, 21))
-    return Scene(NEEDLE, experiment, load_material_or_default(None))
+    return Scene(NEEDLE, experiment, load_material_or_study_silicone(None))
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenes.viewer.bands import TriangleConnectivity, clip_triangles_to_bands, split_polyline_at_levels
+from scenes.viewer.bands import TriangleConnectivity, clip_triangles_to_bands, insert_polyline_points_at_levels
 
 LEVELS = np.linspace(-1.0, 1.0, 9)
 
@@ -96,7 +96,8 @@ def test_neighbours_share_the_points_of_their_common_edge():
 
 def test_rising_and_falling_polylines_are_split_at_each_level():
     points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0], [1.0, 3.0]])
-    new, band = split_polyline_at_levels(points, np.array([-1.0, 1.0, 0.0, 0.0]), np.array([-1.0, -0.5, 0.0, 0.5, 1.0]))
+    new, band = insert_polyline_points_at_levels(points, np.array([-1.0, 1.0, 0.0, 0.0]),
+                                                 np.array([-1.0, -0.5, 0.0, 0.5, 1.0]))
     expected = [[0, 0], [0.25, 0], [0.5, 0], [0.75, 0], [1, 0], [1, 1], [1, 2], [1, 3]]
     assert new == pytest.approx(np.array(expected), abs=1e-15)
     assert band.tolist() == [0, 1, 2, 3, 3, 2, 2]
@@ -106,7 +107,7 @@ def test_a_polyline_on_the_boundary_has_the_crossings_of_the_triangles():
     points, triangles = sheet()
     values = np.random.default_rng(6).uniform(-1.5, 1.5, len(points))
     pieces = TriangleConnectivity(triangles).cut_at_levels(points, values, LEVELS)
-    new, band = split_polyline_at_levels(points[:13], values[:13], LEVELS)
+    new, band = insert_polyline_points_at_levels(points[:13], values[:13], LEVELS)
     on_rim = np.sort(pieces.points[pieces.points[:, 1] == 0.0, 0])
     assert new[:, 0] == pytest.approx(on_rim, abs=1e-14)
     middle = np.interp(0.5 * (new[1:, 0] + new[:-1, 0]), points[:13, 0], values[:13])

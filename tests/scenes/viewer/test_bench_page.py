@@ -7,10 +7,10 @@ import pytest
 
 from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
-from haptics.recorder.live import LIVE_FILE, LiveProgressFile, convert_progress_to_json
+from haptics.recorder.live import LIVE_FILE, LiveProgressFile, convert_progress_to_dict
 from haptics.recorder.recorder import RunProgress
 from haptics.recorder.run_folder import RunFolder
-from scenes.viewer.bench.page import bench_status_html
+from scenes.viewer.bench.page import make_bench_status_html
 from scenes.viewer.bench.sources import ConnectedDevicesSource, RecordRunSource
 from tissue_sim.errors import InputError
 
@@ -25,7 +25,7 @@ def test_the_folder_of_a_running_recorder_is_read(tmp_path):
         folder.update_state(state="running")
         assert "may have been killed" in source.read().message
         moment = RunProgress("needle", "ramp", 2, 5e-3, 3e-3, 0.4, 0.25)
-        (tmp_path / "run" / LIVE_FILE).write_text(json.dumps(convert_progress_to_json(moment)), encoding="utf-8")
+        (tmp_path / "run" / LIVE_FILE).write_text(json.dumps(convert_progress_to_dict(moment)), encoding="utf-8")
         partial = folder.open_partial("needle_2", HEADER)
         partial.queue_rows([(0.01 * row, 0.1 * row, 0.02 * row, "ramp") for row in range(5)])
         partial.close()
@@ -49,7 +49,7 @@ def test_the_folder_of_a_running_recorder_is_read(tmp_path):
 def test_the_live_file_is_written_by_another_thread_and_removed_at_the_end(tmp_path):
     live = LiveProgressFile(tmp_path)
     file = tmp_path / LIVE_FILE
-    with live.run_writing_thread():
+    with live.running_writing_thread():
         live.set_progress(RunProgress("a", "approach", 0, 1e-3, float("nan"), float("nan"), 0.0))
         while not file.exists():
             pass
@@ -101,5 +101,5 @@ def test_an_unknown_channel_is_refused():
 def test_texts_are_escaped_in_html():
     from scenes.viewer.bench.sources import BenchView
 
-    page = bench_status_html(BenchView("<b>", "a & b", None, None, 0.5))
+    page = make_bench_status_html(BenchView("<b>", "a & b", None, None, 0.5))
     assert "&lt;b&gt;" in page and "a &amp; b" in page and "width:50.0%" in page and "–" in page

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from scenes.viewer.calibration_commands import CALIBRATED, CALIBRATION_COMMANDS, apply_finished_calibration
-from scenes.viewer.calibration_run import CalibrationRun, CalibrationState, FitProgress, group_replicates
+from scenes.viewer.calibration_commands import CALIBRATED, CALIBRATION_COMMANDS, use_finished_calibration_in_scene
+from scenes.viewer.calibration_run import CalibrationRun, CalibrationState, FitProgress, group_replicate_file_names
 from scenes.viewer.calibration_task import (
     PROGRESS_FILE,
     RECORDINGS,
@@ -22,7 +22,7 @@ from scenes.viewer.calibration_task import (
     calibrate_uploaded_files,
 )
 from scenes.viewer.page.calibration_controls import calibration_html, recordings_html
-from scenes.viewer.recording_upload import read_recording_upload
+from scenes.viewer.recording_upload import read_uploaded_recordings_or_sidecar
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.parameters import with_values
 
@@ -53,7 +53,7 @@ def sidecar(**said):
 
 
 def upload(run, name="a.csv", content=None):
-    run.add_uploads(read_recording_upload(name, csv() if content is None else content))
+    run.add_all_uploads_or_none(read_uploaded_recordings_or_sidecar(name, csv() if content is None else content))
 
 
 class MinimalSession:
@@ -62,7 +62,7 @@ class MinimalSession:
     def __init__(self, scene, run):
         self.scene, self.calibration, self.refuses = scene, run, ""
 
-    def replace_material(self, material, source):
+    def replace_material_restart_if_needed(self, material, source):
         if self.refuses:
             raise InputError(self.refuses)
         self.scene = replace(self.scene, material=material, source=source)
@@ -80,9 +80,9 @@ def result_for(scene):
 def test_an_uploaded_recording_is_described(run, needle):
     upload(run)
     each, = run.state.recordings
-    assert each.max_displacement == pytest.approx(4e-3) and each.recording_duration == pytest.approx(2.0)
-    assert each.mean_loading_speed == pytest.approx(4e-3, rel=0.05) and len(each.recording) == 41
-    assert each.measured.stated_test_kind is None and each.stated_tool == ""
+    assert each.max_displacement == pytest.approx(4e-3) and each.recording_duration_or_none == pytest.approx(2.0)
+    assert each.first_loading_mean_speed_or_none == pytest.approx(4e-3, rel=0.05) and len(each.recording) == 41
+    assert each.measured.stated_test_kind is None and each.stated_tool_text == ""
     assert each.list_scene_mismatches(needle) == ()
 
 
@@ -92,7 +92,7 @@ def test_a_sidecar_may_be_uploaded_before_or_after_its_recording(run, needle, fi
     for name in sorted(files, reverse=first == "a.json"):
         upload(run, name, files[name])
     each, = run.state.recordings
-    assert each.stated_tool == "cone, radius 3 mm"
+    assert each.stated_tool_text == "cone, radius 3 mm"
     kind, tool = each.list_scene_mismatches(needle)
     assert kind == "The recording is a bonded_compression; the scene is a needle_indentation."
     assert tool == "The recording was measured with a cone of 3 mm radius; the scene has another tool."
@@ -125,17 +125,17 @@ def machine_file(head="Zeit (s);Extension (mm);Load (N)"):
 
 @pytest.mark.parametrize("name", ["gel 3.csv", "gel 3.TXT"])
 def test_a_test_machine_file_is_read_and_its_interpretation_is_displayed(run, needle, name):
-    uploaded, = read_recording_upload(name, machine_file())
-    run.add_uploads([uploaded])
+    uploaded, = read_uploaded_recordings_or_sidecar(name, machine_file())
+    run.add_all_uploads_or_none([uploaded])
     each, = run.state.recordings
-    own, = read_recording_upload("own.csv", csv())
+    own, = read_uploaded_recordings_or_sidecar("own.csv", csv())
     for channel in ("time", "displacement", "force"):
         np.testing.assert_allclose(each.recording.channel(channel), own.measured.recordings[0].channel(channel),
                                    rtol=1e-12)
     said, *_ = uploaded.understood
     assert "displacement from 'Extension (mm)' in mm, its sign changed" in said and "force from 'Load (N)' in N" in said
     assert escape(said) in recordings_html(run.state, needle)
-    again, = read_recording_upload(uploaded.name, uploaded.content)
+    again, = read_uploaded_recordings_or_sidecar(uploaded.name, uploaded.content)
     np.testing.assert_array_equal(again.measured.recordings[0].force, each.recording.force)
 
 
@@ -146,15 +146,15 @@ def test_a_test_machine_file_is_read_and_its_interpretation_is_displayed(run, ne
 ])
 def test_a_file_with_missing_information_gives_one_sentence(head, said):
     with pytest.raises(InputError) as refused:
-        read_recording_upload("gel.txt", machine_file(head))
+        read_uploaded_recordings_or_sidecar("gel.txt", machine_file(head))
     assert said in str(refused.value) and "\n" not in str(refused.value) and "tissue_sim_" not in str(refused.value)
 
 
 def test_several_recordings_are_added_together_or_not_at_all(run):
-    first, = read_recording_upload("a.csv", csv())
-    second, = read_recording_upload("b.csv", csv())
+    first, = read_uploaded_recordings_or_sidecar("a.csv", csv())
+    second, = read_uploaded_recordings_or_sidecar("b.csv", csv())
     with pytest.raises(InputError, match="A recording of this name was uploaded before"):
-        run.add_uploads([first, second, first])
+        run.add_all_uploads_or_none([first, second, first])
     assert run.state.recordings == ()
 
 
@@ -166,13 +166,13 @@ def test_progress_and_result_have_the_same_units():
 
 def test_unsafe_file_names_are_sanitised():
     for name, safe in (("../../a*.csv", "a_.csv"), ("c:\\x\\b[1].csv", "b_1_.csv")):
-        assert read_recording_upload(name, csv())[0].name == safe
+        assert read_uploaded_recordings_or_sidecar(name, csv())[0].name == safe
 
 
 def test_recordings_with_other_depth_or_speed_are_separate_tests(run):
     for name, depth, seconds in (("a", 4e-3, 2.0), ("b", 4.2e-3, 2.0), ("c", 6e-3, 3.0), ("d", 4e-3, 20.0)):
         upload(run, f"{name}.csv", csv(depth, seconds))
-    assert group_replicates(run.state.recordings) == (("a.csv", "b.csv"), ("c.csv",), ("d.csv",))
+    assert group_replicate_file_names(run.state.recordings) == (("a.csv", "b.csv"), ("c.csv",), ("d.csv",))
 
 
 def test_progress_is_reported_and_the_fitted_material_is_used(run, pool, needle):
@@ -183,18 +183,18 @@ def test_progress_is_reported_and_the_fitted_material_is_used(run, pool, needle)
     (folder, wanted), future = pool.tasks[-1]
     assert (wanted.kind, wanted.tests, wanted.material) == (needle.kind.name, (("a.csv",),), needle.material)
     assert sorted(path.name for path in (Path(folder) / RECORDINGS).iterdir()) == ["a.csv", "a.json"]
-    apply_finished_calibration(session)
+    use_finished_calibration_in_scene(session)
     assert run.state.status.sentence == "starting"
     for command, values in (("calibrate", {}), ("remove_recordings", {})):
         with pytest.raises(InputError, match="A calibration is running"):
             session.do(command, **values)
     content = {"sentence": "3 starts", "solves": 2, "rmse": 0.1, "parameters": {"C10": 1800.0}}
     (Path(folder) / PROGRESS_FILE).write_text(json.dumps(content), encoding="utf-8")
-    apply_finished_calibration(session)
+    use_finished_calibration_in_scene(session)
     assert (run.state.status.solves, run.state.status.parameters) == (2, {"C10": 1800.0}) and session.scene is needle
 
     future.set_result(found := result_for(needle))
-    apply_finished_calibration(session)
+    use_finished_calibration_in_scene(session)
     assert run.state.result is found and run.state.status is None and run.state.problem == ""
     assert session.scene.material == found.material and session.scene.source == CALIBRATED
     assert session.scene.measurement.recordings[0].metadata["kind"] == needle.kind.name
@@ -215,7 +215,7 @@ def test_a_failed_fit_gives_a_message_and_changes_nothing(run, pool, needle, err
     session.do("calibrate")
     (folder, _), future = pool.tasks[-1]
     future.set_exception(error)
-    apply_finished_calibration(session)
+    use_finished_calibration_in_scene(session)
     assert run.state.problem.startswith(said) and run.state.status is None and run.state.result is None
     assert session.scene is needle and not Path(folder).exists()
     session.do("calibrate")
@@ -229,7 +229,7 @@ def test_an_unusable_fit_is_displayed_but_not_used(run, pool, needle):
     why = "does not describe the data: its residuals are 2.8e+03 % of the largest force"
     found = replace(result_for(needle), unusable=why, warnings=(why,))
     pool.tasks[-1][1].set_result(found)
-    apply_finished_calibration(session)
+    use_finished_calibration_in_scene(session)
     assert session.scene is needle and run.state.result is found and "The fit is unusable" in run.state.problem
     assert why in calibration_html(run.state)
 
@@ -245,7 +245,7 @@ def test_a_cancelled_fit_changes_nothing(run, pool, needle):
     session.do("cancel_calibration")
     assert pool.stopped and "was cancelled" in run.state.problem and run.state.status is None
     pool.tasks[-1][1].set_result(result_for(needle))
-    apply_finished_calibration(session)
+    use_finished_calibration_in_scene(session)
     assert session.scene is needle and run.state.result is None
 
 
@@ -255,7 +255,7 @@ def test_a_result_for_another_scene_is_kept_but_not_used(run, pool, needle):
     session.do("calibrate")
     session.scene = other = needle.with_test_and_tool("bonded_compression")
     pool.tasks[-1][1].set_result(found := result_for(needle))
-    apply_finished_calibration(session)
+    use_finished_calibration_in_scene(session)
     assert session.scene is other and run.state.result is found
     assert "The scene changed during the calibration" in run.state.problem
 
@@ -266,7 +266,7 @@ def test_a_material_that_the_scene_refuses_changes_nothing(run, pool, needle):
     upload(run)
     session.do("calibrate")
     pool.tasks[-1][1].set_result(result_for(needle))
-    apply_finished_calibration(session)
+    use_finished_calibration_in_scene(session)
     assert session.scene is needle and run.state.problem == "is too stiff. The material is unchanged."
 
 
@@ -277,7 +277,7 @@ def test_the_material_file_is_saved_without_overwriting(run, pool, needle, tmp_p
     upload(run)
     session.do("calibrate")
     pool.tasks[-1][1].set_result(found := result_for(needle))
-    apply_finished_calibration(session)
+    use_finished_calibration_in_scene(session)
     session.do("save_calibration", folder=tmp_path, name="mine")
     path = tmp_path / "mine.material.json"
     assert path.read_bytes() == found.file and session.scene.source == path.name

@@ -10,8 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from scenes.colour_scale import compute_volume_quantiles
-from scenes.viewer.colours import PALETTE, choose_band_levels, colour_bar_html, compute_colour_range, update_band_levels
+from scenes.colour_scale import compute_low_and_high_volume_quantile
+from scenes.viewer.colours import (
+    PALETTE,
+    choose_band_levels,
+    colour_bar_html,
+    compute_field_quantile_range,
+    update_band_levels,
+)
 
 RANGES = st.tuples(st.floats(-1e6, 1e6), st.floats(1e-9, 1e6)).map(lambda pair: (pair[0], pair[0] + pair[1]))
 
@@ -98,10 +104,11 @@ def test_levels_change_rarely_for_an_oscillating_range():
 def test_range_excludes_a_fraction_of_the_volume_at_either_end():
     values = np.concatenate([[-1e6], np.linspace(0.0, 1.0, 1001), [1e6]])
     weights = np.concatenate([[1.0], np.ones(1001), [1.0]])
-    low, high = compute_volume_quantiles(values, weights)
+    low, high = compute_low_and_high_volume_quantile(values, weights)
     assert 0.0 < low < 0.02 and 0.98 < high < 1.0
     # A small volume counts as little as it is.
-    assert compute_volume_quantiles(np.array([[0.0, 1.0], [2.0, 1e9]]), np.array([[1.0, 1.0], [1.0, 1e-6]]))[1] < 3.0
+    assert compute_low_and_high_volume_quantile(np.array([[0.0, 1.0], [2.0, 1e9]]),
+                                                np.array([[1.0, 1.0], [1.0, 1e-6]]))[1] < 3.0
 
 
 def test_range_of_a_field_ignores_rounding_errors():
@@ -111,9 +118,9 @@ def test_range_of_a_field_ignores_rounding_errors():
     fields = {"von_mises": 700.0 + noise, "pressure": noise, "displacement": 1e-8 * noise, "energy": 50.0 * (1 + noise)}
 
     def range_of(name, factor):
-        return compute_colour_range(factor * fields[name],
-                                    SimpleNamespace(weights=np.ones((10, 9)), material=material), name,
-                                    factor)
+        return compute_field_quantile_range(factor * fields[name],
+                                            SimpleNamespace(weights=np.ones((10, 9)), material=material), name,
+                                            factor)
 
     low, high = range_of("von_mises", 1e-3)
     assert low == high == pytest.approx(0.7, rel=1e-6)

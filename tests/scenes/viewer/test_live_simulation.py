@@ -45,7 +45,7 @@ def needle_loop(needle, until):
     watched = Watched(simulation)
     assert simulation.phase is Phase.STARTING and simulation.readouts is None and simulation.snapshot is None
     with pytest.raises(ts.InputError, match=r"The simulation is not running \(starting\)\."):
-        simulation.send_command("aim", depth=1e-3)
+        simulation.send_command_and_wait("aim", depth=1e-3)
     try:
         until(watched, lambda seen: seen.readouts is not None and seen.snapshot is not None)
         yield watched
@@ -95,7 +95,7 @@ def test_messages_describe_the_start(needle_loop):
 def test_the_live_force_equals_the_force_of_the_simulator(needle_loop, needle, until):
     simulation, meshes = needle_loop.simulation, set()
     for depth in (2e-3, 3e-3):
-        simulation.send_command("aim", depth=depth)
+        simulation.send_command_and_wait("aim", depth=depth)
         seen = until(needle_loop, at_rest(depth))
         simulator, expected = simulator_at(simulation, needle.model, seen.readouts.depth)
         assert seen.readouts.force == pytest.approx(expected.force, rel=1e-4)
@@ -114,15 +114,15 @@ def test_the_live_force_equals_the_force_of_the_simulator(needle_loop, needle, u
 
 def test_a_pause_holds_the_tool(needle_loop, until):
     simulation = needle_loop.simulation
-    simulation.send_command("aim", depth=1e-3)
+    simulation.send_command_and_wait("aim", depth=1e-3)
     until(needle_loop, at_rest(1e-3))
-    simulation.send_command("pause")
+    simulation.send_command_and_wait("pause")
     assert simulation.phase is Phase.PAUSED
-    simulation.send_command("aim", depth=2e-3)
+    simulation.send_command_and_wait("aim", depth=2e-3)
     ticks = needle_loop.ticks
     seen = until(needle_loop, lambda seen: needle_loop.ticks > ticks + 100)
     assert seen.phase is Phase.PAUSED and seen.readouts.depth == pytest.approx(1e-3, abs=1e-8)
-    simulation.send_command("resume")
+    simulation.send_command_and_wait("resume")
     assert simulation.phase is Phase.RUNNING
     until(needle_loop, at_rest(2e-3))
 
@@ -136,7 +136,7 @@ def test_a_refused_command_changes_nothing(needle_loop, until):
                                       ("set_parameters", {"C10": -1.0}, "must give a positive shear modulus"),
                                       ("set_parameters", {"C77": 1.0}, "C77")):
         with pytest.raises(ts.InputError, match=expected):
-            simulation.send_command(command, **values)
+            simulation.send_command_and_wait(command, **values)
     ticks = needle_loop.ticks
     seen = until(needle_loop, lambda seen: needle_loop.ticks > ticks + 50)
     assert seen.phase is Phase.RUNNING and seen.readouts.force == pytest.approx(force, rel=1e-4)
@@ -146,7 +146,7 @@ def test_a_changed_material_is_shown_on_the_same_mesh(needle_loop, needle, until
     simulation = needle_loop.simulation
     until(needle_loop, at_rest(2e-3))
     mesh, force = simulation.snapshot.fields.mesh, steady_force(needle_loop, until)
-    simulation.send_command("set_parameters", C10=2000.0)
+    simulation.send_command_and_wait("set_parameters", C10=2000.0)
     material = with_values(needle.material, {"C10": 2000.0})
     seen = until(needle_loop, lambda seen: seen.readouts.force > 1.1 * force and at_rest(2e-3)(seen)
                  and seen.snapshot.fields.material.parameters["C10"] == 2000.0)
@@ -170,7 +170,7 @@ def test_a_killed_process_gives_a_message(of_gel, needle, until):
         assert simulation.message == "the process of the loop was killed by signal 9; before that: running"
         assert simulation.poll_loop_process() is None and simulation.snapshot is seen, "the last snapshot is kept"
         with pytest.raises(ts.InputError, match=r"is not running .*killed by signal 9"):
-            simulation.send_command("pause")
+            simulation.send_command_and_wait("pause")
         assert not process.alive and not process.ring_path.exists() and not process.snapshot_path.exists()
     finally:
         simulation.close()

@@ -10,7 +10,7 @@ import tissue_sim as ts
 from scenes.viewer.material_files import (
     LARGEST_UPLOAD,
     compute_parameter_slider_ranges,
-    format_exact_parameter_values,
+    format_parameter_values_by_path,
     list_material_files,
     read_uploaded_material,
     save_edited_material,
@@ -100,14 +100,14 @@ def test_the_material_accepts_the_ends_of_each_slider(name):
 @pytest.mark.parametrize("name", MATERIALS)
 def test_exact_values_show_all_parameters(name):
     material = MATERIALS[name]
-    texts = format_exact_parameter_values(material)
+    texts = format_parameter_values_by_path(material)
     ranges, values = compute_parameter_slider_ranges(material), parameter_values(material)
     assert set(texts) == set(values)
     for path, text in texts.items():
         number, _, unit = text.partition(" ")
         assert float(number) / ranges[path].factor == pytest.approx(values[path], rel=1e-8)
         assert unit == ranges[path].unit
-    assert format_exact_parameter_values(PHANTOM)["C10"] == "1.4049 kPa"
+    assert format_parameter_values_by_path(PHANTOM)["C10"] == "1.4049 kPa"
 
 
 def test_slider_ranges_follow_the_settings():
@@ -150,7 +150,7 @@ def test_a_saved_file_has_the_values_and_their_source(tmp_path):
     content = uploaded(PHANTOM, covariance=[[4.0, 0.0], [0.0, 9.0]], valid_range={"stretch": [0.8, 1.0]},
                        provenance={"method": "analytical", "residual": {"RMSE_Pa": 3.0}})
     changed = with_values(read_uploaded_material("fit.material.json", content),
-                              {"C10": 900.0, "viscoelastic.terms[1].tau": 33.0})
+                          {"C10": 900.0, "viscoelastic.terms[1].tau": 33.0})
     path = save_edited_material(changed, tmp_path / "new", "softer phantom", source="fit.material.json")
     assert path == tmp_path / "new" / "softer phantom.material.json"
     file = ts.read_material_file(path)

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from scenes.viewer.measurement import (
-    build_measurement,
+    build_measurement_from_replicates,
     compute_force_residual,
     interpolate_loading_and_unloading,
-    make_motion_protocol,
+    make_first_cycle_motion_protocol,
     read_measurement_files,
 )
 from tissue_sim.experiment.kinds.indentation import NEEDLE
-from tissue_sim.recording.segmentation import find_loading_and_unloading
+from tissue_sim.recording.segmentation import find_loading_and_unloading_indices
 
 DEPTH = 10e-3
 
@@ -52,7 +52,7 @@ def soft(d):
 @pytest.mark.parametrize("labels", [True, False])
 def test_branches_exclude_the_hold(labels):
     recording = tried(stiff, soft, hold=40, labels=labels)
-    load, unload = find_loading_and_unloading(recording)
+    load, unload = find_loading_and_unloading_indices(recording)
     np.testing.assert_allclose(recording.force[load], stiff(recording.displacement[load]), rtol=1e-12)
     np.testing.assert_allclose(recording.force[unload], soft(recording.displacement[unload]), rtol=1e-12)
     assert load[[0, -1]].tolist() == [0, 200] and unload[[0, -1]].tolist() == [240, 440]
@@ -61,14 +61,16 @@ def test_branches_exclude_the_hold(labels):
 def test_unknown_labels_are_ignored():
     recording = tried(stiff, soft, hold=40)
     foreign = replace(recording, labels={"segment": np.char.add("phase ", recording.labels["segment"])})
-    for found, expected in zip(find_loading_and_unloading(foreign), find_loading_and_unloading(recording), strict=True):
+    for found, expected in zip(find_loading_and_unloading_indices(foreign),
+                               find_loading_and_unloading_indices(recording), strict=True):
         assert found.tolist() == expected.tolist()
 
 
 def test_a_noisy_displacement_gives_the_same_branches():
     recording = tried(stiff, soft, labels=False, points=2001)
     noise = 0.02e-3 * np.random.default_rng(1).normal(size=len(recording))
-    load, unload = find_loading_and_unloading(recording.with_channels(displacement=recording.displacement + noise))
+    load, unload = find_loading_and_unloading_indices(recording.with_channels(displacement=recording.displacement
+                                                                              + noise))
     assert load[0] < 40 and 1960 < load[-1] < 2040 and 1960 < unload[0] < 2040 and unload[-1] > 3960
     assert load.size > 300 and unload.size > 300
 
@@ -78,13 +80,13 @@ def test_only_the_first_cycle_is_used():
     for labels in (True, False):
         both = {name: np.concatenate([one.channel(name), two.channel(name)]) for name in ("displacement", "force")}
         segment = [*one.labels["segment"], *np.where(two.labels["segment"] == "ramp", "reload", "unload")]
-        load, unload = find_loading_and_unloading(ts.Recording(both, {"segment": segment} if labels else {}))
+        load, unload = find_loading_and_unloading_indices(ts.Recording(both, {"segment": segment} if labels else {}))
         assert load[[0, -1]].tolist() == [0, 200] and unload[[0, -1]].tolist() == [200, 400]
 
 
 def test_the_envelope_covers_the_replicates():
     runs = [tried(lambda d, k=k: k * stiff(d), soft, hold=20) for k in (0.9, 1.0, 1.2)]
-    measured = build_measurement(runs)
+    measured = build_measurement_from_replicates(runs)
     assert (measured.depth[0], measured.depth[-1]) == (0.0, DEPTH)
     expected = stiff(measured.depth)
     np.testing.assert_allclose(measured.load.mean, 3.1 / 3 * expected, rtol=1e-4, atol=1e-9)
@@ -96,21 +98,21 @@ def test_the_envelope_covers_the_replicates():
 
 
 def test_the_mean_ends_at_the_shortest_replicate():
-    measured = build_measurement([tried(stiff), tried(stiff, deepest=6e-3)])
+    measured = build_measurement_from_replicates([tried(stiff), tried(stiff, deepest=6e-3)])
     assert measured.depth[-1] == DEPTH and measured.unload is None
     assert np.isfinite(measured.load.mean[measured.depth <= 6e-3]).all()
     assert np.isnan(measured.load.mean[measured.depth > 6.001e-3]).all()
 
 
 def test_noise_equals_the_noise_of_the_sensor():
-    measured = build_measurement([tried(stiff, soft, noise=0.02, seed=seed) for seed in range(6)])
-    assert measured.replicate_scatter == pytest.approx(0.02, rel=0.1)
-    assert build_measurement([tried(stiff)]).replicate_scatter is None
+    measured = build_measurement_from_replicates([tried(stiff, soft, noise=0.02, seed=seed) for seed in range(6)])
+    assert measured.replicate_force_rms_scatter == pytest.approx(0.02, rel=0.1)
+    assert build_measurement_from_replicates([tried(stiff)]).replicate_force_rms_scatter is None
 
 
 def test_residual_and_rmse_of_a_known_error():
     """The model is 3 % too stiff in loading and 0.05 N too low in unloading; the RMSE is computed by hand."""
-    measured = build_measurement([tried(stiff, soft, hold=20) for _ in range(2)])
+    measured = build_measurement_from_replicates([tried(stiff, soft, hold=20) for _ in range(2)])
     model = tried(lambda d: 1.03 * stiff(d), lambda d: soft(d) - 0.05, hold=20, points=401)
     found = compute_force_residual(model, measured)
     np.testing.assert_allclose(found.load, 0.03 * stiff(found.depth), atol=1e-6)
@@ -121,7 +123,8 @@ def test_residual_and_rmse_of_a_known_error():
 
 
 def test_the_rmse_of_the_true_curve_is_the_noise():
-    measured = build_measurement([tried(stiff, soft, hold=30, noise=0.02, seed=seed) for seed in range(3)])
+    measured = build_measurement_from_replicates([tried(stiff, soft, hold=30, noise=0.02, seed=seed)
+                                                  for seed in range(3)])
     assert compute_force_residual(tried(stiff, soft, hold=30), measured).rmse == pytest.approx(0.02, rel=0.06)
 
 
@@ -129,14 +132,14 @@ def test_a_model_that_reaches_no_measured_depth_is_refused():
     deep = tried(stiff)
     deep = deep.with_channels(displacement=deep.displacement + 20e-3)
     with pytest.raises(ts.InputError, match="model: must reach the measured depths"):
-        compute_force_residual(deep, build_measurement([tried(stiff)]))
+        compute_force_residual(deep, build_measurement_from_replicates([tried(stiff)]))
 
 
 @pytest.mark.parametrize("hold", [0, 300])
 def test_the_motion_has_few_samples_and_keeps_its_corners(hold):
     runs = [tried(lambda d, k=k: k * stiff(d), soft, points=1001, hold=hold, seed=i)
             for i, k in enumerate((0.8, 1.0, 1.2))]
-    found = make_motion_protocol(build_measurement(runs))
+    found = make_first_cycle_motion_protocol(build_measurement_from_replicates(runs))
     assert 40 <= found.time.size <= 50
     assert found.displacement[0] == 0 and found.depth == DEPTH and found.displacement[-1] == 0
     assert found.time[-1] == runs[0].time[-1]
@@ -148,20 +151,22 @@ def test_motion_ends_after_the_first_unloading():
     one = tried(stiff, soft)
     both = ts.Recording({"time": np.arange(2 * len(one)) * 0.05,
                          "displacement": np.tile(one.displacement, 2), "force": np.tile(one.force, 2)})
-    assert make_motion_protocol(build_measurement([both])).time[-1] == pytest.approx(one.time[-1])
+    assert make_first_cycle_motion_protocol(build_measurement_from_replicates([both])).time[-1] \
+        == pytest.approx(one.time[-1])
 
 
 def test_a_recording_without_time_uses_the_stated_speed():
     def bare(**metadata):
         run = tried(stiff, **metadata)
-        return build_measurement([ts.Recording({name: run.channel(name) for name in ("displacement", "force")},
-                                         metadata=run.metadata)])
+        return build_measurement_from_replicates(
+            [ts.Recording({name: run.channel(name) for name in ("displacement", "force")},
+                          metadata=run.metadata)])
 
-    assert make_motion_protocol(bare(speed_mm_s=2.0)).time[-1] == pytest.approx(5.0)
-    assert make_motion_protocol(bare(speed_mm_s=2.0), speed=4e-3).time[-1] == pytest.approx(2.5)
-    assert make_motion_protocol(bare()).time[-1] == pytest.approx(10 / 0.248)
+    assert make_first_cycle_motion_protocol(bare(speed_mm_s=2.0)).time[-1] == pytest.approx(5.0)
+    assert make_first_cycle_motion_protocol(bare(speed_mm_s=2.0), speed=4e-3).time[-1] == pytest.approx(2.5)
+    assert make_first_cycle_motion_protocol(bare()).time[-1] == pytest.approx(10 / 0.248)
     with pytest.raises(ts.InputError, match=r"speed: must be positive and finite; got 0 m/s"):
-        make_motion_protocol(bare(), speed=0.0)
+        make_first_cycle_motion_protocol(bare(), speed=0.0)
 
 
 @pytest.mark.slow
@@ -172,12 +177,13 @@ def test_thinning_the_motion_adds_less_error_than_the_noise():
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4),
                            viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0),)))
     true = ts.simulate(ts.Model(experiment, material), resolution="fast")
-    measured = build_measurement([ts.Rig(force_noise=0.02, seed=seed).measure(true) for seed in range(3)])
-    model = ts.Model(replace(experiment, protocol=make_motion_protocol(measured)), material)
+    measured = build_measurement_from_replicates([ts.Rig(force_noise=0.02, seed=seed).measure(true)
+                                                  for seed in range(3)])
+    model = ts.Model(replace(experiment, protocol=make_first_cycle_motion_protocol(measured)), material)
     short = ts.simulate(model, resolution="fast")
     assert len(short) <= 50
     assert compute_force_residual(short, measured).rmse == pytest.approx(0.02, rel=0.05)
-    assert compute_force_residual(short, build_measurement([true])).rmse < 5e-4
+    assert compute_force_residual(short, build_measurement_from_replicates([true])).rmse < 5e-4
 
 
 def test_files_are_read_and_invalid_files_are_named(tmp_path):
@@ -194,7 +200,7 @@ def test_files_are_read_and_invalid_files_are_named(tmp_path):
     with pytest.raises(ts.InputError, match=r"stress\.csv: displacement: must be a channel of the recording"):
         read_measurement_files([tmp_path / "stress.csv"])
     with pytest.raises(ts.InputError, match=r"short\.csv: must have at least 5 samples; got 4"):
-        build_measurement([tried(stiff, source="short.csv").select(slice(0, 4))])
+        build_measurement_from_replicates([tried(stiff, source="short.csv").select(slice(0, 4))])
     out = tried(stiff)
     ts.write_recording(out.with_channels(displacement=-out.displacement), tmp_path / "pull.csv")
     with pytest.raises(ts.InputError, match=r"pull\.csv: displacement: must increase above its first value"):
@@ -215,8 +221,8 @@ def test_measured_silicone_has_the_peak_forces_of_its_files(data_folder):
     i = int(np.argmin(abs(measured.depth - 15e-3)))
     assert min(at) * 0.97 < measured.load.mean[i] < max(at) * 1.03
     assert np.isfinite(measured.load.mean[5:190]).all()
-    assert 0 < measured.replicate_scatter < 0.1 * max(at)
-    found = make_motion_protocol(measured)
+    assert 0 < measured.replicate_force_rms_scatter < 0.1 * max(at)
+    found = make_first_cycle_motion_protocol(measured)
     assert found.time.size <= 50 and found.depth == pytest.approx(20e-3, rel=0.02)
 
 
@@ -243,4 +249,5 @@ def test_a_measurement_says_when_it_was_made_with_another_tool(said, expected):
     depth = np.linspace(0.0, 5e-3, 40)
     recording = ts.Recording({"time": depth / 1e-3, "displacement": depth, "force": 200.0 * depth}, {},
                              {"name": "a", **said})
-    assert build_measurement([recording]).describe_deviating_tool(ts.Tool("flat", 8e-3)) == expected
+    assert build_measurement_from_replicates([recording]).describe_deviating_tool_or_empty(ts.Tool("flat", 8e-3)) \
+        == expected

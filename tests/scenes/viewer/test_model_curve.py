@@ -21,11 +21,11 @@ def test_the_newest_request_is_computed(pool):
     """The requests are plain words, because nothing in this test reads the model."""
     curve = ModelCurveWorker("accurate")
     assert not curve.is_busy and curve.recording is None
-    curve.request_curve("first")
+    curve.store_curve_request("first")
     assert curve.is_busy and not pool.tasks, "the process of the page does not wait for one to start"
     curve.store_result_and_start_next()
     for request in ("second", "third", "fourth"):
-        curve.request_curve(request)
+        curve.store_curve_request(request)
         curve.store_result_and_start_next()
     assert [arguments for arguments, _ in pool.tasks] == [("first", "accurate", "axisymmetric", None)]
     pool.tasks[0][1].set_result(CURVE)
@@ -50,7 +50,7 @@ def test_a_failed_simulation_gives_a_reason(pool, error, left):
     """The curve is the converged part of the failed simulation, never the curve of the previous model."""
     curve = ModelCurveWorker()
     for answer in ("set_result", CURVE), ("set_exception", error), ("set_result", CURVE):
-        curve.request_curve("a model")
+        curve.store_curve_request("a model")
         curve.store_result_and_start_next()
         getattr(pool.tasks[-1][1], answer[0])(answer[1])
         curve.store_result_and_start_next()
@@ -61,12 +61,12 @@ def test_a_failed_simulation_gives_a_reason(pool, error, left):
 
 def test_a_dead_worker_gives_a_message(pool):
     curve = ModelCurveWorker()
-    curve.request_curve("a model")
+    curve.store_curve_request("a model")
     curve.store_result_and_start_next()
     pool.tasks[0][1].set_exception(BrokenProcessPool("terminated abruptly"))
     curve.store_result_and_start_next()
     assert "has died" in curve.problem and not curve.is_busy
-    curve.request_curve("another")
+    curve.store_curve_request("another")
     curve.store_result_and_start_next()
     pool.tasks[1][1].set_result(CURVE)
     curve.store_result_and_start_next()
@@ -76,12 +76,12 @@ def test_a_dead_worker_gives_a_message(pool):
 def test_a_result_after_forget_is_dropped(pool):
     """The result of an earlier request belongs to another test."""
     curve = ModelCurveWorker()
-    curve.request_curve("compression")
+    curve.store_curve_request("compression")
     curve.store_result_and_start_next()
-    curve.request_curve("compression, softer")
+    curve.store_curve_request("compression, softer")
     curve.discard_curve_and_requests()
     assert curve.recording is None
-    curve.request_curve("needle")
+    curve.store_curve_request("needle")
     pool.tasks[0][1].set_result(CURVE)
     curve.store_result_and_start_next()
     assert curve.recording is None and [arguments[0] for arguments, _ in pool.tasks] == ["compression", "needle"]
@@ -97,13 +97,13 @@ def test_a_killed_worker_is_replaced(monkeypatch, until):
     before = set(multiprocessing.active_children())
     curve = ModelCurveWorker("fast")
     try:
-        curve.request_curve("needle, ")
+        curve.store_curve_request("needle, ")
         curve.store_result_and_start_next()
         worker, = set(multiprocessing.active_children()) - before
         os.kill(worker.pid, signal.SIGKILL)
         until(curve.store_result_and_start_next, lambda _: not curve.is_busy)
         assert "has died" in curve.problem and curve.recording is None
-        curve.request_curve("needle, ")
+        curve.store_curve_request("needle, ")
         until(curve.store_result_and_start_next, lambda _: not curve.is_busy)
         assert (curve.recording, curve.problem, curve.number) == ("needle, fast, axisymmetric", "", 2)
     finally:

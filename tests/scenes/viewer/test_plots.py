@@ -6,19 +6,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from scenes.viewer.measurement import build_measurement, compute_force_residual
+from scenes.viewer.measurement import build_measurement_from_replicates, compute_force_residual
 from scenes.viewer.plots import (
     PLOTS,
+    keep_or_round_axis_range_with_zero,
     make_depth_grid,
-    make_force_depth_data,
+    make_force_depth_columns_and_range,
     make_force_depth_options,
-    make_force_time_data,
+    make_force_time_columns_and_range,
     make_force_time_options,
-    make_plot_scales,
-    make_residual_depth_data,
+    make_residual_depth_columns_and_range,
     make_residual_depth_options,
+    make_uplot_scales_option,
     plot_legend_html,
-    round_axis_range,
 )
 
 
@@ -33,7 +33,7 @@ def there_and_back(factor=1.0, deepest=8e-3, **metadata):
 
 @pytest.fixture(scope="module")
 def measured():
-    return build_measurement([there_and_back(factor) for factor in (0.9, 1.0, 1.1)])
+    return build_measurement_from_replicates([there_and_back(factor) for factor in (0.9, 1.0, 1.1)])
 
 
 def names(options):
@@ -51,9 +51,9 @@ def columns(data, options):
 def test_force_over_depth_has_measurement_model_and_live_curve(measured):
     grid = make_depth_grid(10e-3)
     load = np.where(grid <= 5e-3, 210 * grid, np.nan)
-    data, extent = make_force_depth_data(grid, measured=measured, model=(200 * grid, 150 * grid),
-                                         live=(load, 140 * grid),
-                                         now=(3.33e-3, 0.7))
+    data, extent = make_force_depth_columns_and_range(grid, measured=measured, model=(200 * grid, 150 * grid),
+                                                      live=(load, 140 * grid),
+                                                      now=(3.33e-3, 0.7))
     found = columns(data, make_force_depth_options((0, 10), extent))
     x = found["depth [mm]"]
     assert x.size == 202 and (x[0], x[-1]) == (0, 10)
@@ -76,7 +76,7 @@ def test_force_over_depth_has_measurement_model_and_live_curve(measured):
 def test_the_band_has_zero_width_without_replicates(measured):
     """uPlot fills bands across NaN, so the edges contain none."""
     grid = make_depth_grid(10e-3)
-    data, extent = make_force_depth_data(grid, measured=measured)
+    data, extent = make_force_depth_columns_and_range(grid, measured=measured)
     found = columns(data, make_force_depth_options((0, 10), extent))
     for way in ("load", "unload"):
         low, high = found[f"measured {way}, lowest"], found[f"measured {way}, highest"]
@@ -87,14 +87,14 @@ def test_the_band_has_zero_width_without_replicates(measured):
 @pytest.mark.parametrize("depth", [-1e-3, 12e-3])
 def test_a_present_point_outside_the_grid_is_not_drawn(depth):
     grid = make_depth_grid(10e-3)
-    data, _ = make_force_depth_data(grid, now=(depth, 0.3))
+    data, _ = make_force_depth_columns_and_range(grid, now=(depth, 0.3))
     assert data[0].size == grid.size and np.isnan(data[-1]).all()
 
 
 @given(st.floats(0, 10e-3), st.floats(-5, 5))
 def test_the_present_point_is_drawn_at_its_depth(depth, force):
     grid = make_depth_grid(10e-3)
-    data, (low, high) = make_force_depth_data(grid, model=(100 * grid, 100 * grid), now=(depth, force))
+    data, (low, high) = make_force_depth_columns_and_range(grid, model=(100 * grid, 100 * grid), now=(depth, force))
     point = np.flatnonzero(np.isfinite(data[-1]))
     assert (data[0][point[0]], data[-1][point[0]]) == (depth * 1e3, force) and point.size == 1
     assert (np.diff(data[0]) >= 0).all() and low <= force <= high
@@ -103,7 +103,8 @@ def test_the_present_point_is_drawn_at_its_depth(depth, force):
 
 def test_residual_over_depth_has_band_and_branches(measured):
     grid = make_depth_grid(10e-3)
-    data, extent = make_residual_depth_data(compute_force_residual(there_and_back(1.05), measured), measured, grid)
+    data, extent = make_residual_depth_columns_and_range(compute_force_residual(there_and_back(1.05), measured),
+                                                         measured, grid)
     found = columns(data, make_residual_depth_options((0, 10), extent))
     x = found["depth [mm]"]
     inside = x < 7.99
@@ -118,16 +119,18 @@ def test_residual_over_depth_has_band_and_branches(measured):
 
 def test_empty_plots_have_a_range():
     grid = make_depth_grid(10e-3)
-    for data, extent in (make_force_depth_data(grid), make_residual_depth_data(None, None, grid),
-                         make_force_time_data(np.empty(0), np.empty(0), 3)):
+    for data, extent in (make_force_depth_columns_and_range(grid),
+                         make_residual_depth_columns_and_range(None, None, grid),
+                         make_force_time_columns_and_range(np.empty(0), np.empty(0), 3)):
         assert extent == (0, 0) and (np.diff(data[0]) > 0).all()
-    assert round_axis_range((0, 0)) == (0, 1) and round_axis_range((0, 0), about_zero=True) == (-1, 1)
+    assert keep_or_round_axis_range_with_zero((0, 0)) == (0, 1) \
+        and keep_or_round_axis_range_with_zero((0, 0), about_zero=True) == (-1, 1)
 
 
 def test_force_over_time_keeps_peaks():
     time = np.arange(0, 60, 5e-3) + 1.3e-3  # so that none falls on the edge of a part
     force, now = np.random.default_rng(0).normal(size=time.size), 60.0
-    data, extent = make_force_time_data(time, force, now)
+    data, extent = make_force_time_columns_and_range(time, force, now)
     x, _, live, hand = columns(data, make_force_time_options(extent)).values()
     assert np.isnan(hand).all(), "no hand is there"
     assert (x[0], x[-1], x.size) == (-PLOTS.time_span, 0, 2 * PLOTS.intervals)
@@ -139,7 +142,7 @@ def test_force_over_time_keeps_peaks():
 
 def test_force_over_time_follows_a_slow_force():
     time = np.arange(0, 12, 0.1)
-    data, _ = make_force_time_data(time, 0.3 * time, 12.0, measured=(time, 0.2 * time))
+    data, _ = make_force_time_columns_and_range(time, 0.3 * time, 12.0, measured=(time, 0.2 * time))
     x, measured, live, _ = data
     known = x + 12 > 0.1
     np.testing.assert_allclose(live[known & (x < -0.2)], 0.3 * (x + 12)[known & (x < -0.2)],
@@ -152,7 +155,7 @@ def test_force_on_the_hand_and_force_of_the_tissue_are_drawn():
     """The rendered force is limited to 1.5 N of 3 N."""
     time = np.arange(0, 12, 0.01)
     force = 0.3 * time
-    data, extent = make_force_time_data(time, force, 12.0, hand=np.minimum(force, 1.5))
+    data, extent = make_force_time_columns_and_range(time, force, 12.0, hand=np.minimum(force, 1.5))
     found = columns(data, make_force_time_options(extent))
     known = found["time [s]"] > -11.8
     np.testing.assert_allclose(found["on the hand"][known], np.minimum(found["live"], 1.5)[known], atol=0.05)
@@ -166,7 +169,7 @@ extents = st.tuples(st.floats(-1e3, 0), st.floats(0, 1e3))
 @settings(max_examples=300)
 @given(extents, st.booleans())
 def test_a_range_contains_the_data_with_a_small_margin(extent, about_zero):
-    low, high = round_axis_range(extent, about_zero=about_zero)
+    low, high = keep_or_round_axis_range_with_zero(extent, about_zero=about_zero)
     largest = max(extent[1], -extent[0])
     assert low - 1e-9 <= extent[0] <= extent[1] <= high + 1e-9 and low < high
     assert (low == -high) if about_zero else low <= 0 <= high
@@ -177,16 +180,16 @@ def test_a_range_contains_the_data_with_a_small_margin(extent, about_zero):
 @settings(max_examples=200)
 @given(st.floats(1e-6, 1e3), st.floats(0.6, 1.0))
 def test_a_suitable_range_is_kept(force, share):
-    before = round_axis_range((0, force))
-    assert round_axis_range((0, share * force), before) == before
+    before = keep_or_round_axis_range_with_zero((0, force))
+    assert keep_or_round_axis_range_with_zero((0, share * force), before) == before
 
 
 def test_a_range_grows_immediately_and_shrinks_when_nearly_empty():
-    assert round_axis_range((0, 1.9)) == (0, 2)
-    assert round_axis_range((0, 1.0), (0, 2)) == (0, 2)
-    assert round_axis_range((0, 2.1), (0, 2)) == (0, 2.5)
-    assert round_axis_range((0, 0.7), (0, 2)) == (0, 0.8)
-    assert round_axis_range((-0.3, 0.7), about_zero=True) == (-0.8, 0.8)
+    assert keep_or_round_axis_range_with_zero((0, 1.9)) == (0, 2)
+    assert keep_or_round_axis_range_with_zero((0, 1.0), (0, 2)) == (0, 2)
+    assert keep_or_round_axis_range_with_zero((0, 2.1), (0, 2)) == (0, 2.5)
+    assert keep_or_round_axis_range_with_zero((0, 0.7), (0, 2)) == (0, 0.8)
+    assert keep_or_round_axis_range_with_zero((-0.3, 0.7), about_zero=True) == (-0.8, 0.8)
 
 
 def test_viser_accepts_the_options(measured):
@@ -197,15 +200,15 @@ def test_viser_accepts_the_options(measured):
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
         for (data, extent), make, x in (
-                (make_force_depth_data(grid, measured=measured), make_force_depth_options, [(0, 10)]),
-                (make_residual_depth_data(None, measured, grid), make_residual_depth_options, [(0, 10)]),
-                (make_force_time_data(np.arange(9.0), np.arange(9.0), 9.0), make_force_time_options, [])):
-            options = make(*x, round_axis_range(extent), dark=True)
+                (make_force_depth_columns_and_range(grid, measured=measured), make_force_depth_options, [(0, 10)]),
+                (make_residual_depth_columns_and_range(None, measured, grid), make_residual_depth_options, [(0, 10)]),
+                (make_force_time_columns_and_range(np.arange(9.0), np.arange(9.0), 9.0), make_force_time_options, [])):
+            options = make(*x, keep_or_round_axis_range_with_zero(extent), dark=True)
             handle = server.gui.add_uplot(data, **options)
             assert len(handle.data) == len(handle.series)
             for low, high in [each["series"] for each in options["bands"] or ()]:
                 assert "highest" in options["series"][low]["label"] and "lowest" in options["series"][high]["label"]
-            handle.scales = make_plot_scales((0, 12), (0, 3))
+            handle.scales = make_uplot_scales_option((0, 12), (0, 3))
     finally:
         server.stop()
 
@@ -220,7 +223,7 @@ def test_the_legend_names_the_drawn_curves():
 def test_forces_of_late_ticks_are_a_separate_series():
     grid = make_depth_grid(10e-3, 11)
     late = np.where(np.arange(11) == 4, 0.7, np.nan)
-    data, extent = make_force_depth_data(grid, late=late)
+    data, extent = make_force_depth_columns_and_range(grid, late=late)
     labels = [each["label"] for each in make_force_depth_options((0, 10), (0, 1))["series"]]
     assert data[labels.index("late")][4] == 0.7 and np.isfinite(data[labels.index("late")]).sum() == 1
-    assert extent == (0.7, 0.7) and np.isnan(make_force_depth_data(grid)[0][labels.index("late")]).all()
+    assert extent == (0.7, 0.7) and np.isnan(make_force_depth_columns_and_range(grid)[0][labels.index("late")]).all()

@@ -8,10 +8,10 @@ import pytest
 
 import tissue_sim as ts
 from scenes.viewer.frame import Phase, PlotCurves, SessionFrame, SimulationReadouts
-from scenes.viewer.live_gap import LiveForceGap
+from scenes.viewer.live_gap import LargestLiveForceGap
 from scenes.viewer.page.readouts import (
-    live_force_gap_html,
-    model_agreement_html,
+    largest_live_model_gap_html,
+    model_rmse_html,
     readouts_html,
     scene_title_html,
     status_html,
@@ -83,19 +83,20 @@ def test_the_start_shows_its_present_activity():
 def test_agreement_shows_the_rmse_or_what_is_missing():
     flat = SimpleNamespace(experiment=SimpleNamespace(tool=ts.Tool("flat", 8e-3)))
     frame = replace(FRAME, scene=flat)
-    measured = SimpleNamespace(replicate_scatter=0.0172, describe_deviating_tool=lambda tool: "")
+    measured = SimpleNamespace(replicate_force_rms_scatter=0.0172, describe_deviating_tool_or_empty=lambda tool: "")
     gap = SimpleNamespace(rmse=0.02034, samples=303)
-    assert "--measured FILE" in texts(model_agreement_html(FRAME))["agreement"]
+    assert "--measured FILE" in texts(model_rmse_html(FRAME))["agreement"]
     waiting = replace(FRAME, curves=PlotCurves(measurement=measured))
-    assert "being computed" in texts(model_agreement_html(waiting))["agreement"]
-    shown = texts(model_agreement_html(replace(frame, curves=PlotCurves(measurement=measured, residual=gap))))
+    assert "being computed" in texts(model_rmse_html(waiting))["agreement"]
+    shown = texts(model_rmse_html(replace(frame, curves=PlotCurves(measurement=measured, residual=gap))))
     assert shown["rmse"] == "0.020" and "303 samples, noise 0.017 N" in shown["agreement"]
-    alone = SimpleNamespace(replicate_scatter=None, describe_deviating_tool=lambda tool: "cone of 3 mm radius")
-    single = texts(model_agreement_html(replace(frame, curves=PlotCurves(measurement=alone, residual=gap))))
+    alone = SimpleNamespace(replicate_force_rms_scatter=None,
+                            describe_deviating_tool_or_empty=lambda tool: "cone of 3 mm radius")
+    single = texts(model_rmse_html(replace(frame, curves=PlotCurves(measurement=alone, residual=gap))))
     assert ", noise" not in single["agreement"] and "other-tool" not in shown
     assert single["other-tool"] == "measured with another tool: cone of 3 mm radius"
     computing = PlotCurves(measurement=measured, residual=gap, computing=True)
-    old = texts(model_agreement_html(replace(frame, curves=computing)))
+    old = texts(model_rmse_html(replace(frame, curves=computing)))
     assert old["rmse"] == "0.020" and "of the previous model" in old["agreement"] and "old-curve" not in shown
 
 
@@ -112,11 +113,11 @@ def test_the_title_names_test_specimen_tool_and_material(shape):
 
 
 def test_the_gap_to_the_model_names_its_causes():
-    assert live_force_gap_html(None) == ""
-    fast = texts(live_force_gap_html(LiveForceGap(0.1234, 3.35e-3, 20e-3, 0.012, 0.8)))["live-gap"]
+    assert largest_live_model_gap_html(None) == ""
+    fast = texts(largest_live_model_gap_html(LargestLiveForceGap(0.1234, 3.35e-3, 20e-3, 0.012, 0.8)))["live-gap"]
     assert fast == ("live \u2212 model: up to 0.123 N at 3.35 mm; at 20 mm/s the inertia of the tissue contributes; "
                     "1.2% of the points are extrapolated by late ticks (grey)")
-    slow = texts(live_force_gap_html(LiveForceGap(-0.001, 1e-3, 1e-3, 0.0, 0.0)))["live-gap"]
+    slow = texts(largest_live_model_gap_html(LargestLiveForceGap(-0.001, 1e-3, 1e-3, 0.0, 0.0)))["live-gap"]
     assert slow == "live \u2212 model: up to -0.001 N at 1 mm"
     # Quasi-static tissue has no inertia at any speed.
-    assert "inertia" not in live_force_gap_html(LiveForceGap(0.1, 1e-3, 20e-3, 0.0, 0.0))
+    assert "inertia" not in largest_live_model_gap_html(LargestLiveForceGap(0.1, 1e-3, 20e-3, 0.0, 0.0))

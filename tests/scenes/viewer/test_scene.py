@@ -9,8 +9,8 @@ import pytest
 
 import tissue_sim as ts
 from scenes.catalogue import SCENES
-from scenes.viewer.measurement import build_measurement
-from scenes.viewer.reach import limit_lateral_position
+from scenes.viewer.measurement import build_measurement_from_replicates
+from scenes.viewer.reach import limit_lateral_position_to_top_and_range
 from scenes.viewer.scene import Scene, read_measurements_by_kind
 from tissue_sim.snapshot import Snapshot
 
@@ -29,7 +29,7 @@ def test_a_scene_has_default_tool_and_interfaces(needle, name):
     kind, experiment = SCENES[name], there.experiment
     assert there.kind is kind
     assert (experiment.tool.shape, experiment.tool.radius) == (kind.tool.shape, kind.tool.radius)
-    usual = kind.default_interfaces(kind.tool)
+    usual = kind.make_default_interfaces_by_field(kind.tool)
     assert {name: getattr(experiment, name) for name in usual} == usual
     assert experiment.specimen is needle.experiment.specimen and experiment.protocol is needle.experiment.protocol
     assert (there.material, there.source) == (needle.material, needle.source)
@@ -51,7 +51,7 @@ def test_another_tool_keeps_the_interfaces(needle):
 
 def test_another_scene_resets_the_interfaces(needle):
     plates = needle.with_test_and_tool("friction_compression", friction=0.2)
-    assert (plates.experiment.friction, plates.experiment.base_interface) == (0.2, 0.2)
+    assert (plates.experiment.friction, plates.experiment.resolved_base_interface) == (0.2, 0.2)
     bonded = plates.with_test_and_tool("bonded_compression")
     assert (bonded.experiment.friction, bonded.experiment.friction_base) == ("bonded", "bonded")
 
@@ -76,7 +76,7 @@ def test_invalid_changes_are_refused(needle, name, changes, expected):
 
 
 def test_a_measurement_belongs_to_its_kind_of_test(needle):
-    measured = build_measurement([tried()])
+    measured = build_measurement_from_replicates([tried()])
     scene = replace(needle, measurements={"bonded_compression": measured})
     assert scene.measurement is None
     there = scene.with_test_and_tool("bonded_compression")
@@ -108,22 +108,22 @@ def test_a_recording_of_an_unknown_kind_is_refused(tmp_path):
 
 def test_reach_of_the_tool(needle):
     """The reach is the whole top surface; for a reduced solid, the box around the first contact."""
-    assert needle.lateral_range == ((-0.04, 0.04),) * 2 and needle.min_tool_displacement == -5e-3
+    assert needle.allowed_tool_xy_ranges == ((-0.04, 0.04),) * 2 and needle.min_tool_displacement == -5e-3
     block = replace(needle, experiment=replace(needle.experiment, specimen=ts.Block(0.06, 0.05, 0.03)))
-    np.testing.assert_allclose(block.lateral_range, [(-0.03, 0.03), (-0.025, 0.025)], rtol=1e-8)
+    np.testing.assert_allclose(block.allowed_tool_xy_ranges, [(-0.03, 0.03), (-0.025, 0.025)], rtol=1e-8)
     experiment = replace(needle.experiment, approach=ts.Approach(6e-3))
     of_box = replace(needle, experiment=experiment, reduced=SimpleNamespace(box=ts.PoseBox(2e-3, 4e-3), lifting=12))
-    np.testing.assert_allclose(of_box.lateral_range, [(4e-3, 8e-3), (-2e-3, 2e-3)])
+    np.testing.assert_allclose(of_box.allowed_tool_xy_ranges, [(4e-3, 8e-3), (-2e-3, 2e-3)])
     assert of_box.min_tool_displacement == 0.0
     snapshot = Snapshot(ts.Pose.at_depth(0.0), 0.0, None)
-    assert limit_lateral_position(of_box, snapshot, (0.0, 1e-3)) == pytest.approx((4e-3, 1e-3))
-    assert limit_lateral_position(needle, snapshot, (1e-3, 2e-3)) == pytest.approx((1e-3, 2e-3))
+    assert limit_lateral_position_to_top_and_range(of_box, snapshot, (0.0, 1e-3)) == pytest.approx((4e-3, 1e-3))
+    assert limit_lateral_position_to_top_and_range(needle, snapshot, (1e-3, 2e-3)) == pytest.approx((1e-3, 2e-3))
     with pytest.raises(ts.InputError, match="cannot be changed for a reduced solid"):
         of_box.with_test_and_tool("bonded_compression")
     # One that leans goes aside by half a millimetre on its way down, or by more than the box is wide.
     leaning = replace(of_box, experiment=replace(experiment, approach=ts.Approach(6e-3, math.asin(0.125))))
-    np.testing.assert_allclose(leaning.lateral_range[0], [4e-3, 7.5e-3])
+    np.testing.assert_allclose(leaning.allowed_tool_xy_ranges[0], [4e-3, 7.5e-3])
     steep = replace(leaning, reduced=SimpleNamespace(box=ts.PoseBox(1e-4, 4e-3), lifting=12))
-    assert steep.lateral_range[0] == pytest.approx((5.75e-3, 5.75e-3))
+    assert steep.allowed_tool_xy_ranges[0] == pytest.approx((5.75e-3, 5.75e-3))
     lifted = replace(of_box, reduced=SimpleNamespace(box=of_box.reduced.box, lifting=0))
     assert lifted.min_tool_displacement == -5e-3

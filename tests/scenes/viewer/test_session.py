@@ -19,7 +19,11 @@ from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, RingReader
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS
 from scenes.viewer.frame import FRAMES, NullViewer, Phase
-from scenes.viewer.measurement import build_measurement, compute_force_residual, make_motion_protocol
+from scenes.viewer.measurement import (
+    build_measurement_from_replicates,
+    compute_force_residual,
+    make_first_cycle_motion_protocol,
+)
 from scenes.viewer.scene import CLEARANCE
 from scenes.viewer.session import COMMANDS, STEP_TIME, Session
 from tissue_sim.errors import ConvergenceError
@@ -41,7 +45,7 @@ def measured(needle):
     model = replace(needle.model, material=with_values(needle.material, {"C10": 1700.0}),
                     experiment=replace(needle.experiment, protocol=ts.Protocol.parse(TEST, 21, SPEED)))
     recording = ts.simulate(model, resolution=MESH)
-    return replace(needle, measurements={"needle_indentation": build_measurement([recording])})
+    return replace(needle, measurements={"needle_indentation": build_measurement_from_replicates([recording])})
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +85,8 @@ def at_rest(depth):
 
 def curve_of(material, measured):
     """Simulate the whole test with another material, for comparison with the plots."""
-    model = ts.Model(replace(measured.experiment, protocol=make_motion_protocol(measured.measurement)), material)
+    model = ts.Model(replace(measured.experiment, protocol=make_first_cycle_motion_protocol(measured.measurement)),
+                     material)
     return ts.simulate(model, resolution=MESH)
 
 
@@ -208,7 +213,7 @@ def test_reset_clears_trace_and_deformation(session, until):
 
 def test_replay_repeats_the_measured_motion(session, measured, until):
     assert done(session, "replay") is None
-    way = make_motion_protocol(measured.measurement)
+    way = make_first_cycle_motion_protocol(measured.measurement)
 
     def over(frame):
         trace = frame.curves.trace
@@ -313,8 +318,8 @@ def test_a_kept_curve_is_shown_with_the_next_one(session, until):
 
 
 def test_only_the_newest_aim_is_executed_and_all_are_answered(session, monkeypatch):
-    asked, ask = [], session.simulation.send_command
-    monkeypatch.setattr(session.simulation, "send_command",
+    asked, ask = [], session.simulation.send_command_and_wait
+    monkeypatch.setattr(session.simulation, "send_command_and_wait",
                         lambda command, **values: (asked.append((command, values)), ask(command, **values)))
     replies = []
     for depth in (1e-3, 2e-3, 0.5e-3):
@@ -350,11 +355,14 @@ def test_an_unknown_command_raises_an_error(session):
             session.post(name)
     own = {name: command for name, command in COMMANDS.items() if name not in CALIBRATION_COMMANDS}
     assert {name: command.__name__ for name, command in own.items()} == {
-        "aim": "set_hand_target", "play": "play_protocol", "replay": "replay_measured_motion",
-        "follow": "move_with_device", "pause": "pause_motion", "resume": "resume_motion", "step": "step_paused_motion",
+        "aim": "set_hand_target", "play": "play_protocol_on_reset_tissue",
+        "replay": "replay_measured_motion_on_reset_tissue",
+        "follow": "move_with_device_on_reset_tissue", "pause": "pause_motion", "resume": "resume_motion",
+        "step": "pause_and_advance_one_frame_time",
         "reset": "reset_tool_and_tissue", "set_parameters": "set_material_parameters",
-        "use_material": "replace_material", "save_material": "save_material_file", "use_scene": "change_test_and_tool",
-        "keep_curve": "keep_model_curve", "restart": "restart_simulation"}
+        "use_material": "replace_material_restart_if_needed", "save_material": "save_new_material_file_in_folder",
+        "use_scene": "change_test_and_tool",
+        "keep_curve": "keep_or_remove_comparison_curve", "restart": "restart_simulation"}
     assert all(command is getattr(Session, command.__name__) for command in own.values())
     assert {name: COMMANDS[name] for name in CALIBRATION_COMMANDS} == CALIBRATION_COMMANDS
 
@@ -457,6 +465,7 @@ def test_a_failed_model_curve_gives_a_message(springs, pool, until):
     assert springs.frame().message == "stopped at 3 mm"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_dead_simulation_can_be_restarted(springs, until):
     until(springs.frame, lambda frame: frame.readouts is not None)

@@ -11,11 +11,13 @@ import tissue_sim as ts
 from haptics.loop.loop import LoopSettings
 from scenes.viewer.bodies import can_draw_fields
 from scenes.viewer.frame import Phase
-from scenes.viewer.reach import limit_to_top_surface
+from scenes.viewer.reach import limit_lateral_position_to_top
 from scenes.viewer.session import Session
 from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
+
+pytestmark = pytest.mark.slow
 
 ANGLE = math.radians(15.0)
 #: Offset of the tool, m.
@@ -61,7 +63,6 @@ def at(place):
     return there
 
 
-@pytest.mark.slow
 def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
     first = session.frame()
     assert first.phase is Phase.RUNNING
@@ -96,7 +97,6 @@ def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
     assert frame.across == (OFFSET, 0.0) and frame.target == 0.0
 
 
-@pytest.mark.slow
 def test_a_protocol_is_played_along_the_axis_of_the_tool(session, scene, until):
     asked(session, "play", text="ramp 0.2mm @2mm/s; hold 600s; unload")
     until(session.frame, at(scene.experiment.approach.pose(0.2e-3).position))
@@ -110,6 +110,7 @@ def test_no_part_of_the_tool_leaves_the_top(session, scene, until):
     assert x == pytest.approx(y)
     # The top of the coarse mesh is a polygon within the circle.
     assert 0.85 * 32e-3 < math.hypot(x, y) < 32e-3 + 1e-9
-    assert limit_to_top_surface(scene.experiment, snapshot, (1e-3, -2e-3)) == pytest.approx((1e-3, -2e-3))
+    assert limit_lateral_position_to_top(scene.experiment, snapshot, (1e-3, -2e-3)) == pytest.approx((1e-3, -2e-3))
     without = Snapshot(Pose.at_depth(0.0), 0.0, None)
-    assert math.hypot(*limit_to_top_surface(scene.experiment, without, (0.0, 1.0))) == pytest.approx(32e-3, rel=1e-2)
+    assert math.hypot(*limit_lateral_position_to_top(scene.experiment, without, (0.0, 1.0))) \
+        == pytest.approx(32e-3, rel=1e-2)

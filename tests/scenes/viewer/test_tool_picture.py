@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from scenes.viewer.cut_away import ContactBoundary, HalfSection
+from scenes.viewer.cut_away import PossibleContactBoundary, TriangulatedHalfSection
 from scenes.viewer.revolution import WedgeOpening
 from scenes.viewer.tool_picture import (
     SETTINGS,
-    compute_picture_height,
+    compute_tool_and_arrow_height,
     find_tool_contact,
     make_base_plate,
-    make_force_arrow,
+    make_force_arrow_or_none,
     make_tool_mesh,
     make_tool_outline,
 )
@@ -77,7 +77,7 @@ def test_the_shaft_ends_above_the_specimen_and_the_tip_is_complete(name):
     assert outline[:, 0].max() == pytest.approx(tool.radius, rel=2e-3)
     top = outline[:, 1].max()
     assert top == pytest.approx(2 * tool.radius if name == "sphere" else 0.035, rel=1e-2)
-    assert compute_picture_height(tool, SPECIMEN) == pytest.approx(top + SETTINGS.arrow_length * SPECIMEN.height)
+    assert compute_tool_and_arrow_height(tool, SPECIMEN) == pytest.approx(top + SETTINGS.arrow_length * SPECIMEN.height)
     # On a flat specimen the whole tip is there, too.
     flat = make_tool_outline(tool, ts.Specimen(0.04, 0.002))
     assert flat[:, 0].max() == pytest.approx(tool.radius, rel=2e-3)
@@ -98,7 +98,7 @@ def test_plate_and_base_are_wider_than_the_specimen():
 def test_the_arrow_has_the_length_and_direction_of_the_force():
     tool = TOOLS["flat"]
     top = make_tool_outline(tool, SPECIMEN)[:, 1].max()
-    half, full, pull = (make_force_arrow(force, 4.0, tool, SPECIMEN) for force in (2.0, 4.0, -2.0))
+    half, full, pull = (make_force_arrow_or_none(force, 4.0, tool, SPECIMEN) for force in (2.0, 4.0, -2.0))
     assert half.tip[2] - half.start[2] == pytest.approx(0.5 * SETTINGS.arrow_length * 0.07)
     assert full.tip[2] - full.start[2] == pytest.approx(SETTINGS.arrow_length * 0.07)
     assert pull.tip[2] - pull.start[2] == pytest.approx(-0.5 * SETTINGS.arrow_length * 0.07)
@@ -112,16 +112,16 @@ def test_the_arrow_has_the_length_and_direction_of_the_force():
         length = abs(arrow.tip[2] - arrow.start[2])
         head = min(SETTINGS.head_length * 0.07, SETTINGS.largest_head * length)
         assert abs(widest - arrow.tip[2]) == pytest.approx(head, rel=1e-4)
-    assert make_force_arrow(40.0, 4.0, tool, SPECIMEN).tip == pytest.approx(full.tip)
+    assert make_force_arrow_or_none(40.0, 4.0, tool, SPECIMEN).tip == pytest.approx(full.tip)
 
 
 @pytest.mark.parametrize("force", [0.0, 1e-3, -1e-3])
 def test_a_zero_force_has_no_arrow(force):
-    assert make_force_arrow(force, 4.0, TOOLS["flat"], SPECIMEN) is None
+    assert make_force_arrow_or_none(force, 4.0, TOOLS["flat"], SPECIMEN) is None
 
 
 def surface_line(points):
-    return ContactBoundary(np.array(points), 0.5 * (np.array(points[1:]) + np.array(points[:-1])))
+    return PossibleContactBoundary(np.array(points), 0.5 * (np.array(points[1:]) + np.array(points[:-1])))
 
 
 def test_contact_with_a_flat_punch():
@@ -160,7 +160,7 @@ def test_contact_on_a_round_tip_is_one_patch_despite_oscillating_nodes():
     the middle nodes 20 um inside."""
     tool, depth, opening = TOOLS["round"], 0.010, WedgeOpening(np.pi)
     mesh = cylinder_mesh(0.04, 0.07, (40, 3), Q9P1)
-    section, place = HalfSection.from_mesh(mesh), mesh.nodes.copy()
+    section, place = TriangulatedHalfSection.from_mesh(mesh), mesh.nodes.copy()
     top = mesh.sets["top"]
     r = place[top, 0]
     touching = r < 0.0061
@@ -170,10 +170,10 @@ def test_contact_on_a_round_tip_is_one_patch_despite_oscillating_nodes():
     place[top[~touching], 1] = -0.0075
     gap = tool.profile.gap(place[top[touching]] + [0.0, depth])
     assert gap.min() == pytest.approx(-20e-6) and gap.max() == pytest.approx(40e-6)
-    contact = find_tool_contact(section.compute_contact_boundary(place), tool, depth, opening)
+    contact = find_tool_contact(section.compute_possible_contact_boundary(place), tool, depth, opening)
     assert contact.radius == pytest.approx(0.008 * np.sin(0.006 / 0.008), rel=0.01)
     # A cap of the ball.
     assert contact.area == pytest.approx(2 * np.pi * 0.008**2 * (1 - np.cos(0.006 / 0.008)), rel=0.02)
     on_one = contact.lines[:12]
     assert on_one[1:, 0] == pytest.approx(on_one[:-1, 1])
-    assert find_tool_contact(section.compute_contact_boundary(mesh.nodes), tool, -1e-4, opening) is None
+    assert find_tool_contact(section.compute_possible_contact_boundary(mesh.nodes), tool, -1e-4, opening) is None

@@ -13,11 +13,11 @@ from calibration.campaign.campaign import load_campaign
 from haptics.loop.ring import PAUSED, TICK
 from scenes.catalogue import SCENES
 from scenes.cli import main
-from scenes.provenance import describe_provenance
+from scenes.provenance import make_kind_specimen_tool_metadata
 from scenes.viewer.page.saving import make_trace_files
 from scenes.viewer.scene import Scene
-from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch_force, make_csv_and_sidecar
-from tissue_sim.recording.segmentation import MOTION_SETTINGS, select_monotone_samples
+from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch_force, make_csv_and_sidecar_bytes_by_name
+from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_strictly_monotone_sample_indices
 from tissue_sim.tool_force import ForceStatus
 
 
@@ -40,7 +40,7 @@ def fed(records, catch=40, **options):
     """Trace that received the ticks in batches of a given size."""
     trace = Trace(**options)
     for first in range(0, len(records), catch):
-        trace.append_ticks(records[first:first + catch])
+        trace.append_ticks_and_count_points(records[first:first + catch])
     return trace
 
 
@@ -75,6 +75,7 @@ def test_force_changes_of_a_standing_tool_are_kept():
     assert early.sum() > 10 and np.diff(trace.time[~early]).max() > 0.9 * SETTINGS.longest
 
 
+@pytest.mark.slow
 def test_the_batch_size_does_not_change_the_points():
     records = played(CYCLE, 14)
     points = [(each.time.tolist(), each.depth.tolist(), each.force.tolist())
@@ -91,7 +92,7 @@ def test_paused_and_nonfinite_ticks_are_skipped():
     for begin, end in ((2, 3), (4, 4.5), (6, 6.5)):
         assert not ((trace.time >= begin) & (trace.time < end - 1e-9)).any()
     assert np.isfinite(trace.depth).all() and np.isfinite(trace.force).all()
-    assert Trace().append_ticks(records[2000:3000]) == 0
+    assert Trace().append_ticks_and_count_points(records[2000:3000]) == 0
 
 
 def test_fading_forces_are_not_drawn_and_late_forces_not_recorded():
@@ -122,7 +123,7 @@ def test_the_oldest_points_are_dropped_at_the_limit():
 
 def test_a_new_loop_clears_the_trace():
     trace = fed(played(CYCLE, 14))
-    trace.append_ticks(played([(0, 1e-3), (1, 2e-3)], 1))
+    trace.append_ticks_and_count_points(played([(0, 1e-3), (1, 2e-3)], 1))
     assert trace.time[-1] < 1.0 and trace.depth.min() == pytest.approx(1e-3)
     trace.delete_all_points()
     assert len(trace) == 0 and trace.branches() == (None, None)
@@ -140,18 +141,18 @@ def test_newest_branches_of_two_cycles():
 def test_an_unloading_must_exceed_the_hysteresis():
     for back, branches in ((0.8 * MOTION_SETTINGS.hysteresis, 1), (1.6 * MOTION_SETTINGS.hysteresis, 3)):
         trace = fed(played([(0, 0), (2, 5e-3), (2.1, 5e-3 - back), (4, 9e-3)], 4))
-        assert len(trace._list_branch_limits()) == branches
+        assert len(trace._list_branch_directions_and_limits()) == branches
 
 
 def test_tremor_of_a_hand_is_no_reversal():
     trace = fed(played(CYCLE, 14, noise=0.45 * MOTION_SETTINGS.hysteresis))
-    assert [direction for direction, *_ in trace._list_branch_limits()] == [1, -1]
+    assert [direction for direction, *_ in trace._list_branch_directions_and_limits()] == [1, -1]
 
 
 def test_a_short_reversal_replaces_only_its_part_of_the_curve():
     trace = fed(played([(0, 0), (4, 8e-3), (4.2, 7e-3), (5, 9e-3)], 5))
     grid = np.linspace(0, 10e-3, 101)
-    load, unload = trace.interpolate_newest_passes(grid)
+    load, unload = trace.interpolate_newest_force_at_each_depth(grid)
     felt = grid <= 8.9e-3
     np.testing.assert_allclose(load[felt], 200 * grid[felt], atol=1e-9)
     assert np.isnan(load[grid > 9.05e-3]).all()
@@ -164,7 +165,7 @@ def test_a_short_reversal_replaces_only_its_part_of_the_curve():
 def test_the_newest_pass_is_returned():
     records = played([(0, 0), (4, 8e-3), (8, 0), (12, 6e-3)], 12)
     records["tissue_force"] *= np.where(records["time"] > 8, 0.5, 1.0)
-    load, _ = fed(records).interpolate_newest_passes(np.array([2e-3, 7e-3]))
+    load, _ = fed(records).interpolate_newest_force_at_each_depth(np.array([2e-3, 7e-3]))
     np.testing.assert_allclose(load, [0.5 * 0.4, 1.4], atol=2e-3)
 
 
@@ -184,7 +185,7 @@ def test_recording_has_segments_and_cycles():
 
 def test_recording_reads_back_equal(tmp_path):
     record = fed(played(CYCLE, 14, noise=0.01e-3)).recording({"name": "felt", "kind": "needle_indentation"})
-    for name, content in make_csv_and_sidecar(record, "felt").items():
+    for name, content in make_csv_and_sidecar_bytes_by_name(record, "felt").items():
         (tmp_path / name).write_bytes(content)
     again = ts.read_recording(tmp_path / "felt.csv", kind="needle_indentation")
     assert set(again.channels) == set(record.channels) == {"time", "displacement", "force"}
@@ -207,7 +208,8 @@ def test_a_saved_curve_has_the_metadata_of_a_simulated_one(tmp_path, kind, speci
     for name, content in make_trace_files(scene, fed(played([(0, 0), (5, 4e-3), (10, 0)], 10))).items():
         (tmp_path / name).write_bytes(content)
     felt = ts.read_recording(tmp_path / f"{kind}.csv")
-    assert {key: felt.metadata[key] for key in ("kind", "specimen", "tool")} == describe_provenance(kind, experiment)
+    assert {key: felt.metadata[key] for key in ("kind", "specimen", "tool")} \
+        == make_kind_specimen_tool_metadata(kind, experiment)
     assert felt.metadata["simulated"] is True
     assert main(["import", str(tmp_path / f"{kind}.csv"), "-o", str(tmp_path / "campaign.toml")]) == 0
     text = (tmp_path / "campaign.toml").read_text(encoding="utf-8")
@@ -230,8 +232,8 @@ depths = st.lists(st.floats(0.0, 0.02), min_size=2, max_size=30)
 def test_a_monotone_branch_is_interpolated_exactly(steps):
     depth = np.cumsum(np.abs(steps) + 1e-6)
     force = np.random.default_rng(len(steps)).normal(size=depth.size)
-    assert select_monotone_samples(depth, 1).tolist() == list(range(depth.size))
-    assert select_monotone_samples(depth[::-1], -1).tolist() == list(range(depth.size))
+    assert find_strictly_monotone_sample_indices(depth, 1).tolist() == list(range(depth.size))
+    assert find_strictly_monotone_sample_indices(depth[::-1], -1).tolist() == list(range(depth.size))
     assert interpolate_branch_force(depth, force, 1, depth).tolist() == force.tolist()
     assert interpolate_branch_force(depth[::-1], force[::-1], -1, depth).tolist() == force.tolist()
 
@@ -240,17 +242,18 @@ def test_a_monotone_branch_is_interpolated_exactly(steps):
 @given(depths, st.sampled_from([1, -1]))
 def test_one_way_is_strictly_monotone_and_reaches_both_ends(depth, direction):
     way = direction * np.array(depth)
-    kept = select_monotone_samples(np.array(depth), direction)
+    kept = find_strictly_monotone_sample_indices(np.array(depth), direction)
     assert (np.diff(way[kept]) > 0).all() and (np.diff(kept) > 0).all()
     assert way[kept].max() == way.max()
 
 
 def test_standing_samples_at_both_ends_are_removed():
     depth = np.array([0, 0, 0, 1, 2, 3, 3, 3]) * 1e-3
-    assert select_monotone_samples(depth, 1).tolist() == [2, 3, 4, 5]
-    assert select_monotone_samples(depth[::-1], -1).tolist() == [2, 3, 4, 5]
+    assert find_strictly_monotone_sample_indices(depth, 1).tolist() == [2, 3, 4, 5]
+    assert find_strictly_monotone_sample_indices(depth[::-1], -1).tolist() == [2, 3, 4, 5]
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.floats(0.001, 0.03), min_size=1, max_size=12), st.integers(0, 2**16))
 def test_reversals_are_counted_despite_noise(ways, seed):
@@ -258,4 +261,5 @@ def test_reversals_are_counted_despite_noise(ways, seed):
     depth = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(corners)])
     depth += 0.4 * MOTION_SETTINGS.hysteresis * np.random.default_rng(seed).uniform(-1, 1, depth.size)
     trace = fed(ticks(np.arange(depth.size) * 0.2, depth), 1000)
-    assert [direction for direction, *_ in trace._list_branch_limits()] == np.resize([1, -1], len(ways)).tolist()
+    assert [direction for direction, *_ in trace._list_branch_directions_and_limits()] \
+        == np.resize([1, -1], len(ways)).tolist()

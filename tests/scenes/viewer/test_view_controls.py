@@ -17,7 +17,7 @@ def frame(fields=None):
     experiment = SimpleNamespace(tool=ts.Tool("flat", radius=8e-3), specimen=ts.Specimen(0.03, 0.02),
                                  tool_pose=ts.Pose.at_depth)
     snapshot = None if fields is None else SimpleNamespace(fields=fields, is_three_dimensional=True)
-    return SimpleNamespace(scene=SimpleNamespace(max_distance_from_axis=0.03, experiment=experiment), snapshot=snapshot)
+    return SimpleNamespace(scene=SimpleNamespace(specimen_outer_radius=0.03, experiment=experiment), snapshot=snapshot)
 
 
 @pytest.fixture

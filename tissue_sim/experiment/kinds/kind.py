@@ -93,13 +93,13 @@ class TestKind:
     #: Old names.
     gripped = OldName("has_gripped_ends")
     settles = OldName("has_closed_form_with_weight")
-    motion = OldName("motion_name")
+    motion = OldName("loading_type_name")
     both_ways = OldName("loads_in_both_directions")
-    interfaces = OldName("default_interfaces")
-    faces = OldName("face_interfaces")
+    interfaces = OldName("make_default_interfaces_by_field")
+    faces = OldName("face_interfaces_by_field")
     fits = OldName("allows_tool")
-    strain = OldName("compute_nominal_strain")
-    abscissa = OldName("compute_stretch_or_shear_strain")
+    strain = OldName("convert_abscissa_to_nominal_strain")
+    abscissa = OldName("convert_nominal_strain_to_abscissa")
 
     @property
     def has_gripped_ends(self) -> bool:
@@ -117,13 +117,13 @@ class TestKind:
         return self.closed_form is not None and self.tool is not None
 
     @property
-    def motion_name(self) -> str:
+    def loading_type_name(self) -> str:
         """Last word of the kind's name, for messages, such as ``compression``."""
         return self.name.rpartition("_")[2]
 
     @property
     def strain_name(self) -> str:
-        """Name of the result of `compute_nominal_strain`, for labels of axes."""
+        """Name of the result of `convert_abscissa_to_nominal_strain`, for labels of axes."""
         return "shear strain" if self.loads_in_both_directions else "nominal strain"
 
     @property
@@ -131,16 +131,16 @@ class TestKind:
         """Whether the specimen may be loaded in both directions, as in shear."""
         return self.closed_form is not None and self.closed_form.rest == 0
 
-    def default_interfaces(self, tool: Tool) -> dict[str, str | float]:
+    def make_default_interfaces_by_field(self, tool: Tool) -> dict[str, str | float]:
         """Return the default interfaces with a tool: field of `Experiment` -> interface.
 
         A tip without a flat face cannot be bonded to tissue that it meets during the test; it sticks instead.
         """
-        usual = {field: face.usual for field, face in self.face_interfaces.items()}
+        usual = {field: face.usual for field, face in self.face_interfaces_by_field.items()}
         return usual | {"friction": "stick"} if usual["friction"] == "bonded" and tool.face_radius == 0 else usual
 
     @property
-    def face_interfaces(self) -> dict[str, FaceInterface]:
+    def face_interfaces_by_field(self) -> dict[str, FaceInterface]:
         """Field of `Experiment`, such as ``friction_base`` -> interface of that face in this kind of test."""
         return {"friction": self.face, "friction_base": self.base, "friction_wall": self.shaft}
 
@@ -148,26 +148,28 @@ class TestKind:
         """Return whether this kind of test can be done with a tool or a class of tools."""
         return self.tool is not None and tool.is_plate == self.tool.is_plate
 
-    def compute_nominal_strain(self, abscissa: Any) -> Any:
+    def convert_abscissa_to_nominal_strain(self, abscissa: Any) -> Any:
         """Return the nominal strain (in shear the shear strain), positive under load, of a stretch or shear strain.
 
         Raises:
             InputError: the kind has no closed form.
 
         Examples:
-            >>> round(KINDS["lubricated_compression"].compute_nominal_strain(0.9), 3)
+            >>> round(KINDS["lubricated_compression"].convert_abscissa_to_nominal_strain(0.9), 3)
             0.1
         """
         return self.sign * (abscissa - self.require_closed_form().rest)
 
-    def compute_stretch_or_shear_strain(self, strain: Any) -> Any:
-        """Return the stretch (in shear the shear strain) of a nominal strain; the inverse of `compute_nominal_strain`.
+    def convert_nominal_strain_to_abscissa(self, strain: Any) -> Any:
+        """Return the stretch (in shear the shear strain) of a nominal strain.
+
+        This is the inverse of `convert_abscissa_to_nominal_strain`.
 
         Raises:
             InputError: the kind has no closed form.
 
         Examples:
-            >>> KINDS["lubricated_compression"].compute_stretch_or_shear_strain(0.1)
+            >>> KINDS["lubricated_compression"].convert_nominal_strain_to_abscissa(0.1)
             0.9
         """
         return self.require_closed_form().rest + self.sign * strain
@@ -229,7 +231,7 @@ class TestKind:
         from tissue_sim.experiment.experiment import Experiment
 
         tool = overrides.get("tool") or self.require_tool()
-        stated: dict[str, Any] = {"tool": tool, **self.default_interfaces(tool)} | overrides
+        stated: dict[str, Any] = {"tool": tool, **self.make_default_interfaces_by_field(tool)} | overrides
         return Experiment(specimen, protocol, **stated)
 
 

@@ -60,7 +60,7 @@ class Profile:
         rows = np.arange(len(points))
         return np.copysign(distance[rows, closest], front[rows, closest]) - self.rounding
 
-    def sample_outline(self, height: float) -> np.ndarray:
+    def sample_outline_up_to_height(self, height: float) -> np.ndarray:
         """Return points (r, z), m, on the surface from the axis up to `height`, m, for drawing, shape (n, 2)."""
         import numpy as np
 

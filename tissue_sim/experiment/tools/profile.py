@@ -58,18 +58,18 @@ class ProfileTool(Tool):
     points: tuple[tuple[float, float], ...] | None = field(default=None, repr=False)
 
     def __post_init__(self):
-        widest = self._widest
+        widest = self._largest_outline_radius
         if self.radius is not None and abs(self.radius - widest) > 1e-9 * widest:
             raise InputError(f"the profile's radius is {widest:g} m; leave the radius out", field="tool.radius")
         object.__setattr__(self, "radius", widest)
         if not self.edge_radius:
-            self._choose_rounding()
+            self._set_largest_fitting_rounding()
         self.require_sizes("edge_radius")
 
-    def _choose_rounding(self) -> None:
+    def _set_largest_fitting_rounding(self) -> None:
         """Set `edge_radius` to the default rounding, halved until the rounding fits the outline."""
         for halvings in range(ROUNDING.most_halvings):
-            object.__setattr__(self, "edge_radius", ROUNDING.fraction * self._widest / 2**halvings)
+            object.__setattr__(self, "edge_radius", ROUNDING.fraction * self._largest_outline_radius / 2**halvings)
             try:
                 _ = self.profile
                 return
@@ -79,7 +79,7 @@ class ProfileTool(Tool):
     @cached_property
     def outline(self) -> np.ndarray:
         """Outline of the file, (r, z), m, shape (n, 2)."""
-        from tissue_sim.experiment.tools.profile_file import find_first_invalid_point, read_profile
+        from tissue_sim.experiment.tools.profile_file import find_first_invalid_point_and_problem, read_profile
 
         if self.points is not None:
             import numpy as np
@@ -87,7 +87,7 @@ class ProfileTool(Tool):
             outline = np.array(self.points, dtype=float).reshape(-1, 2)
             if len(outline) < 2 or not np.isfinite(outline).all():
                 raise InputError("a profile needs at least two points, r and z in m", field="tool.points")
-            if fault := find_first_invalid_point(outline):
+            if fault := find_first_invalid_point_and_problem(outline):
                 raise InputError(fault[1], field=f"tool.points[{fault[0]}]")
             return outline
         if self.profile_file is None:
@@ -95,7 +95,7 @@ class ProfileTool(Tool):
         return read_profile(self.profile_file)
 
     @property
-    def _widest(self) -> float:
+    def _largest_outline_radius(self) -> float:
         """Largest radius of the outline, m."""
         return float(self.outline[:, 0].max())
 
@@ -105,7 +105,7 @@ class ProfileTool(Tool):
         import numpy as np
 
         outline = self.outline
-        top = [[outline[-1, 0], outline[-1, 1] + SHAFT_LENGTH * self._widest]]
+        top = [[outline[-1, 0], outline[-1, 1] + SHAFT_LENGTH * self._largest_outline_radius]]
         if outline[-1, 0] == outline[-2, 0]:
             outline = outline[:-1]
         outline = np.concatenate([outline, top])
@@ -135,4 +135,5 @@ class ProfileTool(Tool):
         import numpy as np
 
         wide = float(np.interp(depth, self.outline[:, 1], self.outline[:, 0]))
-        return max(self.face_radius, 1e-3 * self._widest, wide if self.face_radius else 2.0 / np.pi * wide)
+        return max(self.face_radius, 1e-3 * self._largest_outline_radius,
+                   wide if self.face_radius else 2.0 / np.pi * wide)

@@ -50,13 +50,13 @@ def read_profile(path: str | Path) -> np.ndarray:
     if len(points) < 2:
         raise InputError("a profile needs at least two points, r and z in mm", file=path)
     outline = 1e-3 * np.array(points)
-    if fault := find_first_invalid_point(outline):
+    if fault := find_first_invalid_point_and_problem(outline):
         where, problem = fault
         raise InputError(problem, file=path, line=places[where])
     return outline - [0.0, outline[0, 1]]
 
 
-def find_first_invalid_point(outline: np.ndarray) -> tuple[int, str] | None:
+def find_first_invalid_point_and_problem(outline: np.ndarray) -> tuple[int, str] | None:
     """Return index and problem of the first invalid point of an outline, (r, z), m, shape (n, 2), or None."""
     if outline[0, 0] != 0.0:
         return 0, f"the first point has r = {1e3 * outline[0, 0]:g} mm; a profile starts on the axis, r = 0"

@@ -19,7 +19,7 @@ from tissue_sim.parameters import Declaration, list_field_declarations
 from tissue_sim.registry import Registry
 
 
-class _ToolShapeMeta(type):
+class _MakeToolByShapeNameMeta(type):
     """Metaclass: ``Tool("flat", radius=0.008)`` makes a tool of that shape."""
 
     def __call__(cls, *values: Any, **sizes: Any) -> Any:
@@ -29,19 +29,19 @@ class _ToolShapeMeta(type):
         kind = TOOLS.find(shape, field="tool")
         entries = {entry.name: entry for entry in fields(kind)}
         if len(unnamed) > len(entries):
-            raise _make_missing_size_error(kind, "radius" if not entries else "more sizes")
+            raise _make_inapplicable_size_error(kind, "radius" if not entries else "more sizes")
         sizes = {name: value for name, value in (*zip(entries, unnamed, strict=False), *sizes.items())
                  if value is not None and (value or name in entries)}
         for name in sizes:
             if name not in entries:
-                raise _make_missing_size_error(kind, name)
+                raise _make_inapplicable_size_error(kind, name)
         for entry in entries.values():
             if entry.default is entry.default_factory is MISSING and entry.name not in sizes:
                 raise InputError(f"a {shape} tool needs a {_spell_name(entry.name)}", field=f"tool.{entry.name}")
         return kind(**sizes)
 
 
-class Tool(metaclass=_ToolShapeMeta):
+class Tool(metaclass=_MakeToolByShapeNameMeta):
     """A rigid body that is moved into the specimen.
 
     ``Tool(shape, **sizes)`` makes one; a tool is a frozen dataclass with the sizes of its shape as fields, m and rad.
@@ -73,7 +73,7 @@ class Tool(metaclass=_ToolShapeMeta):
         """Name of the shape."""
         return self.name
 
-    if TYPE_CHECKING:  # the arguments of `_ToolShapeMeta.__call__`
+    if TYPE_CHECKING:  # the arguments of `_MakeToolByShapeNameMeta.__call__`
         def __init__(self, *values: Any, **sizes: Any): ...
 
     @property
@@ -135,7 +135,7 @@ def _spell_name(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _make_missing_size_error(kind: type[Tool], name: str) -> InputError:
+def _make_inapplicable_size_error(kind: type[Tool], name: str) -> InputError:
     """Return the error for a size `name` that the shape does not have; the caller raises it."""
     problem = "a plate covers the whole top face and has no radius" if kind.is_plate else \
         f"a {kind.name} tool has no {_spell_name(name)}"
@@ -151,7 +151,7 @@ TOOLS: Registry[type[Tool]] = Registry("tool shape", "tissue_sim.tools", {
     expected="a frozen dataclass derived from Tool")
 
 
-class ToolSize(NamedTuple):
+class ToolSizeOfShapes(NamedTuple):
     """A size of one or several shapes of tools.
 
     Attributes:
@@ -165,16 +165,16 @@ class ToolSize(NamedTuple):
     shapes: tuple[str, ...]
 
 
-def tool_sizes() -> dict[str, ToolSize]:
+def list_all_tool_sizes_by_key() -> dict[str, ToolSizeOfShapes]:
     """Return the sizes of all shapes by their keys in files and on the command line.
 
     Raises:
         InputError: two shapes use one key for different sizes.
     """
-    found: dict[str, ToolSize] = {}
+    found: dict[str, ToolSizeOfShapes] = {}
     for shape, kind in TOOLS.items():
         for name, what in list_field_declarations(kind).items():
-            first = found.get(what.key, ToolSize(what, name, ()))
+            first = found.get(what.key, ToolSizeOfShapes(what, name, ()))
             if (first.declaration.factor, first.field) != (what.factor, name):
                 raise InputError(f"the shapes {first.shapes[0]} and {shape} use the key {what.key} for different "
                                  "sizes; rename one of them", field="tissue_sim.tools")
@@ -183,8 +183,8 @@ def tool_sizes() -> dict[str, ToolSize]:
 
 
 def convert_tool_sizes_to_si(stated: Mapping[str, float]) -> dict[str, float]:
-    """Convert sizes from keys and units of files (see `tool_sizes`) to fields of a tool in SI."""
-    known = tool_sizes()
+    """Convert sizes from keys and units of files (see `list_all_tool_sizes_by_key`) to fields of a tool in SI."""
+    known = list_all_tool_sizes_by_key()
     return {known[key].field: known[key].declaration.factor * value for key, value in stated.items()}
 
 
@@ -193,7 +193,7 @@ def list_shapes_without_file() -> tuple[str, ...]:
     return tuple(name for name, kind in TOOLS.items() if not kind.from_file)
 
 
-def parse_shape_name(word: str, folder: Path = Path()) -> tuple[str, Path | None]:
+def interpret_shape_or_profile_path(word: str, folder: Path = Path()) -> tuple[str, Path | None]:
     """Interpret the name of a shape or of a file; a word with a suffix or a folder that is not a shape is a file.
 
     Args:

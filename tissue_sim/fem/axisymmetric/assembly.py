@@ -17,12 +17,12 @@ from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.point_effects import make_effect_stress_function
-from tissue_sim.fem.axisymmetric.scratch import AT, get_scratch_field
+from tissue_sim.fem.axisymmetric.scratch import AT, get_axisymmetric_scratch_field
 from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
-from tissue_sim.fem.history import MemoryCoefficient
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.history import RelaxationSofteningCoefficient
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.scratch import LANES
-from tissue_sim.fem.taichi.trace import KernelFormula
+from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
 
@@ -30,25 +30,25 @@ from tissue_sim.mesh.elements import ELEMENTS
 class ElementAssemblyFunctions(NamedTuple):
     """Taichi functions that compute forces and stiffness of one element type and one family of laws."""
 
-    compute_nodal_forces: object
+    compute_nodal_forces_and_least_jacobian: object
     add_weight_forces: object
-    add_interior_node_inertia: object
-    compute_condensed_stiffness: object
-    add_stiffness_to_band_matrix: object
+    add_interior_node_inertial_force: object
+    compute_condensed_stiffness_and_success: object
+    add_stiffness_to_band_and_pull: object
 
 
 @cache
-def make_element_functions(element_name: str, energy: KernelEnergy,
-                           effects: tuple[KernelFormula, ...] = ()) -> ElementAssemblyFunctions:
+def make_taichi_element_functions(element_name: str, energy: KernelEnergy,
+                                  effects: tuple[FormulaClassAndConstants, ...] = ()) -> ElementAssemblyFunctions:
     """Return the Taichi functions of an element type and a law; a kernel calls them in this order for each batch b."""
-    ti = initialise()
+    ti = get_initialised_taichi()
     element = ELEMENTS[element_name]
     nodes, nb, modes = element.node_count, element.boundary_nodes, element.pressure_modes
     points = element.quadrature[1].size
     has_centre, centre = nodes > nb, nodes - 1
     pairs = nb * (nb + 1) // 2
     vec = ti.types.vector(LANES, ti.f64)
-    s = get_scratch_field()
+    s = get_axisymmetric_scratch_field()
     with_tangent, without = point.make_stress_function(energy), point.make_stress_function(energy, tangents=False)
     inverse_cube_root = make_inverse_cube_root_function()
     add_pressure_terms = point.make_pressure_term_function()
@@ -64,7 +64,7 @@ def make_element_functions(element_name: str, energy: KernelEnergy,
     # Arrays are updated by `a = a + b`, because `a += b` is an atomic operation in Taichi, four times slower here.
 
     @ti.func
-    def gather_lane_values(values: ti.template(), places: ti.template(), i):
+    def gather_lane_vector_by_index_row(values: ti.template(), places: ti.template(), i):
         """Return the vector with one entry of `values` for each SIMD lane, from the indices in row i of `places`."""
         return ti.Vector([values[places[i, l]] for l in ti.static(range(LANES))])
 
@@ -79,23 +79,23 @@ def make_element_functions(element_name: str, energy: KernelEnergy,
         W, P, A = (with_tangent if ti.static(tangents) else without)(F, root, coefficients)
         if ti.static(tangents):
             if remembers == 1:
-                f = past[MemoryCoefficient.FACTOR]
+                f = past[RelaxationSofteningCoefficient.FACTOR]
                 W = f * W
                 for l in ti.static(range(LANES)):
                     energies[elements[b, l], q] = W[l]
                 P1, A1 = [f * P[i] for i in ti.static(range(5))], [f * A[n] for n in ti.static(range(15))]
-                if past[MemoryCoefficient.LOSS] != 0.0:
+                if past[RelaxationSofteningCoefficient.LOSS] != 0.0:
                     most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
-                    P2, A2 = apply_softening(W, most, past[MemoryCoefficient.LOSS],
-                                             past[MemoryCoefficient.LOSS_MODULUS], past[MemoryCoefficient.LOSS_SHARE],
-                                             P1, A1)
+                    P2, A2 = apply_softening(W, most, past[RelaxationSofteningCoefficient.LOSS],
+                                             past[RelaxationSofteningCoefficient.LOSS_MODULUS],
+                                             past[RelaxationSofteningCoefficient.LOSS_SHARE], P1, A1)
                     for i in ti.static(range(5)):
                         P1[i] = P2[i]
                     for n in ti.static(range(15)):
                         A1[n] = A2[n]
                 h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
                      for i in ti.static(range(4))]
-                S, P3, A3 = apply_relaxation(F, past[MemoryCoefficient.INSTANT], h, P1, A1)
+                S, P3, A3 = apply_relaxation(F, past[RelaxationSofteningCoefficient.INSTANT], h, P1, A1)
                 for i in ti.static(range(4)):
                     for l in ti.static(range(LANES)):
                         stresses[elements[b, l], q, i] = S[i][l]
@@ -131,14 +131,19 @@ def make_element_functions(element_name: str, energy: KernelEnergy,
         s[COFACTOR + 5 * q + 4] = w * (F[0] * F[3] - F[1] * F[2])
 
     @ti.func
-    def compute_nodal_forces(b, tangent, kappa, remembers, x: ti.template(), pressures, elements: ti.template(),
-                             dofs: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
-                             value_r: ti.template(), weights: ti.template(), mode_values: ti.template(),
-                             moduli: ti.template(), coefficients: ti.template(), past: ti.template(),
-                             inherited: ti.template(), largest: ti.template(), stresses: ti.template(),
-                             energies: ti.template(), effect_settings: ti.template(), states: ti.template(),
-                             states_found: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
-                             gap: ti.template()):
+    def compute_nodal_forces_and_least_jacobian(b, tangent, kappa, remembers, x: ti.template(), pressures,
+                                                elements: ti.template(),
+                                                dofs: ti.template(), gradient_r: ti.template(),
+                                                gradient_z: ti.template(),
+                                                value_r: ti.template(), weights: ti.template(),
+                                                mode_values: ti.template(),
+                                                moduli: ti.template(), coefficients: ti.template(), past: ti.template(),
+                                                inherited: ti.template(), largest: ti.template(),
+                                                stresses: ti.template(),
+                                                energies: ti.template(), effect_settings: ti.template(),
+                                                states: ti.template(),
+                                                states_found: ti.template(), volume_r: ti.template(),
+                                                volume_z: ti.template(), gap: ti.template()):
         """Compute the nodal forces of batch b with the pressure increment of the volume residual; return the least J.
 
         For tissue with memory (`remembers`), `past` contains the parameters of the memory, `inherited` the inherited
@@ -147,7 +152,7 @@ def make_element_functions(element_name: str, energy: KernelEnergy,
         """
         for a in range(nodes):
             i = b * nodes + a
-            s[UR + a] = gather_lane_values(x, dofs, i)
+            s[UR + a] = gather_lane_vector_by_index_row(x, dofs, i)
             s[UZ + a] = ti.Vector([x[dofs[i, l] + 1] for l in ti.static(range(LANES))])
         bulk = kappa * moduli[b]
         for m in range(modes):
@@ -221,18 +226,19 @@ def make_element_functions(element_name: str, energy: KernelEnergy,
             s[FZ + a] = s[FZ + a] + weight * volumes[i]
 
     @ti.func
-    def add_interior_node_inertia(b, inertia, density, volumes: ti.template(), dofs: ti.template(),
-                                  rest: ti.template()):
+    def add_interior_node_inertial_force(b, inertia, density, volumes: ti.template(), dofs: ti.template(),
+                                         rest: ti.template()):
         """Add the inertial force of the interior node: mass times `inertia` (1/s2) times displacement from `rest`."""
         if ti.static(has_centre):
             i = b * nodes + centre
             mass = density * inertia * volumes[i]
-            s[FR + centre] = s[FR + centre] + mass * (s[UR + centre] - gather_lane_values(rest, dofs, i))
+            s[FR + centre] = s[FR + centre] + mass * (s[UR + centre] - gather_lane_vector_by_index_row(rest, dofs, i))
             s[FZ + centre] = s[FZ + centre] + mass * (
                 s[UZ + centre] - ti.Vector([rest[dofs[i, l] + 1] for l in ti.static(range(LANES))]))
 
     @ti.func
-    def store_stress_increments(c, b, gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template()):
+    def store_stress_rates_per_node_displacement(c, b, gradient_r: ti.template(), gradient_z: ti.template(),
+                                                 value_r: ti.template()):
         """Store the stress increments per displacement of node c, along r (0 to 4) and z (5 to 9), at all points."""
         for q in range(points):
             g = (b * points + q) * nodes + c
@@ -267,13 +273,14 @@ def make_element_functions(element_name: str, energy: KernelEnergy,
         return k0, k1, k2, k3
 
     @ti.func
-    def compute_condensed_stiffness(b, kappa, pending, mass, moduli: ti.template(), gradient_r: ti.template(),
-                                    gradient_z: ti.template(), value_r: ti.template(), dofs: ti.template(),
-                                    step: ti.template(), volumes: ti.template(), k_rr: ti.template(),
-                                    k_zr: ti.template(), k_rz: ti.template(), k_zz: ti.template(),
-                                    rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
-                                    rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
-                                    inverse_zz: ti.template()):
+    def compute_condensed_stiffness_and_success(b, kappa, pending, mass, moduli: ti.template(),
+                                                gradient_r: ti.template(),
+                                                gradient_z: ti.template(), value_r: ti.template(), dofs: ti.template(),
+                                                step: ti.template(), volumes: ti.template(), k_rr: ti.template(),
+                                                k_zr: ti.template(), k_rz: ti.template(), k_zz: ti.template(),
+                                                rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
+                                                rows_zz: ti.template(), inverse_rr: ti.template(),
+                                                inverse_rz: ti.template(), inverse_zz: ti.template()):
         """Compute the stiffness of all pairs of shared nodes with the interior node eliminated.
 
         If a motion `step` of the prescribed nodes is still to be made (`pending`), its forces are added. Returns 0 if
@@ -283,12 +290,12 @@ def make_element_functions(element_name: str, energy: KernelEnergy,
         if pending == 1:
             for a in range(nb):
                 i = b * nodes + a
-                s[SR + a] = gather_lane_values(step, dofs, i)
+                s[SR + a] = gather_lane_vector_by_index_row(step, dofs, i)
                 s[SZ + a] = ti.Vector([step[dofs[i, l] + 1] for l in ti.static(range(LANES))])
         # The interior node first, since it is eliminated from the others.
         for back in range(nodes):
             c = nodes - 1 - back
-            store_stress_increments(c, b, gradient_r, gradient_z, value_r)
+            store_stress_rates_per_node_displacement(c, b, gradient_r, gradient_z, value_r)
             for a in range(c + 1):
                 k0, k1, k2, k3 = compute_node_pair_stiffness(c, a, b, kappa, moduli, gradient_r, gradient_z, value_r)
                 if c >= nb:
@@ -331,9 +338,9 @@ def make_element_functions(element_name: str, energy: KernelEnergy,
         return good
 
     @ti.func
-    def add_stiffness_to_band_matrix(b, places: ti.template(), stiffness: ti.template(), flat: ti.template(),
-                                     starts: ti.template(), pulls: ti.template(), factors: ti.template(),
-                                     pull: ti.template()):
+    def add_stiffness_to_band_and_pull(b, places: ti.template(), stiffness: ti.template(), flat: ti.template(),
+                                       starts: ti.template(), pulls: ti.template(), factors: ti.template(),
+                                       pull: ti.template()):
         """Add the stiffness of batch b to the flattened band matrix, and the forces of moving nodes to `pull`."""
         for i in range(4 * pairs * LANES):
             at = places[b, i]
@@ -342,5 +349,6 @@ def make_element_functions(element_name: str, energy: KernelEnergy,
             at = pulls[i, 0]
             pull[at] = pull[at] + factors[i] * stiffness[pulls[i, 1]]
 
-    return ElementAssemblyFunctions(compute_nodal_forces, add_weight_forces, add_interior_node_inertia,
-                                    compute_condensed_stiffness, add_stiffness_to_band_matrix)
+    return ElementAssemblyFunctions(compute_nodal_forces_and_least_jacobian, add_weight_forces,
+                                    add_interior_node_inertial_force,
+                                    compute_condensed_stiffness_and_success, add_stiffness_to_band_and_pull)

@@ -48,7 +48,7 @@ class ElementBatches:
 
         Args:
             mesh: undeformed mesh.
-            gradients: see `ReferenceQuadrature.node_gradients`, shape (elements, q, nodes, 3).
+            gradients: see `UndeformedMeshQuadrature.node_gradients`, shape (elements, q, nodes, 3).
             weights: volumes of the quadrature points, m3, shape (elements, q).
             modes: pressure modes, shape (elements, q, m).
             volumes: integrals of the shape functions, m3, shape (elements, nodes).
@@ -86,15 +86,15 @@ class ElementBatches:
         taken = values[self.elements]
         return np.ascontiguousarray(np.moveaxis(taken, 1, -1).reshape(-1, LANES))
 
-    def condensation_arrays(self) -> dict[str, np.ndarray]:
+    def make_condensation_arrays_by_name(self) -> dict[str, np.ndarray]:
         """Return the arrays of the static condensation (pressures, interior nodes), by their names in the kernels."""
         named = dict(zip(("volume_r", "volume_z"), self.volume, strict=True))
         named |= zip(("known_volume_r", "known_volume_z"), self.known_volume, strict=True)
         named |= zip(("rows_rr", "rows_rz", "rows_zr", "rows_zz"), self.centre_rows, strict=True)
         return named | dict(zip(("inverse_rr", "inverse_rz", "inverse_zz"), self.centre_inverse, strict=True))
 
-    def step_kernel_arrays(self) -> dict[str, np.ndarray]:
-        """Return all arrays except `condensation_arrays`, by their names in the kernel of a step."""
+    def make_step_kernel_arrays_by_name(self) -> dict[str, np.ndarray]:
+        """Return all arrays except `make_condensation_arrays_by_name`, by their names in the kernel of a step."""
         named = {"elements": self.elements, "dofs": self.dofs, "real": self.real, "point_weights": self.weights,
                  "mode_values": self.modes, "volumes": self.volumes, "moduli": self.moduli, "places": self.places,
                  "pull_starts": self.pull_starts, "pulls": self.pulls, "pull_factors": self.pull_factors,
@@ -104,7 +104,7 @@ class ElementBatches:
         named |= zip(("k_rr", "k_zr", "k_rz", "k_zz"), np.split(self.stiffness, 4), strict=True)
         return named | dict(zip(("force_r", "force_z"), self.centre_force, strict=True))
 
-    def set_interior_displacements(self, displacement: np.ndarray) -> None:
+    def back_substitute_interior_displacements(self, displacement: np.ndarray) -> None:
         """Set the displacements of the interior nodes from those of the shared nodes, by back substitution.
 
         Args:
@@ -122,12 +122,12 @@ class ElementBatches:
             moved = (on_r * along_r + on_z * along_z).reshape(self.batches, shared, LANES).sum(axis=1)
             displacement[target] = -moved.reshape(-1)[:count]
 
-    def set_element_moduli(self, moduli: np.ndarray) -> None:
+    def set_element_modulus_ratios(self, moduli: np.ndarray) -> None:
         """Set the moduli of the elements, in units of the material's modulus, shape (elements,)."""
         self.moduli[:] = moduli[self.elements]
 
-    def compute_scatter_indices(self, mesh: Mesh, equation: np.ndarray, free: int, direction: np.ndarray,
-                                shape: tuple[int, int]) -> None:
+    def store_scatter_indices(self, mesh: Mesh, equation: np.ndarray, free: int, direction: np.ndarray,
+                              shape: tuple[int, int]) -> None:
         """Store the indices with which kernels add forces and stiffnesses to the residual and the matrix.
 
         Args:
@@ -154,9 +154,9 @@ class ElementBatches:
         places = np.where(places < 0, last, places)
         lanes = np.where(self.real[:, :, None, None] > 0, places[self.elements], last)
         self.places = np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
-        self._compute_pull_table(mesh, own, direction, rows, columns, twice, free)
+        self._store_pull_table_of_moving_nodes(mesh, own, direction, rows, columns, twice, free)
 
-    def _compute_pull_table(self, mesh, own, direction, rows, columns, twice, free) -> None:
+    def _store_pull_table_of_moving_nodes(self, mesh, own, direction, rows, columns, twice, free) -> None:
         """Store the table `pulls`: stiffness between moving and free nodes, and within the moving nodes."""
         shared = mesh.element.boundary_nodes
         moves = np.zeros(int(own.max()) + 1)

@@ -21,7 +21,7 @@ NODE_RULES = {1: (np.array([-1.0, 1.0]), np.array([1.0, 1.0])),
               2: (np.array([-1.0, 0.0, 1.0]), np.array([1.0, 4.0, 1.0]) / 3.0)}
 
 
-class ContactSpanColumn(IntEnum):
+class OutlineSpanColumn(IntEnum):
     """Columns of `ContactPoints.spans`: segments of a body's outline that a contact point may touch.
 
     Attributes:
@@ -39,7 +39,7 @@ class ContactSpanColumn(IntEnum):
     STAYS = 4
 
 
-class ContactRateColumn(IntEnum):
+class ContactLinearisationColumn(IntEnum):
     """Columns of `ContactPoints.rates`: linearisation of the contact force of a point.
 
     Attributes:
@@ -82,7 +82,7 @@ class FactorisedRateColumn(IntEnum):
 
 
 #: Number of columns of `ContactPoints.rates`.
-RATE_COLUMNS = len(ContactRateColumn)
+RATE_COLUMNS = len(ContactLinearisationColumn)
 #: Number of columns of `ContactPoints.known_rates`.
 KNOWN_RATE_COLUMNS = len(FactorisedRateColumn)
 
@@ -145,7 +145,7 @@ class ContactPoints:
         count: number of contact points, n below; 0 without contact.
         nodes: nodes of the edge of each point, shape (n, a).
         shapes: shape functions of these nodes at the point, shape (n, a).
-        spans: columns of `ContactSpanColumn`, shape (n, 5).
+        spans: columns of `OutlineSpanColumn`, shape (n, 5).
         vertices: vertices of the outlines of all bodies, one outline after the other, m, shape (v, 2).
         rounding: edge radius of each point's body, m, shape (n,).
         friction: coefficients of the face and of the shaft of each point's body, shape (n, 2).
@@ -153,7 +153,7 @@ class ContactPoints:
         face: numbers of the points under a face without slip of the tool.
         areas: surface area of each point, m2, shape (n,).
         springs: penalty stiffness of each point, N/m, shape (n,).
-        anchors: bond (a `tissue_sim.fem.contact_settings.ContactBond`) and anchor of each point at the last
+        anchors: bond (a `tissue_sim.fem.contact_settings.ContactBondState`) and anchor of each point at the last
             equilibrium; the anchor is the displacement of the point in the frame of the body, (r, z), m; shape (n, 3).
         initial: bond and anchor at the beginning of a step, with the bonds of points that the tool reaches in the step,
             shape (n, 3).
@@ -163,7 +163,7 @@ class ContactPoints:
         slip_signs: direction of slip along the surface during a step, 1, -1 or 0 (no slip), shape (n,).
         slipped: `slip_signs` at the last equilibrium, shape (n,).
         forces: forces of the tissue on the bodies, N, shape (n, 2).
-        rates: columns of `ContactRateColumn`, shape (n, `RATE_COLUMNS`).
+        rates: columns of `ContactLinearisationColumn`, shape (n, `RATE_COLUMNS`).
         known_rates: columns of `FactorisedRateColumn`, N/m, shape (n, `KNOWN_RATE_COLUMNS`).
     """
 
@@ -207,7 +207,7 @@ class ContactPoints:
         self.rounding = np.array([pair.profile.rounding for pair in owners])
         self.friction = np.array([pair.friction for pair in owners], dtype=float)
         self.tied = np.array([pair.tied for pair in owners])
-        self.moves = self.spans[:, ContactSpanColumn.MOVES].astype(bool)
+        self.moves = self.spans[:, OutlineSpanColumn.MOVES].astype(bool)
         self.face = np.flatnonzero(self.tied & self.moves)
         self.areas, self._lengths, self.springs = np.zeros((3, n))
         for edge, at, weights in edges:
@@ -224,7 +224,7 @@ class ContactPoints:
         self.known_rates = np.zeros((n, KNOWN_RATE_COLUMNS))
 
     @property
-    def can_slip(self) -> bool:
+    def has_coulomb_friction_points(self) -> bool:
         """Whether any contact point has Coulomb friction, so that the point can slip and the tangent is unsymmetric."""
         return bool((self.friction > 0.0).any())
 

@@ -2,8 +2,8 @@
 
 from functools import cache
 
-from tissue_sim.fem.axisymmetric.contact import ContactSpanColumn
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.axisymmetric.contact import OutlineSpanColumn
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
 @cache
@@ -13,7 +13,7 @@ def make_closest_point_function():
     ``find_closest_point(r, z, i, depth, spans, vertices, rounding) -> (gap, normal r, normal z, curvature, line)``
     evaluates point i of `ContactPoints` at (r, z) in the frame of its body, with the tool at `depth`.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
     far = 1e30
 
     @ti.func
@@ -23,11 +23,11 @@ def make_closest_point_function():
         While a tool with a sharp shaft is pressed in, the shaft is extended downwards: the tissue below the face
         occupies that region, so that tissue next to the tool cannot enter it.
         """
-        first = spans[i, ContactSpanColumn.FIRST_LINE]
-        closed = first == spans[i, ContactSpanColumn.SHAFT] and rounding[i] == 0.0 and depth >= 0.0
+        first = spans[i, OutlineSpanColumn.FIRST_LINE]
+        closed = first == spans[i, OutlineSpanColumn.SHAFT] and rounding[i] == 0.0 and depth >= 0.0
         best, gap, nr, nz, curved, line = far, far, 0.0, 0.0, 0.0, first
         front_best = 0.0
-        for s in range(first, spans[i, ContactSpanColumn.LAST_LINE] + 1):
+        for s in range(first, spans[i, OutlineSpanColumn.LAST_LINE] + 1):
             tr, tz = vertices[s + 1, 0] - vertices[s, 0], vertices[s + 1, 1] - vertices[s, 1]
             length = ti.sqrt(tr * tr + tz * tz)
             tr, tz = tr / length, tz / length

@@ -19,19 +19,24 @@ touched.
 from functools import cache
 from typing import NamedTuple
 
-from tissue_sim.fem.axisymmetric.contact import PENALTY, ContactRateColumn, ContactSpanColumn, FactorisedRateColumn
+from tissue_sim.fem.axisymmetric.contact import (
+    PENALTY,
+    ContactLinearisationColumn,
+    FactorisedRateColumn,
+    OutlineSpanColumn,
+)
 from tissue_sim.fem.axisymmetric.contact_gap import make_closest_point_function
 from tissue_sim.fem.axisymmetric.contact_laws import make_contact_law_functions
-from tissue_sim.fem.contact_settings import ALL_POINTS, ActiveSetSettings, ContactBond
-from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.trace import KernelFormula
+from tissue_sim.fem.contact_settings import ALL_POINTS, ActiveSetSettings, ContactBondState
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
+from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
 
-#: `ContactBond.FREE` as a float, because the kernels store bonds in arrays of floats.
-FREE = float(ContactBond.FREE)
-#: `ContactBond.HELD` as a float.
-HELD = float(ContactBond.HELD)
-#: `ContactBond.TOUCHED` as a float.
-TOUCHED = float(ContactBond.TOUCHED)
+#: `ContactBondState.FREE` as a float, because the kernels store bonds in arrays of floats.
+FREE = float(ContactBondState.FREE)
+#: `ContactBondState.HELD` as a float.
+HELD = float(ContactBondState.HELD)
+#: `ContactBondState.TOUCHED` as a float.
+TOUCHED = float(ContactBondState.TOUCHED)
 #: Settings of the active set; the kernels contain the values as constants.
 ACTIVE_SET = ActiveSetSettings(augmentation_factor=1e-3)
 #: Relative tolerance of Coulomb's friction cone, and of negligible friction.
@@ -41,29 +46,35 @@ CONE_TOLERANCE = 1e-3
 class ContactForceFunctions(NamedTuple):
     """Taichi functions that evaluate and update the contact forces at the contact points."""
 
-    add_contact_forces: object
+    add_contact_forces_and_update_active_set: object
     add_constraint_residual_forces: object
-    update_contact_forces: object
+    update_contact_forces_after_linear_solve: object
     subtract_contact_forces: object
     release_points_under_tension: object
-    commit_contact_bonds: object
+    commit_contact_bonds_and_count_changes: object
 
 
 @cache
-def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> ContactForceFunctions:
+def make_contact_force_functions(laws: tuple[FormulaClassAndConstants, ...] = ()) -> ContactForceFunctions:
     """Return the contact functions; `laws` are additional contact laws, such as adhesion."""
-    ti = initialise()
+    ti = get_initialised_taichi()
     has_laws, law = bool(laws), make_contact_law_functions(laws)
     find_closest_point = make_closest_point_function()
 
     @ti.func
-    def add_contact_forces(count, changeable, slack, pending, bending, move, depth, lift, free, tolerance, negligible,
-                           reach, law_settings: ti.template(), multipliers, nodes: ti.template(), shapes: ti.template(),
-                           spans: ti.template(), places: ti.template(), areas: ti.template(), vertices: ti.template(),
-                           rounding: ti.template(), friction: ti.template(), springs: ti.template(),
-                           held: ti.template(), pressed: ti.template(), slip_signs: ti.template(), met: ti.template(),
-                           forces: ti.template(), rates: ti.template(), x: ti.template(), target: ti.template(),
-                           equation: ti.template(), residual: ti.template()):
+    def add_contact_forces_and_update_active_set(count, changeable, slack, pending, bending, move, depth, lift, free,
+                                                 tolerance, negligible,
+                                                 reach, law_settings: ti.template(), multipliers, nodes: ti.template(),
+                                                 shapes: ti.template(),
+                                                 spans: ti.template(), places: ti.template(), areas: ti.template(),
+                                                 vertices: ti.template(),
+                                                 rounding: ti.template(), friction: ti.template(),
+                                                 springs: ti.template(),
+                                                 held: ti.template(), pressed: ti.template(), slip_signs: ti.template(),
+                                                 met: ti.template(),
+                                                 forces: ti.template(), rates: ti.template(), x: ti.template(),
+                                                 target: ti.template(),
+                                                 equation: ti.template(), residual: ti.template()):
         """Add the contact forces to the residual; store their derivatives and the constraint residuals in `rates`.
 
         Args (scalars): `changeable`: which points may change their contact state (0: none, `ALL_POINTS`, or a number
@@ -78,7 +89,7 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
         """
         axial, squares, violation, slipping, switched, wanting = 0.0, 0.0, 0.0, 0, 0, 0
         for i in range(count):
-            moves = float(spans[i, ContactSpanColumn.MOVES])
+            moves = float(spans[i, OutlineSpanColumn.MOVES])
             # Displacement in the frame of the body; its differences have smaller rounding errors than positions.
             ur, uz = 0.0, moves * lift
             for a in range(shapes.shape[1]):
@@ -94,12 +105,12 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
             if clings:
                 gap, curved = (ur - held[i, 1]) * nr + (uz - held[i, 2]) * nz, 0.0
             # Rounded edges have the friction of the face.
-            mu = friction[i, 0] if curved > 0.0 or line < spans[i, ContactSpanColumn.SHAFT] else friction[i, 1]
+            mu = friction[i, 0] if curved > 0.0 or line < spans[i, OutlineSpanColumn.SHAFT] else friction[i, 1]
             spring = springs[i]
             at = multipliers + 2 * i
             along = x[at + 1] * nr - x[at] * nz
             normal = x[at] * nr + x[at + 1] * nz
-            if spans[i, ContactSpanColumn.STAYS] == 0:
+            if spans[i, OutlineSpanColumn.STAYS] == 0:
                 normal = ti.min(normal, 0.0)
             trial = normal + ACTIVE_SET.augmentation_factor * spring * gap
             acting = 0.0
@@ -107,7 +118,7 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
             drawn = (changeable == ALL_POINTS
                      or (changeable > 0 and (7 * i + 5 * changeable) % ACTIVE_SET.draw_interval == 0))
             if changeable > 0 and bound != HELD:
-                presses = 1.0 if trial < 0.0 or gap < slack or spans[i, ContactSpanColumn.STAYS] == 1 else 0.0
+                presses = 1.0 if trial < 0.0 or gap < slack or spans[i, OutlineSpanColumn.STAYS] == 1 else 0.0
                 if ti.static(not has_laws):
                     if pending == 1 and bound == TOUCHED and mu != 0.0:
                         # The tool is about to reach the point.
@@ -211,13 +222,14 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
                             lrz = area * (nn * nr * nz + tt * tr * tz)
                             lzz = area * (nn * nz * nz + tt * tz * tz)
             krr, krz, kzr, kzz = krr + lrr, krz + lrz, kzr + lrz, kzz + lzz
-            rates[i, ContactRateColumn.RR], rates[i, ContactRateColumn.RZ] = krr, krz
-            rates[i, ContactRateColumn.ZR], rates[i, ContactRateColumn.ZZ] = kzr, kzz
-            (rates[i, ContactRateColumn.NORMAL_R], rates[i, ContactRateColumn.NORMAL_Z],
-             rates[i, ContactRateColumn.FRICTION]) = nr, nz, acting
-            rates[i, ContactRateColumn.MISSED_R], rates[i, ContactRateColumn.MISSED_Z] = missed_r, missed_z
-            (rates[i, ContactRateColumn.LAW_RR], rates[i, ContactRateColumn.LAW_RZ],
-             rates[i, ContactRateColumn.LAW_ZZ]) = lrr, lrz, lzz
+            rates[i, ContactLinearisationColumn.RR], rates[i, ContactLinearisationColumn.RZ] = krr, krz
+            rates[i, ContactLinearisationColumn.ZR], rates[i, ContactLinearisationColumn.ZZ] = kzr, kzz
+            (rates[i, ContactLinearisationColumn.NORMAL_R], rates[i, ContactLinearisationColumn.NORMAL_Z],
+             rates[i, ContactLinearisationColumn.FRICTION]) = nr, nz, acting
+            rates[i, ContactLinearisationColumn.MISSED_R] = missed_r
+            rates[i, ContactLinearisationColumn.MISSED_Z] = missed_z
+            (rates[i, ContactLinearisationColumn.LAW_RR], rates[i, ContactLinearisationColumn.LAW_RZ],
+             rates[i, ContactLinearisationColumn.LAW_ZZ]) = lrr, lrz, lzz
             axial += moves * fz
             squares += fr * fr + fz * fz
             if pending == 1:
@@ -238,7 +250,7 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
         return axial, squares, violation, slipping, switched, wanting
 
     @ti.func
-    def compute_force_change(i, pr, pz, rates: ti.template(), known: ti.template()):
+    def compute_force_change_with_gap_correction(i, pr, pz, rates: ti.template(), known: ti.template()):
         """Return the change of a point's force for a displacement (pr, pz) and for its constraint residual.
 
         The derivatives are those in the matrix, because others would leave large unbalanced penalty forces.
@@ -247,7 +259,7 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
         krz = known[i, FactorisedRateColumn.RZ] - known[i, FactorisedRateColumn.LAW_RZ]
         kzr = known[i, FactorisedRateColumn.ZR] - known[i, FactorisedRateColumn.LAW_RZ]
         kzz = known[i, FactorisedRateColumn.ZZ] - known[i, FactorisedRateColumn.LAW_ZZ]
-        wr, wz = pr + rates[i, ContactRateColumn.MISSED_R], pz + rates[i, ContactRateColumn.MISSED_Z]
+        wr, wz = pr + rates[i, ContactLinearisationColumn.MISSED_R], pz + rates[i, ContactLinearisationColumn.MISSED_Z]
         return krr * wr + krz * wz, kzr * wr + kzz * wz
 
     @ti.func
@@ -255,23 +267,23 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
                                        known: ti.template(), equation: ti.template(), residual: ti.template()):
         """Add the penalty forces of the constraint residuals to the right-hand side (`residual`) of a linear solve."""
         for i in range(count):
-            fr, fz = compute_force_change(i, 0.0, 0.0, rates, known)
+            fr, fz = compute_force_change_with_gap_correction(i, 0.0, 0.0, rates, known)
             for a in range(shapes.shape[1]):
                 ir, iz = equation[2 * nodes[i, a]], equation[2 * nodes[i, a] + 1]
                 residual[ir] = residual[ir] + shapes[i, a] * fr
                 residual[iz] = residual[iz] + shapes[i, a] * fz
 
     @ti.func
-    def update_contact_forces(count, move, multipliers, nodes: ti.template(), shapes: ti.template(),
-                              spans: ti.template(), rates: ti.template(), known: ti.template(), motion: ti.template(),
-                              x: ti.template()):
+    def update_contact_forces_after_linear_solve(count, move, multipliers, nodes: ti.template(), shapes: ti.template(),
+                                                 spans: ti.template(), rates: ti.template(), known: ti.template(),
+                                                 motion: ti.template(), x: ti.template()):
         """Update the contact forces after a linear solve in which the tool moved down by `move`, m."""
         for i in range(count):
-            pr, pz = 0.0, float(spans[i, ContactSpanColumn.MOVES]) * move
+            pr, pz = 0.0, float(spans[i, OutlineSpanColumn.MOVES]) * move
             for a in range(shapes.shape[1]):
                 pr += shapes[i, a] * motion[2 * nodes[i, a]]
                 pz += shapes[i, a] * motion[2 * nodes[i, a] + 1]
-            fr, fz = compute_force_change(i, pr, pz, rates, known)
+            fr, fz = compute_force_change_with_gap_correction(i, pr, pz, rates, known)
             at = multipliers + 2 * i
             x[at] = x[at] + fr
             x[at + 1] = x[at + 1] + fz
@@ -281,8 +293,8 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
                                 equation: ti.template(), x: ti.template(), residual: ti.template()):
         """Subtract the present contact forces from the residual.
 
-        The linearised tissue balances these forces, so that only the forces of the next `add_contact_forces` act as
-        a load.
+        The linearised tissue balances these forces, so that only the forces of the next
+        `add_contact_forces_and_update_active_set` act as a load.
         """
         for i in range(count):
             at = multipliers + 2 * i
@@ -302,7 +314,7 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
         """
         released = 0
         for i in range(count):
-            if held[i, 0] == HELD and spans[i, ContactSpanColumn.STAYS] == 0:
+            if held[i, 0] == HELD and spans[i, OutlineSpanColumn.STAYS] == 0:
                 r, z = places[i, 0] + held[i, 1], places[i, 1] + held[i, 2]
                 _, nr, nz, _, _ = find_closest_point(r, z, i, 0.0, spans, vertices, rounding)
                 if nr * forces[i, 0] + nz * forces[i, 1] > strength * areas[i] + negligible:
@@ -311,7 +323,7 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
         return released
 
     @ti.func
-    def commit_contact_bonds(count, held: ti.template(), met: ti.template()):
+    def commit_contact_bonds_and_count_changes(count, held: ti.template(), met: ti.template()):
         """Copy the bonds found in this step (`met`) to `held`; return the number of bonds that changed."""
         bound = 0
         for i in range(count):
@@ -322,5 +334,7 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
                     held[i, k] = met[i, k]
         return bound
 
-    return ContactForceFunctions(add_contact_forces, add_constraint_residual_forces, update_contact_forces,
-                                 subtract_contact_forces, release_points_under_tension, commit_contact_bonds)
+    return ContactForceFunctions(add_contact_forces_and_update_active_set, add_constraint_residual_forces,
+                                 update_contact_forces_after_linear_solve,
+                                 subtract_contact_forces, release_points_under_tension,
+                                 commit_contact_bonds_and_count_changes)

@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.errors import InputError, add_location_to_errors
+from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.experiment.contact_law import ContactLaw, Traction
-from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.trace import TRIED, KernelFormula, extract_expressions, trace_values
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
+from tissue_sim.fem.taichi.trace import TRIED, FormulaClassAndConstants, extract_expressions, wrap_as_traced_numbers
 
 
 class ContactLawFunctions(NamedTuple):
@@ -28,43 +28,45 @@ class ContactLawFunctions(NamedTuple):
 
 def pack_contact_law_settings(laws: tuple[ContactLaw, ...], face: float) -> np.ndarray:
     """Return `settings` of `evaluate_traction`: contact area of the tool, m2; then reach, m, and parameters per law."""
-    numbers = [[law.reach, *KernelFormula.from_instance(law).get_parameter_values(law)] for law in laws]
+    numbers = [[law.reach, *FormulaClassAndConstants.from_law_or_effect(law).get_parameter_values(law)] for law in laws]
     return np.array([face, *(value for law in numbers for value in law)])
 
 
 @cache
-def make_contact_law_functions(formulas: tuple[KernelFormula[ContactLaw], ...]) -> ContactLawFunctions:
+def make_contact_law_functions(formulas: tuple[FormulaClassAndConstants[ContactLaw], ...]) -> ContactLawFunctions:
     """Return the Taichi functions of the sum of several contact laws.
 
     Raises:
         InputError: a law uses an operation that kernels do not support.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
     count = 1 + sum(1 + len(formula.parameter_names) for formula in formulas)
-    tried = _sum_law_tractions(formulas, [TRIED] * 3, [TRIED] * count)
+    tried = _sum_law_tractions_and_derivatives(formulas, [TRIED] * 3, [TRIED] * count)
     constant = [not hasattr(value, "lanes") for value in tried]
 
-    def build_traction_expressions(gap, pressure, slip, settings):
-        values = _sum_law_tractions(formulas, [gap, pressure, slip], settings)
-        return extract_expressions(values, trace_values([gap], lanes=False)[0])
+    def trace_traction_expressions(gap, pressure, slip, settings):
+        values = _sum_law_tractions_and_derivatives(formulas, [gap, pressure, slip], settings)
+        return extract_expressions(values, wrap_as_traced_numbers([gap], lanes=False)[0])
 
     @ti.func
     def evaluate_traction(gap, pressure, slip, settings: ti.template()):
         """Return normal and tangential traction, Pa, and their derivatives with gap and slip, Pa/m."""
-        return ti.static(build_traction_expressions(gap, pressure, slip, [settings[i] for i in range(count)]))
+        return ti.static(trace_traction_expressions(gap, pressure, slip, [settings[i] for i in range(count)]))
 
     return ContactLawFunctions(evaluate_traction, not constant[1], not (constant[2] and constant[3]))
 
 
-def _sum_law_tractions(formulas: tuple[KernelFormula[ContactLaw], ...], place: list, settings: list) -> list:
+def _sum_law_tractions_and_derivatives(formulas: tuple[FormulaClassAndConstants[ContactLaw], ...], place: list,
+                                       settings: list) -> list:
     """Return normal and tangential traction, and their derivatives with gap and slip, summed over all laws."""
-    (gap, pressure, slip), (face, *numbers) = trace_values(place, lanes=False), trace_values(settings, lanes=False)
+    gap, pressure, slip = wrap_as_traced_numbers(place, lanes=False)
+    face, *numbers = wrap_as_traced_numbers(settings, lanes=False)
     total = [0.0] * 4
     for formula in formulas:
         reach, *parameters = numbers[: 1 + len(formula.parameter_names)]
         numbers = numbers[1 + len(formula.parameter_names):]
-        with add_location_to_errors(field=f"contact_laws.{formula.kind.name}"):
-            found = formula.with_parameters(parameters).traction(gap, pressure, (slip, 0.0), face)
+        with located_and_converted_errors(field=f"contact_laws.{formula.kind.name}"):
+            found = formula.build_unchecked_instance(parameters).traction(gap, pressure, (slip, 0.0), face)
             if not isinstance(found, Traction):
                 raise InputError(f"traction() must return a tissue_sim.Traction; got {type(found).__name__}.")
         values = [found.pull, found.drag[0], found.pull_rate, found.drag_rates[0][0]]

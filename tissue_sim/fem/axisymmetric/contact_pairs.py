@@ -15,7 +15,7 @@ from tissue_sim.mesh import Mesh
 BLUNT = 0.5
 
 
-def interface_friction_coefficient(interface: str | float) -> float:
+def friction_coefficient_or_stick_marker(interface: str | float) -> float:
     """Return the Coulomb coefficient of an interface for tissue that touches the interface during the test.
 
     Args:
@@ -27,8 +27,8 @@ def interface_friction_coefficient(interface: str | float) -> float:
     return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
 
 
-def build_contact_pairs(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
-                        homogeneous: bool | None = None) -> ContactPairs | None:
+def build_contact_pairs_or_none(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
+                                homogeneous: bool | None = None) -> ContactPairs | None:
     """Return the contact pairs: the base with the lower half of the side, the tool with the rest of the surface.
 
     Args:
@@ -41,7 +41,7 @@ def build_contact_pairs(experiment: Experiment, mesh: Mesh, *, tool: bool = True
         Contact pairs; None if no edge may come into contact.
     """
     homogeneous = experiment.homogeneous if homogeneous is None else homogeneous
-    low, high = (None, None) if homogeneous else _split_side_edges(mesh)
+    low, high = (None, None) if homogeneous else _split_side_edges_at_mid_height(mesh)
     pairs = _make_base_pairs(experiment, mesh, low)
     if tool:
         pairs += (_make_plate_pairs(experiment, mesh, high) if experiment.tool.is_plate
@@ -58,9 +58,9 @@ def build_contact_pairs(experiment: Experiment, mesh: Mesh, *, tool: bool = True
                         np.pi * experiment.contact_radius**2, level)
 
 
-def _split_side_edges(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+def _split_side_edges_at_mid_height(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Return the edges of the lower and of the upper half of the side."""
-    side = mesh.select_edges("side")
+    side = mesh.select_edges_in_node_set("side")
     high = mesh.nodes[side, 1].mean(axis=1) > 0.5 * mesh.nodes[:, 1].min()
     return side[~high], side[high]
 
@@ -72,10 +72,11 @@ def _make_base_pairs(experiment: Experiment, mesh: Mesh, side: np.ndarray | None
     """
     bottom = mesh.nodes[:, 1].min()
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
-    mu = interface_friction_coefficient(experiment.base_interface)
+    mu = friction_coefficient_or_stick_marker(experiment.resolved_base_interface)
     pairs = []
-    if experiment.base_interface not in ("bonded", "frictionless"):
-        pairs.append(ContactPair(plane, mesh.select_edges("base"), (mu, mu), moves=False, tied=mu == STICK, stays=True))
+    if experiment.resolved_base_interface not in ("bonded", "frictionless"):
+        pairs.append(ContactPair(plane, mesh.select_edges_in_node_set("base"), (mu, mu), moves=False, tied=mu == STICK,
+                                 stays=True))
     if side is not None:
         pairs.append(ContactPair(plane, side, (mu, mu), moves=False))
     return pairs
@@ -83,10 +84,10 @@ def _make_base_pairs(experiment: Experiment, mesh: Mesh, side: np.ndarray | None
 
 def _make_plate_pairs(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[ContactPair]:
     """Return the contact pairs of a plate profile with mesh edges: the top, unless bonded, and the upper side."""
-    profile, mu = experiment.tool.profile, interface_friction_coefficient(experiment.friction)
+    profile, mu = experiment.tool.profile, friction_coefficient_or_stick_marker(experiment.friction)
     pairs = []
     if experiment.friction != "bonded":
-        pairs.append(ContactPair(profile, mesh.select_edges("top"), (mu, mu), tied=mu == STICK))
+        pairs.append(ContactPair(profile, mesh.select_edges_in_node_set("top"), (mu, mu), tied=mu == STICK))
     if side is not None:
         pairs.append(ContactPair(profile, side, (mu, mu)))
     return pairs
@@ -96,12 +97,12 @@ def _make_needle_pairs(experiment: Experiment, mesh: Mesh) -> list[ContactPair]:
     """Return the contact pairs of the needle and the top; with a bonded face, only the top next to the face."""
     tool = experiment.tool
     profile = tool.profile
-    friction = (interface_friction_coefficient(experiment.friction),
-                interface_friction_coefficient(experiment.friction_wall))
+    friction = (friction_coefficient_or_stick_marker(experiment.friction),
+                friction_coefficient_or_stick_marker(experiment.friction_wall))
     if tool.face_radius == 0:
         blunt = profile.rounding >= BLUNT * experiment.contact_radius and friction[0] != STICK
-        return [ContactPair(profile, mesh.select_edges("top"), friction, between_nodes=blunt)]
-    face, free = mesh.select_edges("face"), mesh.select_edges("free")
+        return [ContactPair(profile, mesh.select_edges_in_node_set("top"), friction, between_nodes=blunt)]
+    face, free = mesh.select_edges_in_node_set("face"), mesh.select_edges_in_node_set("free")
     if experiment.friction == "bonded":
         return [ContactPair(profile, free, friction, first_line=1)]
     # Tissue next to a sharp edge cannot come under the face without slip.

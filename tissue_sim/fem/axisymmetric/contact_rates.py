@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric.contact import (
     KNOWN_RATE_COLUMNS,
-    ContactRateColumn,
-    ContactSpanColumn,
+    ContactLinearisationColumn,
     FactorisedRateColumn,
+    OutlineSpanColumn,
 )
 from tissue_sim.fem.linear.band import BLOCK, make_add_lower_entry_function, make_add_unsymmetric_entry_function
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 #: A derivative counts as changed if it differs by more than this fraction of the penalty stiffness of its point.
 CHANGE_TOLERANCE = 0.01
@@ -24,16 +24,16 @@ class ContactRateFunctions(NamedTuple):
     """Taichi functions that add the derivatives of the contact forces to the matrix of a step."""
 
     clear_factorised_rates: object
-    find_first_changed_rows: object
+    find_first_changed_and_slipping_rows: object
     add_contact_rates_to_matrix: object
     have_contact_rates_changed: object
-    add_tool_depth_derivatives: object
+    add_depth_derivatives_and_get_stiffness: object
 
 
 @cache
 def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
     """Return the functions; if `slips` is false, no contact point can slip and the matrix is symmetric."""
-    ti = initialise()
+    ti = get_initialised_taichi()
     add_lower_entry, add_unsymmetric_entry = make_add_lower_entry_function(), make_add_unsymmetric_entry_function()
 
     @ti.func
@@ -61,9 +61,9 @@ def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
         return changed
 
     @ti.func
-    def find_first_changed_rows(count, fresh, free, rows, nodes: ti.template(), shapes: ti.template(),
-                                springs: ti.template(), slip_signs: ti.template(), rates: ti.template(),
-                                known: ti.template(), equation: ti.template()):
+    def find_first_changed_and_slipping_rows(count, fresh, free, rows, nodes: ti.template(), shapes: ti.template(),
+                                             springs: ti.template(), slip_signs: ti.template(), rates: ti.template(),
+                                             known: ti.template(), equation: ti.template()):
         """Return the first block row with a changed contact derivative, and the first block row with a slipping point.
 
         Both are the number of block rows, `rows`, if there is none.
@@ -76,7 +76,7 @@ def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
                     row = equation[2 * nodes[i, a] + k]
                     if shapes[i, a] != 0.0 and row < free:
                         first = ti.min(first, row // BLOCK)
-            if rates[i, ContactRateColumn.FRICTION] > 0.0 and slip_signs[i] != 0.0:
+            if rates[i, ContactLinearisationColumn.FRICTION] > 0.0 and slip_signs[i] != 0.0:
                 skewed = ti.min(skewed, first)
             if fresh == 0 and has_point_rate_changed(i, springs, rates, known) == 1:
                 changed = ti.min(changed, first)
@@ -107,12 +107,13 @@ def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
                 for k in ti.static(range(4)):
                     known[i, k] = rates[i, k]
                 for k in ti.static(range(KNOWN_RATE_COLUMNS - FactorisedRateColumn.LAW_RR)):
-                    known[i, FactorisedRateColumn.LAW_RR + k] = rates[i, ContactRateColumn.LAW_RR + k]
+                    known[i, FactorisedRateColumn.LAW_RR + k] = rates[i, ContactLinearisationColumn.LAW_RR + k]
 
     @ti.func
-    def add_tool_depth_derivatives(count, free, nodes: ti.template(), shapes: ti.template(), spans: ti.template(),
-                                   rates: ti.template(), direction: ti.template(), equation: ti.template(),
-                                   pull: ti.template(), reaction: ti.template()):
+    def add_depth_derivatives_and_get_stiffness(count, free, nodes: ti.template(), shapes: ti.template(),
+                                                spans: ti.template(),
+                                                rates: ti.template(), direction: ti.template(), equation: ti.template(),
+                                                pull: ti.template(), reaction: ti.template()):
         """Add the derivatives of the contact forces with respect to the depth of the tool at fixed tissue to `pull`.
 
         The derivatives of the force on the tool with respect to the displacements are added to `reaction`. Returns the
@@ -121,9 +122,11 @@ def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
         stiff = 0.0
         for i in range(count):
             krz, kzr, kzz = rates[i,
-                                  ContactRateColumn.RZ], rates[i, ContactRateColumn.ZR], rates[i, ContactRateColumn.ZZ]
+                                  ContactLinearisationColumn.RZ], rates[i,
+                                                                        ContactLinearisationColumn.ZR], rates[
+                                                                            i, ContactLinearisationColumn.ZZ]
             # Displacement of the point relative to its body per depth of the tool, with the free nodes fixed.
-            apart = float(spans[i, ContactSpanColumn.MOVES])
+            apart = float(spans[i, OutlineSpanColumn.MOVES])
             for a in range(shapes.shape[1]):
                 if equation[2 * nodes[i, a] + 1] >= free:
                     apart += shapes[i, a] * direction[2 * nodes[i, a] + 1]
@@ -138,5 +141,6 @@ def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
                     reaction[iz] = reaction[iz] + share * kzz
         return stiff
 
-    return ContactRateFunctions(clear_factorised_rates, find_first_changed_rows, add_contact_rates_to_matrix,
-                                have_contact_rates_changed, add_tool_depth_derivatives)
+    return ContactRateFunctions(clear_factorised_rates, find_first_changed_and_slipping_rows,
+                                add_contact_rates_to_matrix,
+                                have_contact_rates_changed, add_depth_derivatives_and_get_stiffness)

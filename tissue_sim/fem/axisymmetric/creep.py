@@ -66,14 +66,14 @@ class PseudoTransientSettings:
 _SETTINGS = PseudoTransientSettings()
 
 
-class DampedStepSolver(Protocol):
+class DampableSolverProtocol(Protocol):
     """Attributes and methods of a solver that the continuation uses."""
 
     equations: EquilibriumEquations
     committed: SolverState
 
-    def solve_depth_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
-                         rate: float, *, resumes: bool = False) -> Step:
+    def try_depth_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
+                       rate: float, *, resumes: bool = False) -> Step:
         """Try a step with a damping force, `rate` (N/m4) times nodal volume times displacement from rest."""
 
     def save(self) -> SavedState:
@@ -83,7 +83,7 @@ class DampedStepSolver(Protocol):
         """Return to a saved state."""
 
 
-def iterate_damped_steps(solver: DampedStepSolver, depth: float, dt: float, tolerance: float, max_iterations: int,
+def iterate_damped_steps(solver: DampableSolverProtocol, depth: float, dt: float, tolerance: float, max_iterations: int,
                          allowed: Callable[[], int] | None = None) -> Generator[Step]:
     """Yield the steps of the continuation to a depth; the last one has converged without damping.
 
@@ -103,7 +103,7 @@ def iterate_damped_steps(solver: DampedStepSolver, depth: float, dt: float, tole
     """
     equations, state = solver.equations, solver.committed
     saved, volumes = solver.save(), equations.compute_dof_volumes()
-    masses, rest, density = equations.enable_artificial_damping()
+    masses, rest, density = equations.replace_masses_by_damping_volumes()
     # Unit of the damping: shear modulus over the squared height of the specimen.
     unit = equations.material.mu0 / float(np.ptp(equations.mesh.nodes[:, 1])) ** 2
     working_damping = damping = _SETTINGS.first_damping * unit
@@ -112,7 +112,7 @@ def iterate_damped_steps(solver: DampedStepSolver, depth: float, dt: float, tole
     try:
         while failures <= _SETTINGS.max_failures and total_solves < _SETTINGS.max_solves:
             if has_begun:
-                rest[:] = state.latest_state[: rest.size]
+                rest[:] = state.last_committed_solution[: rest.size]
             else:
                 weights = compute_extrapolation_weights(state.depths, depth, 1)
                 rest[:] = sum(weight * state.history[slot, : rest.size]
@@ -122,8 +122,8 @@ def iterate_damped_steps(solver: DampedStepSolver, depth: float, dt: float, tole
             while True:
                 left = limit - step_solves
                 most = left if allowed is None else min(left, allowed())
-                step = solver.solve_depth_step(depth, 0.0 if has_begun else dt, tolerance, most, 0 if has_begun else 1,
-                                               damping, resumes=resumes)
+                step = solver.try_depth_step(depth, 0.0 if has_begun else dt, tolerance, most, 0 if has_begun else 1,
+                                             damping, resumes=resumes)
                 step_solves += max(1, step.iterations)
                 if step.status is StepStatus.SLOW and most == left and limit == max_iterations and (
                         step.residual <= _SETTINGS.near_residual):
@@ -134,7 +134,7 @@ def iterate_damped_steps(solver: DampedStepSolver, depth: float, dt: float, tole
                 yield step
             total_solves += step_solves
             if step.status is StepStatus.CONVERGED:
-                displacement = state.latest_state[: rest.size] - origin
+                displacement = state.last_committed_solution[: rest.size] - origin
                 has_arrived, has_begun, failures = damping == 0.0, True, 0
                 working_damping = max(damping, _SETTINGS.repeated_damping * unit)
                 yield replace(step, dissipated=damping * float(volumes @ displacement**2))
@@ -156,7 +156,7 @@ def iterate_damped_steps(solver: DampedStepSolver, depth: float, dt: float, tole
                     remaining_pause, pause = pause, min(2 * pause, _SETTINGS.max_pause)
                 damping, ratio = working_damping, max(_SETTINGS.min_reduction, 0.5 * ratio)
     finally:
-        equations.disable_artificial_damping(masses, density)
+        equations.restore_masses_and_density(masses, density)
         if not has_arrived:
             solver.restore(saved)
     if not has_arrived:

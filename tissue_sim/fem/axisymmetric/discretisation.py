@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissue_sim.errors import ConvergenceError, InputError, suggest_known_word
+from tissue_sim.errors import ConvergenceError, InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.fem.axisymmetric.contact_pairs import build_contact_pairs
+from tissue_sim.fem.axisymmetric.contact_pairs import build_contact_pairs_or_none
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, STUDY_SLENDERNESS, UNMEASURED, MeshResolution
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
@@ -20,7 +20,7 @@ from tissue_sim.specimen.cylinder import Cylinder, require_cylinder
 
 
 @dataclass(frozen=True)
-class MeshSettings:
+class ElementSizeLimits:
     """Limits of the element sizes.
 
     Attributes:
@@ -40,7 +40,7 @@ class MeshSettings:
 
 
 #: Settings of every mesh.
-_SETTINGS = MeshSettings()
+_SETTINGS = ElementSizeLimits()
 #: Interface of the base -> fixed components of its nodes.
 _FIXED_COMPONENTS = {"bonded": "rz", "frictionless": "z"}
 
@@ -63,7 +63,7 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Quadri
     chosen = RESOLUTIONS.get(UNMEASURED.get(resolution, resolution))
     if chosen is None:
         known = [*UNMEASURED, *RESOLUTIONS]
-        raise InputError(f"unknown resolution {resolution!r}{suggest_known_word(resolution, known)}",
+        raise InputError(f"unknown resolution {resolution!r}{make_hint_with_similar_or_known_words(resolution, known)}",
                          field="resolution")
     mesh = _make_unlayered_mesh(experiment, chosen, element, small=experiment.homogeneous and not layers)
     if not layers:
@@ -83,7 +83,7 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Quadri
 def _make_unlayered_mesh(experiment: Experiment, resolution: MeshResolution, element: QuadrilateralElement, *,
                          small: bool) -> Mesh:
     """Return the mesh without layers; `small`: four elements, for a homogeneous deformation."""
-    specimen, tool = _require_cylinder_specimen(experiment), experiment.tool
+    specimen, tool = _require_and_get_cylinder(experiment), experiment.tool
     if small:
         # Every mesh is exact for a homogeneous deformation.
         return cylinder_mesh(specimen.radius, specimen.height, (2, 2), element)
@@ -115,20 +115,20 @@ def _make_unlayered_mesh(experiment: Experiment, resolution: MeshResolution, ele
 
 def move_mesh_to_geometry(mesh: Mesh, before: Model, after: Model) -> Mesh:
     """Return the mesh of one model with its nodes moved to the geometry of another; the elements stay the same."""
-    lines = [_list_element_boundaries(model) for model in (before, after)]
-    return mesh.move_mesh_lines(*zip(*lines, strict=True))
+    lines = [_list_element_boundary_radii_and_heights(model) for model in (before, after)]
+    return mesh.with_moved_mesh_lines(*zip(*lines, strict=True))
 
 
-def _list_element_boundaries(model: Model) -> tuple[np.ndarray, np.ndarray]:
+def _list_element_boundary_radii_and_heights(model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Return the radii r and heights z at which every mesh of a model has element boundaries, m, ascending."""
     experiment = model.experiment
     face = [experiment.tool.face_radius] if experiment.tool.face_radius else []
     interfaces = -np.cumsum([layer.thickness for layer in model.material.layers])
-    return (np.array([0.0, *face, _require_cylinder_specimen(experiment).radius]),
+    return (np.array([0.0, *face, _require_and_get_cylinder(experiment).radius]),
             np.array([-experiment.specimen.height, *interfaces[::-1], 0.0]))
 
 
-def _require_cylinder_specimen(experiment: Experiment) -> Cylinder:
+def _require_and_get_cylinder(experiment: Experiment) -> Cylinder:
     """Return the specimen; raises InputError if the specimen is not a cylinder."""
     return require_cylinder(experiment.specimen, "the axisymmetric solver")
 
@@ -172,13 +172,13 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     layers = element_layers(mesh, model.material.layers)
     uniform = experiment.homogeneous and not model.material.layers
     if weight:
-        start = _settle_moulded_specimen(model, mesh, layers)
+        start = _make_settled_solver_of_moulded_specimen(model, mesh, layers)
         mesh = start.mesh
     held = {}
     if experiment.friction == "bonded":
         held = {"top" if experiment.tool.is_plate else "face": "rz"}
-    return AxisymmetricSolver(mesh, model.material, _find_fixed_components(experiment), held,
-                              contact=build_contact_pairs(experiment, mesh, homogeneous=uniform),
+    return AxisymmetricSolver(mesh, model.material, _get_base_fixed_components_by_node_set(experiment), held,
+                              contact=build_contact_pairs_or_none(experiment, mesh, homogeneous=uniform),
                               specific_weight=weight, element_layers=layers, contact_radius=experiment.contact_radius,
                               start=start)
 
@@ -192,23 +192,23 @@ def element_layers(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), depth)
 
 
-def _find_fixed_components(experiment: Experiment) -> dict[str, str]:
+def _get_base_fixed_components_by_node_set(experiment: Experiment) -> dict[str, str]:
     """Return the fixed components of the base, node set -> components."""
-    interface = experiment.base_interface
+    interface = experiment.resolved_base_interface
     return {"base": _FIXED_COMPONENTS[interface]} if interface in _FIXED_COMPONENTS else {}
 
 
-def _settle_moulded_specimen(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver:
+def _make_settled_solver_of_moulded_specimen(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver:
     """Return the solver of the specimen as moulded, settled under its own weight without the tool."""
     specimen = model.experiment.specimen
     height = -float(mesh.nodes[:, 1].min())
     factor = 1.0
     for _ in range(50):
         moulded = mesh.scale_height(factor)
-        solver = AxisymmetricSolver(moulded, model.material, _find_fixed_components(model.experiment), {},
-                                    contact=build_contact_pairs(model.experiment, moulded, tool=False),
+        solver = AxisymmetricSolver(moulded, model.material, _get_base_fixed_components_by_node_set(model.experiment),
+                                    {}, contact=build_contact_pairs_or_none(model.experiment, moulded, tool=False),
                                     element_layers=layers, contact_radius=model.experiment.contact_radius)
-        _apply_weight_in_increments(solver, specimen.specific_weight)
+        _apply_weight_and_store_start(solver, specimen.specific_weight)
         stands = factor * height - solver.sag
         if specimen.height_is == "moulded" or abs(stands / height - 1) < 1e-10:
             return solver
@@ -219,7 +219,7 @@ def _settle_moulded_specimen(model: Model, mesh: Mesh, layers: np.ndarray) -> Ax
                            f"{specimen.specific_weight:g} N/m3. Check density and moduli.")
 
 
-def _apply_weight_in_increments(solver: AxisymmetricSolver, specific_weight: float) -> None:
+def _apply_weight_and_store_start(solver: AxisymmetricSolver, specific_weight: float) -> None:
     """Apply the weight in increments, halved after a failure, and store the result as the start of the solver."""
     applied, increment = 0.0, 1.0
     while applied < 1.0:

@@ -11,12 +11,12 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from tissue_sim.fem.energy import (
-    make_expression_function,
+    list_lower_triangle_index_pairs,
     make_invariant_derivatives,
     make_stretch_derivatives,
-    packed_symmetric_indices,
+    make_taichi_expression_builder,
 )
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.public_names import LazyModule
 
@@ -26,7 +26,7 @@ else:
     sp = LazyModule("sympy")
 
 #: Row and column of each entry of the packed symmetric 5 x 5 tangent.
-PACKED = packed_symmetric_indices(5)
+PACKED = list_lower_triangle_index_pairs(5)
 #: Second derivatives of the in-plane determinant: (F_zZ, F_rR) and (F_zR, F_rZ).
 COFACTOR_SIGNS = {(3, 0): 1.0, (2, 1): -1.0}
 
@@ -46,7 +46,7 @@ def _make_isochoric_chain_rule(tangents: bool):
     Args:
         tangents: whether the function returns the Hessian besides the gradient.
     """
-    return make_expression_function(lambda: _derive_isochoric_chain_rule(tangents), ("chain", tangents), __file__)
+    return make_taichi_expression_builder(lambda: _derive_isochoric_chain_rule(tangents), ("chain", tangents), __file__)
 
 
 def _derive_isochoric_chain_rule(tangents: bool):
@@ -57,15 +57,15 @@ def _derive_isochoric_chain_rule(tangents: bool):
     second = sp.symbols("W11 W12 W22", real=True)
     hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
 
-    def differentiate_totally(expression, x):
+    def differentiate_including_isochoric_scale(expression, x):
         """Return the total derivative of an expression with respect to x, where s = J^(-2/3) depends on x."""
         inner = 0 if x is a else -sp.Rational(2, 3) * s / x
         return sp.diff(expression, x) + sp.diff(expression, s) * inner
 
     bars = (s * (a + c**2), s**2 * (j**2 + a * c**2))
-    slopes = [[differentiate_totally(bar, x) for x in v] for bar in bars]
+    slopes = [[differentiate_including_isochoric_scale(bar, x) for x in v] for bar in bars]
     gradient = [sum(first[m] * slopes[m][i] for m in range(2)) for i in range(3)]
-    curvature = [sum(first[m] * differentiate_totally(slopes[m][i], v[k]) for m in range(2))
+    curvature = [sum(first[m] * differentiate_including_isochoric_scale(slopes[m][i], v[k]) for m in range(2))
                  + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
                  for i in range(3) for k in range(i + 1)]
     return (*v, s, *first, *second), [*gradient, *curvature] if tangents else gradient
@@ -74,7 +74,7 @@ def _derive_isochoric_chain_rule(tangents: bool):
 @cache
 def make_pressure_term_function():
     """Return the Taichi function ``add_pressure_terms(F, p, P, A) -> (P, A)``: P + p dJ/dF and A + p d2J/dF2."""
-    ti = initialise()
+    ti = get_initialised_taichi()
 
     @ti.func
     def add_pressure_terms(F, p, P, A):
@@ -96,11 +96,14 @@ def make_pressure_term_function():
 
 @cache
 def make_relaxation_function():
-    """Return the Taichi function ``apply_relaxation(F, instant, h, P, A) -> (S, P, A)`` of the hereditary integral."""
-    ti = initialise()
+    """Return the Taichi function of the hereditary integral.
+
+    Its form is ``compute_relaxed_stress_and_tangent(F, instant, h, P, A) -> (S, P, A)``.
+    """
+    ti = get_initialised_taichi()
 
     @ti.func
-    def apply_relaxation(F, instant, h, P, A):
+    def compute_relaxed_stress_and_tangent(F, instant, h, P, A):
         """Replace the instantaneous stress P = F S by F (instant S + h), and the tangent likewise; return S as well.
 
         S is the instantaneous and h the inherited isochoric second Piola stress (RR, RZ, ZZ, hoop); see
@@ -119,7 +122,7 @@ def make_relaxation_function():
         tangent[ti.static(PLACE[4][4])] += h[3]
         return S, [instant * P[i] + pushed[i] for i in ti.static(range(5))], tangent
 
-    return apply_relaxation
+    return compute_relaxed_stress_and_tangent
 
 
 @cache
@@ -141,7 +144,7 @@ def make_stress_function(energy: KernelEnergy, tangents: bool = True):
 
 def _make_stress_function_of_invariants(energy: KernelEnergy, tangents: bool):
     """Return `compute_stress_and_tangent` of an energy that depends on the isochoric invariants."""
-    ti = initialise()
+    ti = get_initialised_taichi()
     count = energy.count
 
     derivatives = make_invariant_derivatives(energy, tangents)
@@ -179,7 +182,7 @@ def _make_stress_function_of_invariants(energy: KernelEnergy, tangents: bool):
 
 def _make_stress_function_of_stretches(energy: KernelEnergy, tangents: bool):
     """Return `compute_stress_and_tangent` of an energy that is a sum over the isochoric principal stretches."""
-    ti = initialise()
+    ti = get_initialised_taichi()
     count = energy.count
 
     derivatives = make_stretch_derivatives(energy)

@@ -19,17 +19,17 @@ from tissue_sim.fem.axisymmetric.batches import ElementBatches
 from tissue_sim.fem.axisymmetric.contact import PENALTY, ContactPairs, ContactPoints
 from tissue_sim.fem.axisymmetric.contact_laws import pack_contact_law_settings
 from tissue_sim.fem.axisymmetric.numbering import number_equations
-from tissue_sim.fem.axisymmetric.reference import compute_reference_quadrature
+from tissue_sim.fem.axisymmetric.reference import compute_undeformed_mesh_quadrature
 from tissue_sim.fem.axisymmetric.state import SolverState
-from tissue_sim.fem.axisymmetric.touch import bind_face_points_reached
+from tissue_sim.fem.axisymmetric.touch import bind_no_slip_points_where_they_touch
 from tissue_sim.fem.history import MaterialMemory
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.point_effects import PointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
-from tissue_sim.fem.taichi.trace import KernelFormula
+from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.material.material import BULK_RATIOS, Material, get_ratio_of_incompressible_material
+from tissue_sim.material.material import BULK_RATIOS, Material, compute_finite_bulk_to_shear_ratio
 from tissue_sim.material.viscoelasticity import Prony
 from tissue_sim.mesh import Mesh
 
@@ -51,7 +51,7 @@ class EquilibriumEquations:
         state: state that a step changes, and committed states.
         moduli: moduli of the elements in units of the material's modulus, shape (elements,).
         bulk_modulus: K, Pa.
-        counts: integer inputs and outputs of a step, see `newton.CountIndex`.
+        counts: integer inputs and outputs of a step, see `newton.StepIntegerIndex`.
         settings: inputs of a step, see `newton.SettingIndex`.
         report: results of a step, see `newton.ReportIndex`.
         entries: lower blocks of the tangent.
@@ -66,7 +66,7 @@ class EquilibriumEquations:
                  contact_radius: float, start: EquilibriumEquations | None):
         self.mesh, self.contact, self.specific_weight = mesh, contact, specific_weight
         self.equation, self.direction, self.free, self.half_band = number_equations(mesh, supports, tool)
-        self.reference = reference = compute_reference_quadrature(mesh)
+        self.reference = reference = compute_undeformed_mesh_quadrature(mesh)
         self.batches = ElementBatches(mesh, reference.node_gradients, reference.weights, reference.pressure_modes,
                                       reference.volumes)
         self.surface, self.memory = ContactPoints(mesh, contact), MaterialMemory(reference.weights.shape, 4)
@@ -76,7 +76,7 @@ class EquilibriumEquations:
         self._element_layers, self._contact_radius, self.moduli = element_layers, contact_radius, np.ones(elements)
         x = np.zeros(freedoms + mesh.element.pressure_modes * elements + 2 * self.surface.springs.size)
         if start is not None:
-            settled, bound = start.state.latest_state, start.surface
+            settled, bound = start.state.last_committed_solution, start.surface
             x[: settled.size] = settled
             self.surface.anchors[: bound.count], self.surface.slipped[: bound.count] = (
                 bound.anchors[: bound.count], bound.slipped[: bound.count])
@@ -92,7 +92,7 @@ class EquilibriumEquations:
             self.settings[newton.SettingIndex.CONTACT_TOLERANCE: newton.SettingIndex.INERTIA] = (
                 contact.tolerance, sum_pulls_at_touch(contact.laws, contact.face), reach)
         laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
-        self._laws, self._law_settings = tuple(map(KernelFormula.from_instance,
+        self._laws, self._law_settings = tuple(map(FormulaClassAndConstants.from_law_or_effect,
                                                    laws)), pack_contact_law_settings(laws, face)
         self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 9], dtype=np.int32)
         self.set_material(material)
@@ -103,13 +103,13 @@ class EquilibriumEquations:
 
     def _allocate_tangent_arrays(self) -> None:
         """Allocate the arrays of the matrix, its factorisation and the right-hand sides."""
-        rows, width = band.band_block_shape(self.free, self.half_band)
-        self.batches.compute_scatter_indices(self.mesh, self.equation, self.free, self.direction, (rows, width))
+        rows, width = band.count_block_rows_and_blocks_per_row(self.free, self.half_band)
+        self.batches.store_scatter_indices(self.mesh, self.equation, self.free, self.direction, (rows, width))
         # The last entry collects the values that belong to no equation.
         self._scattered = np.zeros(rows * width * band.BLOCK**2 + 1)
         self.entries = self._scattered[:-1].reshape(rows, width, band.BLOCK, band.BLOCK)
         # The tangent of slipping contact is unsymmetric and needs its upper half.
-        self.upper = np.zeros_like(self.entries if self.surface.can_slip else self.entries[:1])
+        self.upper = np.zeros_like(self.entries if self.surface.has_coulomb_friction_points else self.entries[:1])
         self._factor, self._upper_factor = np.zeros_like(self.entries), np.zeros_like(self.upper)
         self._inverse = np.zeros(rows * band.BLOCK)
         self._right = np.zeros((rows, band.BLOCK))
@@ -123,7 +123,7 @@ class EquilibriumEquations:
             InputError: the bulk ratio is outside `BULK_RATIOS`.
         """
         energy: KernelEnergy = material.energy_law.kernel_energy
-        coefficients, bulk_modulus, factor, moduli = self.compute_kernel_inputs(material)
+        coefficients, bulk_modulus, factor, moduli = self.compute_law_coefficients_and_moduli(material)
         ratio = bulk_modulus / material.mu0
         low, high = BULK_RATIOS
         if not low <= ratio <= high:
@@ -131,18 +131,18 @@ class EquilibriumEquations:
                              f"{ratio:g}.", field="bulk")
         self.material, self.bulk_modulus = material, bulk_modulus
         self.moduli[:] = moduli
-        self.batches.set_element_moduli(moduli)
+        self.batches.set_element_modulus_ratios(moduli)
         if len(coefficients) == self._coefficients.size:
             self._coefficients[:] = coefficients
         else:
             self._coefficients = np.array(coefficients)
-        self.memory.set_material(self.relaxation_at_contact_radius(material), material.softening, factor)
+        self.memory.set_material(self.get_prony_series_for_contact_radius(material), material.softening, factor)
         self.effects.set_effects(material.effects.values())
-        self.counts[newton.CountIndex.REMEMBERS] = self.has_material_history
+        self.counts[newton.StepIntegerIndex.REMEMBERS] = self.has_material_history
         with LOCK:
-            kernel = newton.make_step_kernel(self.mesh.element.name, energy, self.surface.can_slip,
+            kernel = newton.make_step_kernel(self.mesh.element.name, energy, self.surface.has_coulomb_friction_points,
                                              self.effects.formulas, self._laws)
-            arrays = self._step_kernel_arrays()
+            arrays = self._collect_step_kernel_arrays_by_name()
             if not (isinstance(self._kernel, BoundKernel) and self._kernel.is_bound_to(kernel, arrays)):
                 self._kernel = BoundKernel(kernel, arrays)
         self.surface.set_penalty_stiffness(PENALTY.normal * material.mu0)
@@ -157,7 +157,7 @@ class EquilibriumEquations:
         # Smallest force by which the residual is divided, N; smaller reactions are no load.
         self._floor = 1e-6 * material.mu0 * np.pi * top**2
 
-    def compute_kernel_inputs(self, material: Material) -> tuple[np.ndarray, float, float, np.ndarray]:
+    def compute_law_coefficients_and_moduli(self, material: Material) -> tuple[np.ndarray, float, float, np.ndarray]:
         """Compute the numbers of a material that the kernels read.
 
         Returns:
@@ -167,20 +167,20 @@ class EquilibriumEquations:
         radius, height = np.ptp(self.mesh.nodes, axis=0)
         K = material.bulk_modulus
         if np.isinf(K):
-            K = get_ratio_of_incompressible_material(radius, height) * material.mu0
+            K = compute_finite_bulk_to_shear_ratio(radius, height) * material.mu0
         moduli = np.ones(len(self.mesh.connectivity))
         if self._element_layers is not None:
             moduli = np.array([*(layer.ratio for layer in material.layers), 1.0])[self._element_layers]
         coefficients = material.energy_law.kernel_coefficients(material.parameters)
-        return coefficients, K, material.instantaneous_factor, moduli
+        return coefficients, K, material.instantaneous_over_law_modulus_ratio, moduli
 
-    def relaxation_at_contact_radius(self, material: Material) -> Prony | None:
+    def get_prony_series_for_contact_radius(self, material: Material) -> Prony | None:
         """Return the Prony series of a material for the contact radius of this problem; None without relaxation."""
         return material.relaxation(self._contact_radius)
 
     @property
     def iterates_contact_on_linearisation(self) -> bool:
-        """Whether the contact iterates on the linearised tissue after each solve; see `newton.PassMode.CONTACT`."""
+        """Whether the contact iterates on the linearised tissue after each solve; see `EvaluatedEquations.CONTACT`."""
         return self.surface.count > 0 and not self._laws
 
     @property
@@ -221,9 +221,10 @@ class EquilibriumEquations:
             depth, resumed_depth if resumes else self._predicted, self.bulk_modulus, self.specific_weight,
             tolerance,
             max(self._floor, FLOOR_FRACTION * self.state.largest_force), rounding)
-        self.counts[newton.CountIndex.MAX_ITERATIONS] = max_iterations
-        self.counts[newton.CountIndex.START_MODE] = newton.StartMode.RESUME if resumes else newton.StartMode.PREDICT
-        self.counts[newton.CountIndex.ITERATED] = iterated
+        self.counts[newton.StepIntegerIndex.MAX_ITERATIONS] = max_iterations
+        self.counts[newton.StepIntegerIndex.START_MODE] = newton.StartMode.RESUME if resumes \
+            else newton.StartMode.PREDICT
+        self.counts[newton.StepIntegerIndex.ITERATED] = iterated
         if not resumes:
             surface = self.surface
             surface.initial[:], surface.slip_signs[:], surface.pressed[:] = surface.anchors, surface.slipped, 0.0
@@ -244,11 +245,11 @@ class EquilibriumEquations:
         if max(heights[0].max(), (self.weights @ heights).max()) + lift + descent <= 0.0:
             return  # the deepest point of the tool is at z = 0 in its frame
         now, predicted = (x[:freedoms].reshape(-1, 2) for x in (
-            state.latest_state, self.weights @ state.history[state.slots]))
-        bind_face_points_reached(surface, points, now, predicted, lift, descent)
+            state.last_committed_solution, self.weights @ state.history[state.slots]))
+        bind_no_slip_points_where_they_touch(surface, points, now, predicted, lift, descent)
 
-    def run_with_exact_tangent(self, launch, assembles: bool = True,
-                               mode: newton.StartMode = newton.StartMode.FIXED_CONTACT) -> None:
+    def launch_on_exact_equilibrium_tangent(self, launch, assembles: bool = True,
+                                            mode: newton.StartMode = newton.StartMode.FIXED_CONTACT) -> None:
         """Assemble the exact tangent at the last equilibrium with the contact bonds of the step, and call `launch`.
 
         Args:
@@ -269,18 +270,18 @@ class EquilibriumEquations:
             self.memory.stresses, self.memory.energies, self.effects.found, self.state.x, surface.forces)]
         self.settings[newton.SettingIndex.PREDICTED] = self.settings[newton.SettingIndex.DEPTH]
         self.settings[newton.SettingIndex.TOLERANCE] = -1.0
-        self.counts[newton.CountIndex.MAX_ITERATIONS] = newton.StartMode.PREDICT
-        self.counts[newton.CountIndex.START_MODE] = mode
+        self.counts[newton.StepIntegerIndex.MAX_ITERATIONS] = newton.StartMode.PREDICT
+        self.counts[newton.StepIntegerIndex.START_MODE] = mode
         with LOCK:
             self._kernel()
             launch()
-        self.counts[newton.CountIndex.START_MODE] = newton.StartMode.PREDICT
+        self.counts[newton.StepIntegerIndex.START_MODE] = newton.StartMode.PREDICT
         surface.held[:] = after
         # The evaluation with the tangent has other rounding errors, which must not influence later steps.
         for array, before in remembered:
             array[:] = before
 
-    def compute_static_stiffness(self) -> float | None:
+    def compute_static_stiffness_or_none(self) -> float | None:
         """Return the static stiffness at the last inertial equilibrium, with the contact state of that equilibrium.
 
         Returns:
@@ -290,11 +291,11 @@ class EquilibriumEquations:
         report, right = self.report.copy(), self._right.copy()
         inertia = float(self.settings[newton.SettingIndex.INERTIA])
         self.settings[newton.SettingIndex.INERTIA] = 0.0
-        self.run_with_exact_tangent(_do_nothing, mode=newton.StartMode.STIFFNESS_ONLY)
+        self.launch_on_exact_equilibrium_tangent(_do_nothing, mode=newton.StartMode.STIFFNESS_ONLY)
         self.settings[newton.SettingIndex.INERTIA] = inertia
         stiffness = float(self.report[newton.ReportIndex.STIFFNESS])
         self.report[:], self._right[:] = report, right
-        return stiffness if self.counts[newton.CountIndex.FACTORISED] else None
+        return stiffness if self.counts[newton.StepIntegerIndex.FACTORISED] else None
 
     def tangent(self) -> np.ndarray:
         """Return the condensed tangent at the last committed state, N/m, in LAPACK's lower band storage.
@@ -306,10 +307,10 @@ class EquilibriumEquations:
         self.prepare_step(0.0)
         # With a negative tolerance and no iteration the matrix stays as assembled.
         self.solve_equilibrium(self.state.depths[0], -1.0, 0)
-        return band.unpack_band_blocks(self.entries, self.free, self.half_band)
+        return band.unpack_blocks_to_lapack_band(self.entries, self.free, self.half_band)
 
     @cached_property
-    def shared_dof_volumes(self) -> np.ndarray:
+    def dof_volumes_of_shared_nodes(self) -> np.ndarray:
         """Lumped nodal volume of each degree of freedom of shared nodes, m3, shape (freedoms,); 0 at interior nodes."""
         shared, volumes = self.mesh.element.boundary_nodes, np.zeros(len(self.mesh.nodes))
         np.add.at(volumes, self.mesh.connectivity[:, :shared], self.reference.volumes[:, :shared])
@@ -326,7 +327,7 @@ class EquilibriumEquations:
         displacement = self.direction.astype(float)
         moved = self._free_dof_numbers
         displacement[moved] = -self._right.reshape(-1)[self.equation[moved]]
-        self.batches.set_interior_displacements(displacement)
+        self.batches.back_substitute_interior_displacements(displacement)
         return displacement
 
     @cached_property
@@ -334,24 +335,25 @@ class EquilibriumEquations:
         """Degrees of freedom with a free equation, shape (free,)."""
         return np.flatnonzero((self.equation >= 0) & (self.equation < self.free))
 
-    def enable_artificial_damping(self) -> tuple[np.ndarray, np.ndarray, float]:
+    def replace_masses_by_damping_volumes(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Prepare steps with artificial viscous damping: in the arrays of the inertia, volumes replace the masses.
 
         Returns:
             Masses, array of the displacements towards which the damping acts (m), and density. Pass masses and density
-            to `disable_artificial_damping`.
+            to `restore_masses_and_density`.
         """
         masses, density = self.masses.copy(), float(self.settings[newton.SettingIndex.DENSITY])
-        self.masses[:], self.settings[newton.SettingIndex.DENSITY] = self.shared_dof_volumes, 1.0
+        self.masses[:], self.settings[newton.SettingIndex.DENSITY] = self.dof_volumes_of_shared_nodes, 1.0
         return masses, self.rest, density
 
-    def disable_artificial_damping(self, masses: np.ndarray, density: float) -> None:
-        """Restore the masses and the density that `enable_artificial_damping` returned."""
+    def restore_masses_and_density(self, masses: np.ndarray, density: float) -> None:
+        """Restore the masses and the density that `replace_masses_by_damping_volumes` returned."""
         self.masses[:], self.settings[newton.SettingIndex.DENSITY] = masses, density
 
-    def shared_kernel_arrays(self) -> dict[str, np.ndarray]:
+    def collect_shared_kernel_arrays_by_name(self) -> dict[str, np.ndarray]:
         """Return the arrays that the kernels of the step and of the sensitivities share, by their names in both."""
-        surface, memory, state, batches = self.surface, self.memory, self.state, self.batches.step_kernel_arrays()
+        surface, memory, state = self.surface, self.memory, self.state
+        batches = self.batches.make_step_kernel_arrays_by_name()
         of_elements = ("elements", "dofs", "real", "gradient_r", "gradient_z", "value_r", "point_weights",
                        "mode_values", "moduli", "equations_r", "equations_z")
         return {"counts": self.counts, "settings": self.settings, "equation": self.equation,
@@ -364,14 +366,14 @@ class EquilibriumEquations:
                 "energies": memory.energies, "x": state.x, "entries": self.entries, "blocks": self.entries,
                 "upper_blocks": self.upper, "factor": self._factor, "upper_factor": self._upper_factor,
                 "inverse": self._inverse, "right": self._right,
-                "residual": self.residual, "pull": self._pull, **self.batches.condensation_arrays(),
+                "residual": self.residual, "pull": self._pull, **self.batches.make_condensation_arrays_by_name(),
                 **{name: batches[name] for name in of_elements}}
 
-    def _step_kernel_arrays(self) -> dict[str, np.ndarray]:
+    def _collect_step_kernel_arrays_by_name(self) -> dict[str, np.ndarray]:
         """Return all arrays of the step kernel, by the names of its arguments."""
         surface, state = self.surface, self.state
-        return {**self.shared_kernel_arrays(), **self.batches.step_kernel_arrays(), "start": self.start,
-                "target": self._target, "contact_places": surface.places,
+        return {**self.collect_shared_kernel_arrays_by_name(), **self.batches.make_step_kernel_arrays_by_name(),
+                "start": self.start, "target": self._target, "contact_places": surface.places,
                 "areas": surface.areas, "vertices": surface.vertices, "contact_rounding": surface.rounding,
                 "friction": surface.friction, "pressed": surface.pressed, "met": surface.met,
                 "forces": surface.forces, "law_settings": self._law_settings,

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, suggest_known_word
-from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate_to_nodes, volume_quantile
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
+from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate_to_nodes_and_average, volume_quantile
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 
@@ -23,7 +23,7 @@ class Fields:
         material: material of the specimen.
         bulk_modulus: K of the elements, Pa.
         states: states of the solver, shape (samples, unknowns).
-        gradients: see `ReferenceQuadrature.node_gradients`, 1/m, shape (elements, q, nodes, 3).
+        gradients: see `UndeformedMeshQuadrature.node_gradients`, 1/m, shape (elements, q, nodes, 3).
         pressure_modes: orthonormal pressure modes at the quadrature points, shape (elements, q, modes).
         weights: volumes of the quadrature points, m3, shape (elements, q).
         moduli: moduli of the elements in units of the material's modulus, shape (elements,).
@@ -89,7 +89,8 @@ class Fields:
             InputError: unknown field.
         """
         if name not in FIELD_UNITS:
-            raise InputError(f"unknown field {name!r}{suggest_known_word(name, FIELD_UNITS)}", field="field")
+            raise InputError(f"unknown field {name!r}{make_hint_with_similar_or_known_words(name, FIELD_UNITS)}",
+                             field="field")
         if name == "displacement":
             shapes, _ = self.mesh.element.evaluate_shape_functions(self.mesh.element.quadrature[0])
             u = np.einsum("qa,eai->eqi", shapes, self.displacement(sample)[self.mesh.connectivity])
@@ -103,14 +104,15 @@ class Fields:
         if name == "J":
             return J
         modulus = self.moduli[:, None]
-        angle, stretches = _compute_principal_stretches(F)
+        angle, stretches = _compute_principal_angle_and_stretches(F)
         all_stretches = np.stack([*stretches, F[..., 4]], axis=-1)
         if name == "stretch":
             return all_stretches.max(axis=-1)
-        energy, tau = self.material.energy_law.principal_response(all_stretches, self.material.parameters)
+        energy, tau = self.material.energy_law.compute_energy_and_kirchhoff_stresses(
+            all_stretches, self.material.parameters)
         if name == "energy":
             volumetric = p**2 / (2.0 * self.bulk_modulus * modulus)
-            return modulus * self.material.instantaneous_factor * energy + volumetric
+            return modulus * self.material.instantaneous_over_law_modulus_ratio * energy + volumetric
         if self.stresses is None:
             mean, half, hoop = 0.5 * (tau[..., 0] + tau[..., 1]), 0.5 * (tau[..., 0] - tau[..., 1]), tau[..., 2]
             across, along = half * np.sin(2.0 * angle), half * np.cos(2.0 * angle)
@@ -133,7 +135,7 @@ class Fields:
     def stretch_range(self, sample: int = -1) -> tuple[float, float]:
         """Return the smallest and largest principal stretch, without the fraction `TAIL` of the volume at each end."""
         F = self.deformation_gradient(sample)
-        stretches = np.stack([*_compute_principal_stretches(F)[1], F[..., 4]], axis=-1)
+        stretches = np.stack([*_compute_principal_angle_and_stretches(F)[1], F[..., 4]], axis=-1)
         return (volume_quantile(stretches.min(axis=-1), self.weights, TAIL),
                 volume_quantile(stretches.max(axis=-1), self.weights, 1 - TAIL))
 
@@ -145,10 +147,10 @@ class Fields:
         """
         if name == "displacement":
             return np.linalg.norm(self.displacement(sample), axis=1)
-        return extrapolate_to_nodes(self.mesh, self.at_points(name, sample))
+        return extrapolate_to_nodes_and_average(self.mesh, self.at_points(name, sample))
 
 
-def _compute_principal_stretches(F: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+def _compute_principal_angle_and_stretches(F: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Return the angle of the larger in-plane principal stretch and both in-plane principal stretches.
 
     A 2 x 2 matrix is the sum of a scaled rotation and a scaled reflection; their magnitudes give the singular values.

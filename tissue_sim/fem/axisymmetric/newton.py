@@ -3,36 +3,37 @@
 Each iteration solves K du = -R for the displacements of the shared nodes; pressures, interior nodes and contact forces
 follow by back substitution. The factorisation of K is reused while the residual decreases fast enough (modified Newton
 method) and is updated where only contact points change. A step that inverts an element is halved. After each linear
-solve the active set of the contact iterates on the linearised elements (`PassMode.CONTACT`).
+solve the active set of the contact iterates on the linearised elements (`EvaluatedEquations.CONTACT`).
 """
 
 from functools import cache
 
 from tissue_sim.fem.axisymmetric import contact_kernels
-from tissue_sim.fem.axisymmetric.assembly import make_element_functions
+from tissue_sim.fem.axisymmetric.assembly import make_taichi_element_functions
 from tissue_sim.fem.axisymmetric.condensation import make_condensation_functions
 from tissue_sim.fem.axisymmetric.contact_rates import make_contact_rate_functions
 from tissue_sim.fem.axisymmetric.newton_tables import (
     NEWTON,
-    CountIndex,
-    PassMode,
+    EvaluatedEquations,
     ReportIndex,
     SettingIndex,
     StartMode,
+    StepIntegerIndex,
 )
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import make_cholesky_functions
 from tissue_sim.fem.linear.lu import make_lu_functions
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.scratch import LANES
-from tissue_sim.fem.taichi.trace import KernelFormula
+from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
 from tissue_sim.laws import KernelEnergy
 
 
 @cache
-def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: tuple[KernelFormula, ...] = (),
-                     laws: tuple[KernelFormula, ...] = ()):
+def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
+                     effects: tuple[FormulaClassAndConstants, ...] = (),
+                     laws: tuple[FormulaClassAndConstants, ...] = ()):
     """Return the kernel of a step for an element type and a law; see `AxisymmetricSolver.step`.
 
     Args:
@@ -42,8 +43,8 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
         effects: additional stresses at the quadrature points.
         laws: contact laws (adhesion).
     """
-    ti = initialise()
-    work, own = make_element_functions(element_name, energy, effects), make_condensation_functions(element_name)
+    ti = get_initialised_taichi()
+    work, own = make_taichi_element_functions(element_name, energy, effects), make_condensation_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
     block = ti.types.vector(band_matrix.BLOCK, ti.f64)
     B = band_matrix.BLOCK
@@ -51,8 +52,8 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
-    fill_diagonal_blocks = band_matrix.make_fill_diagonal_blocks_function()
-    copy_lower_to_upper = band_matrix.make_copy_lower_to_upper_function()
+    symmetrise_diagonal_blocks = band_matrix.make_symmetrise_diagonal_blocks_function()
+    copy_lower_band_to_upper_band = band_matrix.make_copy_lower_to_upper_band_function()
     cholesky, lu = make_cholesky_functions(), make_lu_functions()
     contact, rates = contact_kernels.make_contact_force_functions(laws), make_contact_rate_functions(slips)
     # Contact laws act at a distance, so that the contact cannot iterate on the linearised elements.
@@ -70,48 +71,45 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
                     + weights[2] * history[slots[2], i])
 
     @ti.kernel
-    def solve_step(counts: int1, settings: real1, equation: int1, direction: real1, start: real1, target: real1,
-                   elements: int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1,
-                   value_r: vector1, point_weights: vector1, mode_values: vector1, volumes: vector1, moduli: vector1,
-                   equations_r: int2, equations_z: int2, places: int2, pull_starts: int1, pulls: int2,
-                   pull_factors: real1, k_rr: vector1, k_zr: vector1, k_rz: vector1, k_zz: vector1,
-                   element_stiffness: real1, volume_r: vector1, volume_z: vector1, gap: vector1,
-                   known_volume_r: vector1, known_volume_z: vector1, rows_rr: vector1, rows_rz: vector1,
-                   rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz: vector1, inverse_zz: vector1,
-                   force_r: vector1, force_z: vector1, contact_nodes: int2, contact_shapes: real2, spans: int2,
-                   contact_places: real2, areas: real1, vertices: real2, contact_rounding: real1, friction: real2,
-                   springs: real1, held: real2, pressed: real1, slip_signs: real1, met: real2, forces: real2,
-                   contact_rates: real2, known_rates: real2, law_settings: real1, coefficients: real1, past: real1,
-                   inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
-                   effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1,
-                   before: real1, motion: real1, history: real2, slots: int1, weights: real1, entries: real4,
-                   blocks: block3, flat: block1, scattered: real1, upper: real4, upper_blocks: block3, factor: block3,
-                   upper_factor: block3, inverse: real1, right: block1, residual: real1, pull: real1, reaction: real1,
-                   report: real1):
+    def solve_step_into_report_array(
+            counts: int1, settings: real1, equation: int1, direction: real1, start: real1, target: real1,
+            elements: int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1, value_r: vector1,
+            point_weights: vector1, mode_values: vector1, volumes: vector1, moduli: vector1, equations_r: int2,
+            equations_z: int2, places: int2, pull_starts: int1, pulls: int2, pull_factors: real1, k_rr: vector1,
+            k_zr: vector1, k_rz: vector1, k_zz: vector1, element_stiffness: real1, volume_r: vector1, volume_z: vector1,
+            gap: vector1, known_volume_r: vector1, known_volume_z: vector1, rows_rr: vector1, rows_rz: vector1,
+            rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz: vector1, inverse_zz: vector1,
+            force_r: vector1, force_z: vector1, contact_nodes: int2, contact_shapes: real2, spans: int2,
+            contact_places: real2, areas: real1, vertices: real2, contact_rounding: real1, friction: real2,
+            springs: real1, held: real2, pressed: real1, slip_signs: real1, met: real2, forces: real2,
+            contact_rates: real2, known_rates: real2, law_settings: real1, coefficients: real1, past: real1,
+            inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
+            effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1, before: real1,
+            motion: real1, history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1,
+            scattered: real1, upper: real4, upper_blocks: block3, factor: block3, upper_factor: block3, inverse: real1,
+            right: block1, residual: real1, pull: real1, reaction: real1, report: real1):
         # One serial task, which starts without a thread pool; the number of passes is an argument, so that the compiler
         # does not unroll the loop into many tasks.
         ti.loop_config(serialize=True)
-        for _ in range(counts[CountIndex.PASSES]):
-            free, max_iterations = counts[CountIndex.FREE], counts[CountIndex.MAX_ITERATIONS]
-            depth, kappa, tolerance = (settings[SettingIndex.DEPTH], settings[SettingIndex.KAPPA],
-                                       settings[SettingIndex.TOLERANCE])
-            inertia = settings[SettingIndex.INERTIA]
-            floor, rounding, weight = (settings[SettingIndex.FLOOR], settings[SettingIndex.ROUNDING],
-                                       settings[SettingIndex.WEIGHT])
+        for _ in range(counts[StepIntegerIndex.PASSES]):
+            free, max_iterations = counts[StepIntegerIndex.FREE], counts[StepIntegerIndex.MAX_ITERATIONS]
+            contacts = counts[StepIntegerIndex.CONTACTS]
+            depth, kappa = settings[SettingIndex.DEPTH], settings[SettingIndex.KAPPA]
+            tolerance, inertia = settings[SettingIndex.TOLERANCE], settings[SettingIndex.INERTIA]
+            floor, rounding = settings[SettingIndex.FLOOR], settings[SettingIndex.ROUNDING]
+            weight = settings[SettingIndex.WEIGHT]
             width, rows = entries.shape[1], entries.shape[0]
             batches, equations = real.shape[0], residual.shape[0] - 1
-            pressures = equation.shape[0]
-            multipliers = x.shape[0] - 2 * springs.shape[0]
-            if counts[CountIndex.START_MODE] == StartMode.PREDICT:
+            pressures, multipliers = equation.shape[0], x.shape[0] - 2 * springs.shape[0]
+            if counts[StepIntegerIndex.START_MODE] == StartMode.PREDICT:
                 extrapolate_state(x, history, slots, weights)
             # A resumed iteration has already evaluated the contact.
-            if counts[CountIndex.START_MODE] != StartMode.RESUME:
-                counts[CountIndex.CHANGEABLE] = (contact_kernels.ALL_POINTS
-                                                 if counts[CountIndex.START_MODE] == StartMode.PREDICT else 0)
+            if counts[StepIntegerIndex.START_MODE] != StartMode.RESUME:
+                counts[StepIntegerIndex.CHANGEABLE] = (
+                    contact_kernels.ALL_POINTS if counts[StepIntegerIndex.START_MODE] == StartMode.PREDICT else 0)
             strength, reach = settings[SettingIndex.STRENGTH], settings[SettingIndex.REACH]
             pending = 0
-            if counts[CountIndex.CONTACTS] > 0 and (
-                    ti.abs(depth - settings[SettingIndex.PREDICTED]) > 1e-10 * ti.abs(depth)):
+            if contacts > 0 and ti.abs(depth - settings[SettingIndex.PREDICTED]) > 1e-10 * ti.abs(depth):
                 pending = 1
             for dof in range(pressures):
                 target[dof] = start[dof] + depth * direction[dof]
@@ -125,62 +123,62 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
             report[ReportIndex.STATUS], report[ReportIndex.STIFFNESS] = 0.0, 0.0
             iterations, tangent, halvings = 0, 1, NEWTON.max_halvings
             # Mode of the pass, and first block row that must be factorised again.
-            part, settled, cycles, waits, begin = PassMode.FULL, 0, 0, 0, 0
+            part, settled, cycles, waits, begin = EvaluatedEquations.FULL, 0, 0, 0, 0
             # Far from equilibrium the curvature of the contact surfaces would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0
-            if counts[CountIndex.START_MODE] == StartMode.RESUME:
-                bending = float(counts[CountIndex.BENDING])
+            if counts[StepIntegerIndex.START_MODE] == StartMode.RESUME:
+                bending = float(counts[StepIntegerIndex.BENDING])
             first, first_ratio, last_ratio, axial = 1, 0.0, 0.0, 0.0
             gain, more = NEWTON.reuse_ratio, NEWTON.reuse_solves
-            if counts[CountIndex.STIFFNESS_ASKED] == 1:
+            if counts[StepIntegerIndex.STIFFNESS_ASKED] == 1:
                 gain, more = NEWTON.reuse_ratio_realtime, NEWTON.reuse_solves_realtime
             # The status is stored in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
-            # Each linear solve may need more passes: for halvings, a tangent that was skipped, points that change, and
-            # contact rounds.
+            # Each linear solve may need more passes: halvings, a skipped tangent, changed points, contact rounds.
             for _attempt in range((NEWTON.max_halvings + NEWTON.max_contact_rounds + 4) * max_iterations + 4):
                 if report[ReportIndex.STATUS] != 0.0:
                     break
                 for i in range(residual.shape[0]):
                     residual[i] = 0.0
-                fresh = tangent if part == PassMode.FULL else 0
+                fresh = tangent if part == EvaluatedEquations.FULL else 0
                 if fresh == 1:
                     for i in range(flat.shape[0]):
                         flat[i] = block(0.0)
                     for i in range(pull.shape[0]):
                         pull[i] = 0.0
                 interior, smallest, definite = 0.0, 1e30, 1
-                for b in range(batches if part == PassMode.FULL else 0):
-                    J = work.compute_nodal_forces(b, tangent, kappa, counts[CountIndex.REMEMBERS], x, pressures,
-                                                  elements, dofs, gradient_r, gradient_z, value_r, point_weights,
-                                                  mode_values, moduli, coefficients, past, inherited, largest, stresses,
-                                                  energies, effect_settings, effect_states, effect_states_found,
-                                                  volume_r, volume_z, gap)
+                for b in range(batches if part == EvaluatedEquations.FULL else 0):
+                    J = work.compute_nodal_forces_and_least_jacobian(
+                        b, tangent, kappa, counts[StepIntegerIndex.REMEMBERS], x, pressures, elements, dofs, gradient_r,
+                        gradient_z, value_r, point_weights, mode_values, moduli, coefficients, past, inherited, largest,
+                        stresses, energies, effect_settings, effect_states, effect_states_found, volume_r, volume_z,
+                        gap)
                     smallest = ti.min(smallest, J)
                     if weight != 0.0:
                         work.add_weight_forces(b, weight, volumes)
                     if inertia != 0.0:
-                        work.add_interior_node_inertia(b, inertia, settings[SettingIndex.DENSITY], volumes, dofs,
-                                                       rest)
+                        work.add_interior_node_inertial_force(b, inertia, settings[SettingIndex.DENSITY], volumes, dofs,
+                                                              rest)
                     if tangent == 1:
-                        own.store_volume_derivatives(b, volume_r, volume_z, known_volume_r, known_volume_z)
-                        definite = ti.min(definite, work.compute_condensed_stiffness(
+                        own.copy_volume_derivatives_to_factorised(b, volume_r, volume_z, known_volume_r, known_volume_z)
+                        definite = ti.min(definite, work.compute_condensed_stiffness_and_success(
                             b, kappa, pending, inertia * settings[SettingIndex.DENSITY], moduli, gradient_r, gradient_z,
                             value_r, dofs, motion, volumes, k_rr, k_zr, k_rz, k_zz, rows_rr, rows_rz, rows_zr, rows_zz,
                             inverse_rr, inverse_rz, inverse_zz))
-                        work.add_stiffness_to_band_matrix(b, places, element_stiffness, scattered, pull_starts, pulls,
-                                                          pull_factors, pull)
-                    interior += own.condense_interior_force(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr,
-                                                            inverse_rz, inverse_zz, force_r, force_z)
+                        work.add_stiffness_to_band_and_pull(b, places, element_stiffness, scattered, pull_starts, pulls,
+                                                            pull_factors, pull)
+                    interior += own.condense_interior_force_and_get_square(b, real, rows_rr, rows_rz, rows_zr, rows_zz,
+                                                                           inverse_rr,
+                                                                           inverse_rz, inverse_zz, force_r, force_z)
                     own.add_forces_to_residual(b, equations_r, equations_z, residual)
                 if smallest <= 0.0 and halvings < NEWTON.max_halvings:
                     halvings += 1
                     for i in range(x.shape[0]):
                         x[i] = 0.5 * (x[i] + before[i])
                     continue
-                if part == PassMode.CONTACT:
-                    contact.subtract_contact_forces(counts[CountIndex.CONTACTS], multipliers, contact_nodes,
-                                                    contact_shapes, equation, x, residual)
-                elif inertia != 0.0 and part == PassMode.FULL:
+                if part == EvaluatedEquations.CONTACT:
+                    contact.subtract_contact_forces(contacts, multipliers, contact_nodes, contact_shapes, equation, x,
+                                                    residual)
+                elif inertia != 0.0 and part == EvaluatedEquations.FULL:
                     for dof in range(pressures):
                         i = equation[dof]
                         if i >= 0:
@@ -191,46 +189,47 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
                 tool = settings[SettingIndex.PREDICTED] if pending == 1 else depth
                 # Initially points that just touch are active: the tool is about to move, or a law attracts.
                 slack = 1e-9 if pending == 1 or (strength > 0.0 and iterations == 0) else 0.0
-                axial, balanced, violation, slipping, switched, wanting = contact.add_contact_forces(
-                    counts[CountIndex.CONTACTS], counts[CountIndex.CHANGEABLE], slack, pending, bending, depth - tool,
-                    tool, tool - settings[SettingIndex.TOUCH], free, settings[SettingIndex.CONTACT_TOLERANCE],
+                (axial, balanced, violation, slipping, switched,
+                 wanting) = contact.add_contact_forces_and_update_active_set(
+                    contacts, counts[StepIntegerIndex.CHANGEABLE], slack, pending, bending, depth - tool, tool,
+                    tool - settings[SettingIndex.TOUCH], free, settings[SettingIndex.CONTACT_TOLERANCE],
                     NEWTON.friction_floor * floor, reach, law_settings, multipliers, contact_nodes, contact_shapes,
                     spans, contact_places, areas, vertices, contact_rounding, friction, springs, held, pressed,
                     slip_signs, met, forces, contact_rates, x, target, equation, residual)
-                counts[CountIndex.CHANGEABLE], counts[CountIndex.BENDING] = 0, int(bending)
-                if part == PassMode.CONTACT and (switched == 0 or settled == NEWTON.max_contact_rounds):
-                    # The elements are evaluated next; also their tangent if the active set still changes, and no more
-                    # contact rounds follow.
-                    part, waits = PassMode.FULL, wanting
+                counts[StepIntegerIndex.CHANGEABLE], counts[StepIntegerIndex.BENDING] = 0, int(bending)
+                if part == EvaluatedEquations.CONTACT and (switched == 0 or settled == NEWTON.max_contact_rounds):
+                    # The elements are evaluated next. If the active set still changes, their tangent is evaluated as
+                    # well, and no more contact rounds follow.
+                    part, waits = EvaluatedEquations.FULL, wanting
                     if switched > 0:
                         tangent, cycles = 1, 1
                     continue
-                if part == PassMode.FULL:
+                if part == EvaluatedEquations.FULL:
                     wanting, waits = ti.max(wanting, waits), 0
                 report[ReportIndex.VIOLATION], report[ReportIndex.SLIPPING] = violation, slipping
                 if fresh == 1:
-                    rates.clear_factorised_rates(counts[CountIndex.CONTACTS], known_rates)
-                    counts[CountIndex.UNSYMMETRIC], counts[CountIndex.SKEWED], begin = 0, rows, 0
-                if fresh == 1 or part != PassMode.FULL:
-                    changed, skewed = rates.find_first_changed_rows(counts[CountIndex.CONTACTS], fresh, free, rows,
-                                                                    contact_nodes, contact_shapes, springs, slip_signs,
-                                                                    contact_rates, known_rates, equation)
+                    rates.clear_factorised_rates(contacts, known_rates)
+                    counts[StepIntegerIndex.UNSYMMETRIC], counts[StepIntegerIndex.SKEWED], begin = 0, rows, 0
+                if fresh == 1 or part != EvaluatedEquations.FULL:
+                    changed, skewed = rates.find_first_changed_and_slipping_rows(
+                        contacts, fresh, free, rows, contact_nodes, contact_shapes, springs, slip_signs, contact_rates,
+                        known_rates, equation)
                     begin = ti.min(begin, changed)
                     if ti.static(slips):
                         if slipping > 0:
-                            if counts[CountIndex.UNSYMMETRIC] == 0:
+                            if counts[StepIntegerIndex.UNSYMMETRIC] == 0:
                                 # A Cholesky factorisation cannot be updated to an unsymmetric one.
-                                counts[CountIndex.UNSYMMETRIC], begin = 1, 0
-                                fill_diagonal_blocks(blocks, rows, width)
-                            if skewed < counts[CountIndex.SKEWED]:
-                                copy_lower_to_upper(blocks, upper_blocks, skewed, counts[CountIndex.SKEWED], width)
-                                counts[CountIndex.SKEWED] = skewed
-                    rates.add_contact_rates_to_matrix(counts[CountIndex.CONTACTS], fresh,
-                                                      counts[CountIndex.UNSYMMETRIC], free, width, contact_nodes,
-                                                      contact_shapes, springs, contact_rates, known_rates, equation,
-                                                      entries, upper)
+                                counts[StepIntegerIndex.UNSYMMETRIC], begin = 1, 0
+                                symmetrise_diagonal_blocks(blocks, rows, width)
+                            if skewed < counts[StepIntegerIndex.SKEWED]:
+                                copy_lower_band_to_upper_band(blocks, upper_blocks, skewed,
+                                                              counts[StepIntegerIndex.SKEWED], width)
+                                counts[StepIntegerIndex.SKEWED] = skewed
+                    rates.add_contact_rates_to_matrix(
+                        contacts, fresh, counts[StepIntegerIndex.UNSYMMETRIC], free, width, contact_nodes,
+                        contact_shapes, springs, contact_rates, known_rates, equation, entries, upper)
                     if begin < rows:
-                        counts[CountIndex.FACTORISED] = 0
+                        counts[StepIntegerIndex.FACTORISED] = 0
                 unbalanced, total = interior, axial
                 for i in range(free):
                     unbalanced += residual[i] * residual[i]
@@ -243,14 +242,14 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
                 ratio = ti.sqrt(unbalanced) / scale
                 # The tolerance includes a bounded allowance for rounding errors.
                 goal = tolerance + ti.min(rounding / scale, 1e-5)
-                if part == PassMode.FULL:
+                if part == EvaluatedEquations.FULL:
                     report[ReportIndex.RESIDUAL], report[ReportIndex.FORCE] = ratio, total
                     if iterations == first:
                         first_ratio = ratio
                 solves = 0
-                if part == PassMode.CONTACT:
+                if part == EvaluatedEquations.CONTACT:
                     settled, solves = settled + 1, 1
-                elif part == PassMode.STIFFNESS:
+                elif part == EvaluatedEquations.STIFFNESS:
                     report[ReportIndex.STATUS] = converged
                 elif smallest <= 0.0 or smallest >= 1e30 or ti.math.isnan(smallest):
                     report[ReportIndex.STATUS] = inverted
@@ -259,28 +258,28 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
                 elif pending == 0 and ratio <= goal:
                     released = 0
                     if violation <= settings[SettingIndex.CONTACT_TOLERANCE]:
-                        released = contact.release_points_under_tension(counts[CountIndex.CONTACTS],
-                                                                        NEWTON.friction_floor * floor, strength, reach,
-                                                                        contact_places, areas, spans, vertices,
-                                                                        contact_rounding, held, forces)
+                        released = contact.release_points_under_tension(
+                            contacts, NEWTON.friction_floor * floor, strength, reach, contact_places, areas, spans,
+                            vertices, contact_rounding, held, forces)
                     if released > 0:
                         # The problem has changed: the iteration starts again.
                         tangent, first = 1, iterations + 1
-                        counts[CountIndex.CHANGEABLE] = contact_kernels.ALL_POINTS
+                        counts[StepIntegerIndex.CHANGEABLE] = contact_kernels.ALL_POINTS
                     elif wanting > 0 and iterations < max_iterations:
-                        counts[CountIndex.CHANGEABLE], tangent = contact_kernels.ALL_POINTS, 1
+                        counts[StepIntegerIndex.CHANGEABLE], tangent = contact_kernels.ALL_POINTS, 1
                     elif violation <= settings[SettingIndex.CONTACT_TOLERANCE] and wanting == 0:
-                        bound = contact.commit_contact_bonds(counts[CountIndex.CONTACTS], held, met)
-                        if counts[CountIndex.STIFFNESS_ASKED] == 1 and (bound > 0 or rates.have_contact_rates_changed(
-                                counts[CountIndex.CONTACTS], springs, contact_rates, known_rates) == 1):
+                        bound = contact.commit_contact_bonds_and_count_changes(contacts, held, met)
+                        if counts[StepIntegerIndex.STIFFNESS_ASKED] == 1 \
+                            and (bound > 0 or rates.have_contact_rates_changed(
+                                contacts, springs, contact_rates, known_rates) == 1):
                             # The stiffness is computed with the new bonds.
-                            part = PassMode.STIFFNESS
+                            part = EvaluatedEquations.STIFFNESS
                         else:
                             report[ReportIndex.STATUS] = converged
                     elif iterations >= max_iterations:
                         report[ReportIndex.STATUS] = slow
                         if wanting > 0:
-                            counts[CountIndex.CHANGEABLE] = contact_kernels.ALL_POINTS
+                            counts[StepIntegerIndex.CHANGEABLE] = contact_kernels.ALL_POINTS
                     elif tangent == 0:
                         tangent = 1
                     else:
@@ -295,33 +294,31 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
                 else:
                     solves = 1
                 asked = 0
-                if counts[CountIndex.STIFFNESS_ASKED] == 1 and (
+                if counts[StepIntegerIndex.STIFFNESS_ASKED] == 1 and (
                         report[ReportIndex.STATUS] == converged
-                        or counts[CountIndex.START_MODE] == StartMode.STIFFNESS_ONLY):
+                        or counts[StepIntegerIndex.START_MODE] == StartMode.STIFFNESS_ONLY):
                     asked = 1
                 if solves + asked > 0:
                     stiff = 0.0
                     if asked == 1:
-                        # Derivatives of the nodal forces, and of the force on the tool, with respect to the depth at
-                        # fixed tissue.
+                        # Derivatives of nodal forces and tool force with respect to the depth, at fixed tissue.
                         for i in range(free):
                             residual[i], reaction[i] = pull[i], pull[i]
-                        stiff = pull[free] + rates.add_tool_depth_derivatives(
-                            counts[CountIndex.CONTACTS], free, contact_nodes, contact_shapes, spans, contact_rates,
-                            direction, equation, residual, reaction)
+                        stiff = pull[free] + rates.add_depth_derivatives_and_get_stiffness(
+                            contacts, free, contact_nodes, contact_shapes, spans, contact_rates, direction, equation,
+                            residual, reaction)
                         if inertia != 0.0:
                             for dof in range(pressures):
                                 if equation[dof] >= free:
                                     stiff += inertia * masses[dof] * direction[dof] * direction[dof]
                     if solves == 1:
-                        for b in range(batches if part == PassMode.FULL and fresh == 0 else 0):
-                            own.correct_residual_by_pressure(b, kappa, real, moduli, volume_r, volume_z, known_volume_r,
-                                                             known_volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz,
-                                                             inverse_rr, inverse_rz, inverse_zz, force_r, force_z,
-                                                             equations_r, equations_z, residual)
-                        contact.add_constraint_residual_forces(counts[CountIndex.CONTACTS], contact_nodes,
-                                                               contact_shapes, contact_rates, known_rates, equation,
-                                                               residual)
+                        for b in range(batches if part == EvaluatedEquations.FULL and fresh == 0 else 0):
+                            own.correct_residual_for_reused_factorisation(
+                                b, kappa, real, moduli, volume_r, volume_z, known_volume_r, known_volume_z, gap,
+                                rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz, inverse_zz, force_r,
+                                force_z, equations_r, equations_z, residual)
+                        contact.add_constraint_residual_forces(contacts, contact_nodes, contact_shapes, contact_rates,
+                                                               known_rates, equation, residual)
                     for I in range(rows):
                         for k in ti.static(range(B)):
                             right[I][k] = residual[I * B + k] if I * B + k < free else 0.0
@@ -329,32 +326,32 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
                         for i in range(free, rows * B):
                             entries[i // B, width - 1, i % B, i % B] = 1.0
                         if ti.static(slips):
-                            if counts[CountIndex.UNSYMMETRIC] == 1:
+                            if counts[StepIntegerIndex.UNSYMMETRIC] == 1:
                                 definite = lu.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse, rows,
-                                                             width, begin, counts[CountIndex.SKEWED])
-                        if counts[CountIndex.UNSYMMETRIC] == 0:
+                                                             width, begin, counts[StepIntegerIndex.SKEWED])
+                        if counts[StepIntegerIndex.UNSYMMETRIC] == 0:
                             definite = cholesky.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse,
                                                                rows, width, begin, rows)
-                        counts[CountIndex.FACTORISED] = definite
+                        counts[StepIntegerIndex.FACTORISED] = definite
                         begin = rows if definite == 1 else 0
                     if definite == 1:
                         if ti.static(slips):
-                            if counts[CountIndex.UNSYMMETRIC] == 1:
+                            if counts[StepIntegerIndex.UNSYMMETRIC] == 1:
                                 lu.solve_band(factor, upper_factor, inverse, right, rows, width)
-                        if counts[CountIndex.UNSYMMETRIC] == 0:
+                        if counts[StepIntegerIndex.UNSYMMETRIC] == 0:
                             cholesky.solve_band(factor, upper_factor, inverse, right, rows, width)
                     if asked == 1 and definite == 1:
                         for i in range(free):
                             stiff -= reaction[i] * right[i // B][i % B]
                         report[ReportIndex.STIFFNESS] = stiff
-                    elif part == PassMode.CONTACT and definite == 0:
-                        part, tangent = PassMode.FULL, 1
+                    elif part == EvaluatedEquations.CONTACT and definite == 0:
+                        part, tangent = EvaluatedEquations.FULL, 1
                     elif solves == 1 and definite == 0 and bending > 0.0:
                         bending, last_ratio = 0.0, 0.0
                     elif solves == 1 and definite == 0:
                         report[ReportIndex.STATUS] = indefinite
                     elif solves == 1:
-                        if part == PassMode.FULL:
+                        if part == EvaluatedEquations.FULL:
                             for i in range(x.shape[0]):
                                 before[i] = x[i]
                             # A step that contains the motion of the tool is not halved.
@@ -377,10 +374,10 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
                             own.update_condensed_unknowns(b, kappa, x, pressures, motion, elements, dofs, real, moduli,
                                                           known_volume_r, known_volume_z, gap, rows_rr, rows_rz,
                                                           rows_zr, rows_zz, force_r, force_z)
-                        contact.update_contact_forces(counts[CountIndex.CONTACTS], depth - tool, multipliers,
-                                                      contact_nodes, contact_shapes, spans, contact_rates, known_rates,
-                                                      motion, x)
-                        if part == PassMode.FULL:
+                        contact.update_contact_forces_after_linear_solve(
+                            contacts, depth - tool, multipliers, contact_nodes, contact_shapes, spans, contact_rates,
+                            known_rates, motion, x)
+                        if part == EvaluatedEquations.FULL:
                             # If the factorisation is likely to be reused, the next pass computes the residual only.
                             tangent = 1 if pending == 1 or ratio > NEWTON.new_tangent_residual else 0
                             last_ratio = ratio
@@ -388,13 +385,14 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
                             pending, settled = 0, 0
                             iterations += 1
                             if ti.static(has_contact_rounds):
-                                if counts[CountIndex.CONTACTS] > 0 and cycles == 0:
-                                    part = PassMode.CONTACT
-                        counts[CountIndex.CHANGEABLE] = contact_kernels.ALL_POINTS
-                        if iterations + counts[CountIndex.ITERATED] > NEWTON.all_points_iterations:
-                            counts[CountIndex.CHANGEABLE] = iterations + counts[CountIndex.ITERATED] + settled
+                                if contacts > 0 and cycles == 0:
+                                    part = EvaluatedEquations.CONTACT
+                        made = iterations + counts[StepIntegerIndex.ITERATED]
+                        counts[StepIntegerIndex.CHANGEABLE] = contact_kernels.ALL_POINTS
+                        if made > NEWTON.all_points_iterations:
+                            counts[StepIntegerIndex.CHANGEABLE] = made + settled
             if report[ReportIndex.STATUS] == 0.0:
                 report[ReportIndex.STATUS] = slow
             report[ReportIndex.ITERATIONS] = iterations
 
-    return solve_step
+    return solve_step_into_report_array

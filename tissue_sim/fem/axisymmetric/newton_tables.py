@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 
-class CountIndex(IntEnum):
+class StepIntegerIndex(IntEnum):
     """Indices of `EquilibriumEquations.counts`, the integers that a step reads and writes.
 
     Attributes:
@@ -94,7 +94,7 @@ class ReportIndex(IntEnum):
     STIFFNESS = 6
 
 
-class PassMode(IntEnum):
+class EvaluatedEquations(IntEnum):
     """Equations that a pass of the loop in Newton's iteration evaluates.
 
     Attributes:
@@ -125,7 +125,7 @@ class StartMode(IntEnum):
 
 
 @dataclass(frozen=True)
-class NewtonSettings:
+class NewtonKernelConstants:
     """Settings of Newton's iteration with reused factorisations.
 
     The kernel contains the values as constants.
@@ -158,4 +158,4 @@ class NewtonSettings:
 
 
 #: Settings of the compiled kernels.
-NEWTON = NewtonSettings()
+NEWTON = NewtonKernelConstants()

@@ -7,41 +7,41 @@ from functools import cache
 from typing import Any
 
 from tissue_sim.fem.axisymmetric.energy import PACKED
-from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.trace import KernelFormula, extract_expressions, trace_values
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
+from tissue_sim.fem.taichi.trace import FormulaClassAndConstants, extract_expressions, wrap_as_traced_numbers
 
 #: Indices of RR, RZ, ZZ and hoop among the six components of a symmetric tensor.
 _COMPONENTS = (0, 3, 1, 2)
 
 
 @cache
-def make_effect_stress_function(formulas: tuple[KernelFormula, ...]):
+def make_effect_stress_function(formulas: tuple[FormulaClassAndConstants, ...]):
     """Return the Taichi function ``add_effect_stresses(F, P, A, states, settings) -> (S, P, A, states)``.
 
     The function adds the first Piola stress F S of the effects to P and its derivative to A. S is the second Piola
     stress of the effects. All arguments are vectors; see `tissue_sim.fem.point_effects.PointEffects`.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
     count = 1 + sum(len(formula.parameter_names) for formula in formulas)
 
-    def build_effect_expressions(F, P, A, states, settings):
-        return _sum_effect_expressions(formulas, F, P, A, states, settings)
+    def trace_effect_expressions(F, P, A, states, settings):
+        return _add_effects_to_stress_expressions(formulas, F, P, A, states, settings)
 
     @ti.func
     def add_effect_stresses(F, P, A, states, settings: ti.template()):
-        return ti.static(build_effect_expressions(F, P, A, states, [settings[i] for i in range(count)]))
+        return ti.static(trace_effect_expressions(F, P, A, states, [settings[i] for i in range(count)]))
 
     return add_effect_stresses
 
 
-def _sum_effect_expressions(formulas: tuple[KernelFormula, ...], F: list, P: list, A: list, states: list,
-                            settings: list) -> tuple:
+def _add_effects_to_stress_expressions(formulas: tuple[FormulaClassAndConstants, ...], F: list, P: list, A: list,
+                                       states: list, settings: list) -> tuple:
     """Return the expressions (S, P, A, states) of the summed effects at a quadrature point.
 
     Arguments and results are lists of Taichi expressions, as in `make_effect_stress_function`.
     """
-    F, P, A = trace_values(F, lanes=True), trace_values(P, lanes=True), trace_values(A, lanes=True)
-    states, (dt, *numbers) = trace_values(states, lanes=True), trace_values(settings, lanes=False)
+    F, P, A = (wrap_as_traced_numbers(each, lanes=True) for each in (F, P, A))
+    states, (dt, *numbers) = wrap_as_traced_numbers(states, lanes=True), wrap_as_traced_numbers(settings, lanes=False)
     C = [F[0] * F[0] + F[2] * F[2], F[1] * F[1] + F[3] * F[3], F[4] * F[4], F[0] * F[1] + F[2] * F[3], 0.0, 0.0]
     S: list[Any] = [0.0] * 4
     D: list[list[Any]] = [[0.0] * 4 for _ in range(4)]
@@ -49,7 +49,7 @@ def _sum_effect_expressions(formulas: tuple[KernelFormula, ...], F: list, P: lis
     for formula in formulas:
         parameters, numbers = numbers[: len(formula.parameter_names)], numbers[len(formula.parameter_names):]
         state, states = states[: len(formula.kind.rest)], states[len(formula.kind.rest):]
-        stress, tangent, new = formula.with_parameters(parameters).response(list(C), state, dt)
+        stress, tangent, new = formula.build_unchecked_instance(parameters).response(list(C), state, dt)
         S = [S[i] + stress[place] for i, place in enumerate(_COMPONENTS)]
         D = [[D[i][k] + tangent[row][column] for k, column in enumerate(_COMPONENTS)]
              for i, row in enumerate(_COMPONENTS)]

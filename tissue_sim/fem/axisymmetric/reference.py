@@ -10,7 +10,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.mesh import Mesh
 
 
-class ReferenceQuadrature(NamedTuple):
+class UndeformedMeshQuadrature(NamedTuple):
     """Quadrature data of the undeformed mesh: points, volumes, shape function gradients, pressure modes.
 
     Attributes:
@@ -32,7 +32,7 @@ class ReferenceQuadrature(NamedTuple):
     rounding: np.ndarray
 
 
-def compute_reference_quadrature(mesh: Mesh) -> ReferenceQuadrature:
+def compute_undeformed_mesh_quadrature(mesh: Mesh) -> UndeformedMeshQuadrature:
     """Compute the quadrature data of an undeformed mesh.
 
     Raises:
@@ -64,5 +64,5 @@ def compute_reference_quadrature(mesh: Mesh) -> ReferenceQuadrature:
     constraint = np.einsum("eq,eqm,eqai->emai", weights, modes, divergence)
     spacing = np.ptp(X, axis=1).min(axis=1) / element.order
     per_element = np.einsum("emai,emai->e", constraint, constraint) * weights.sum(axis=1) / spacing**2
-    return ReferenceQuadrature(place, weights, node_gradients, modes, np.einsum("eq,qa->ea", weights, N),
-                               0.25 * np.finfo(float).eps * np.sqrt(per_element))
+    return UndeformedMeshQuadrature(place, weights, node_gradients, modes, np.einsum("eq,qa->ea", weights, N),
+                                    0.25 * np.finfo(float).eps * np.sqrt(per_element))

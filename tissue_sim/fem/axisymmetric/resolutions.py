@@ -78,7 +78,7 @@ RESOLUTIONS = {
 UNMEASURED = {"realtime": "realtime_63"}
 
 
-def list_realtime_levels(experiment: Experiment) -> tuple[ResolutionLevel, ...]:
+def list_realtime_levels_finest_first(experiment: Experiment) -> tuple[ResolutionLevel, ...]:
     """Return the resolutions that are valid in real time for an experiment, the finest first.
 
     The coarsest mesh is not valid for tissue that slides without friction around an edge: it finds wrong equilibria

@@ -1,10 +1,10 @@
 """Layout of the scratch field in which a kernel stores intermediate results of the batch that it evaluates."""
 
 from tissue_sim.fem.taichi import scratch as shared
-from tissue_sim.fem.taichi.scratch import LANES, LargestElementSize
+from tissue_sim.fem.taichi.scratch import LANES, ScratchElementSizeLimit
 
 #: Size of the largest element.
-_LARGEST = LargestElementSize(nodes=9, points=9, modes=3)
+_LARGEST = ScratchElementSizeLimit(nodes=9, points=9, modes=3)
 #: Names and sizes of the arrays in the scratch field. Nodes: displacements UR and UZ, forces FR and FZ, increments SR
 #: and SZ. Pressure modes: amplitude PRESSURE, volume residual GAP, volume derivatives VR and VZ. Quadrature points:
 #: STRESS, TANGENT, COFACTOR (dJ/dF), MODE (pressure modes), RATE (stress increments). CENTRE: stiffness rows of the
@@ -23,10 +23,10 @@ AT = {name: sum(size for _, size in _SIZES[:i]) for i, (name, _) in enumerate(_S
 _SIZE = sum(size for _, size in _SIZES)
 
 
-def get_scratch_field():
+def get_axisymmetric_scratch_field():
     """Return the Taichi field, shared by all kernels, for intermediate results of the batch that is evaluated.
 
     The offsets of the arrays are `AT`. Each of the `_SIZE` entries is a vector with one component for each element of
     the batch (`LANES` elements).
     """
-    return shared.get_scratch_field(LANES, _SIZE)
+    return shared.get_shared_scratch_field(LANES, _SIZE)

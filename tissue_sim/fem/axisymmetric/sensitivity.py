@@ -7,19 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.contact import ContactRateColumn
+from tissue_sim.fem.axisymmetric.contact import ContactLinearisationColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
-from tissue_sim.fem.axisymmetric.sensitivity_kernel import make_sensitivity_kernels
-from tissue_sim.fem.axisymmetric.sensitivity_tables import KernelSwitch, StoredRecordOffset
-from tissue_sim.fem.history import MemoryCoefficient
+from tissue_sim.fem.axisymmetric.sensitivity_kernel import make_force_and_state_sensitivity_kernels
+from tissue_sim.fem.axisymmetric.sensitivity_tables import SensitivityControlIndex, StoredRecordOffset
+from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.scratch import LANES
 
 
 @dataclass(frozen=True)
-class SensitivitySettings:
+class SensitivityReuseSettings:
     """Settings of the sensitivities: when the factorisation of the step is reused, and how much is stored.
 
     Attributes:
@@ -36,7 +36,7 @@ class SensitivitySettings:
 
 
 #: Settings of all derivatives.
-SETTINGS = SensitivitySettings()
+SETTINGS = SensitivityReuseSettings()
 
 
 class MaterialSensitivity:
@@ -58,8 +58,8 @@ class MaterialSensitivity:
         self._equations = equations
         m, memory, surface = len(neighbours), equations.memory, equations.surface
         terms = len(memory.internal)
-        self._relaxations = [(equations.relaxation_at_contact_radius(up), equations.relaxation_at_contact_radius(down),
-                              width)
+        self._relaxations = [(equations.get_prony_series_for_contact_radius(up),
+                              equations.get_prony_series_for_contact_radius(down), width)
                              for up, down, width in neighbours]
         self._past_rates = np.zeros((m, 5))
         self._failures = self._pause = 0
@@ -70,12 +70,13 @@ class MaterialSensitivity:
         self._multiplier_rates, self._anchor_rates, self._point_rates = np.zeros((3, *shape))
         self.force, self._changed = np.zeros(m), False
         self._contact = np.zeros((3, *surface.springs.shape))
-        self._which = np.zeros(len(KernelSwitch), np.int32)
-        kernels = make_sensitivity_kernels(equations.mesh.element.name, equations.material.energy_law.kernel_energy,
-                                memory.works, surface.can_slip)
+        self._which = np.zeros(len(SensitivityControlIndex), np.int32)
+        kernels = make_force_and_state_sensitivity_kernels(equations.mesh.element.name,
+                                                           equations.material.energy_law.kernel_energy,
+                                                           memory.works, surface.has_coulomb_friction_points)
         arrays = {
-            **equations.shared_kernel_arrays(), **self._differentiate_material_inputs(neighbours),
-            **self._allocate_point_rates(m, terms),
+            **equations.collect_shared_kernel_arrays_by_name(), **self._differentiate_material_inputs(neighbours),
+            **self._allocate_point_rate_lanes_by_name(m, terms),
             "before": memory.before, "internal": memory.internal, "which": self._which,
             "past_rates": self._past_rates, "decay": self._decay, "gain": self._gain,
             "decay_rates": self._decay_rates, "gain_rates": self._gain_rates,
@@ -83,35 +84,37 @@ class MaterialSensitivity:
             "point_rates": self._point_rates, "force_rates": self.force,
             "motion": np.zeros(equations.equation.size + equations.residual.size),
             "forces": np.zeros((m, equations.residual.size)), "dx": np.zeros((m, equations.equation.size))}
-        self._differentiate_forces, self._differentiate_state = (
+        self._differentiate_forces_by_one_parameter, self._differentiate_state = (
             BoundKernel.bind_by_name(kernel, arrays) for kernel in kernels)
 
     def _differentiate_material_inputs(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
         """Return the derivatives of law, bulk modulus, layers and memory with the parameters, by kernel names."""
         equations, m = self._equations, len(neighbours)
-        inputs = equations.compute_kernel_inputs(equations.material)
+        inputs = equations.compute_law_coefficients_and_moduli(equations.material)
         rates = [np.zeros((m, *np.shape(array))) for array in inputs]
         for k, (up, down, width) in enumerate(neighbours):
-            above, below = equations.compute_kernel_inputs(up), equations.compute_kernel_inputs(down)
+            above, below = equations.compute_law_coefficients_and_moduli(
+                up), equations.compute_law_coefficients_and_moduli(down)
             for rate, more, less in zip(rates, above, below, strict=True):
                 rate[k] = (np.asarray(more) - np.asarray(less)) / width
             softer = [np.array([0.0, 1.0, 0.0] if s is None else [s.loss, s.modulus, s.share])
                       for s in (up.softening, down.softening)]
-            self._past_rates[k, MemoryCoefficient.LOSS:] = (softer[0] - softer[1]) / width
-        coefficient_rates, kappa_rates, self._past_rates[:, MemoryCoefficient.FACTOR], moduli_rates = rates
-        self._which[KernelSwitch.LAYERED] = moduli_rates.any()
-        self._which[KernelSwitch.SOFTENS] = (equations.memory.past[MemoryCoefficient.LOSS] != 0
-                                or self._past_rates[:, MemoryCoefficient.LOSS:].any())
-        self._which[KernelSwitch.TERMS], self._which[[KernelSwitch.ONE,
-                                                      KernelSwitch.PASSES]] = self._decay.size, 1
+            self._past_rates[k, RelaxationSofteningCoefficient.LOSS:] = (softer[0] - softer[1]) / width
+        coefficient_rates, kappa_rates, self._past_rates[:, RelaxationSofteningCoefficient.FACTOR], moduli_rates = rates
+        self._which[SensitivityControlIndex.LAYERED] = moduli_rates.any()
+        self._which[SensitivityControlIndex.SOFTENS] = (equations.memory.past[RelaxationSofteningCoefficient.LOSS] != 0
+                                                        or self._past_rates[:,
+                                                                            RelaxationSofteningCoefficient.LOSS:].any())
+        self._which[SensitivityControlIndex.TERMS], self._which[[SensitivityControlIndex.ONE,
+                                                                 SensitivityControlIndex.PASSES]] = self._decay.size, 1
         relaxes = [up is not None and down is not None and up != down for up, down, _ in self._relaxations]
-        self._which[KernelSwitch.RELAXES] = any(relaxes)
+        self._which[SensitivityControlIndex.RELAXES] = any(relaxes)
         return {"directions": np.concatenate([np.tile(inputs[0], (m, 1)), coefficient_rates], axis=1),
                 "acts": np.array(coefficient_rates.any(axis=1), np.int32), "relaxes": np.array(relaxes, np.int32),
                 "kappa_rates": kappa_rates,
                 "moduli_rates": np.ascontiguousarray(moduli_rates[:, equations.batches.elements].reshape(-1, LANES))}
 
-    def _allocate_point_rates(self, m: int, terms: int) -> dict[str, np.ndarray]:
+    def _allocate_point_rate_lanes_by_name(self, m: int, terms: int) -> dict[str, np.ndarray]:
         """Allocate the derivatives at the quadrature points, by kernel names.
 
         Rows of lanes are numbered by batch, point, parameter, term and component, the last fastest.
@@ -127,7 +130,7 @@ class MaterialSensitivity:
         return {"recent": np.zeros((4 * terms * q, LANES)),
                 **{name: np.zeros((count * batches, LANES)) for name, count in rows.items()}}
 
-    def pop_contact_change(self) -> bool:
+    def pop_contact_changed_flag(self) -> bool:
         """Return whether a contact point touched, separated, stuck or slipped since the last call; reset the flag.
 
         The force then has a kink as a function of the parameters nearby.
@@ -140,35 +143,35 @@ class MaterialSensitivity:
         memory = self._equations.memory
         if self._decay.size:
             self._decay[:], self._gain[:] = memory.step
-            (self._past_rates[:, MemoryCoefficient.INSTANT], self._decay_rates[:],
+            (self._past_rates[:, RelaxationSofteningCoefficient.INSTANT], self._decay_rates[:],
              self._gain_rates[:]) = self._differentiate_relaxation_increment(memory.dt)
         if self._pause or not self._can_refine_iteratively():
             self._pause = max(self._pause - 1, 0)
-            self._equations.run_with_exact_tangent(self._differentiate_with_factorisation)
+            self._equations.launch_on_exact_equilibrium_tangent(self._differentiate_with_factorisation)
         elif not self._refine_iteratively():
             # The contact has changed, or the factorisation is too far; the next steps are likely to fail, too.
             self._failures += 1
             self._pause = 4**self._failures
-            self._equations.run_with_exact_tangent(self._differentiate_with_factorisation)
+            self._equations.launch_on_exact_equilibrium_tangent(self._differentiate_with_factorisation)
         self._update_contact_derivatives()
 
     def _can_refine_iteratively(self) -> bool:
         """Whether iterative refinement with the step's factorisation is possible and cheaper than a new one."""
         counts, settings = self._equations.counts, self._equations.settings
-        few = SETTINGS.max_refined_slip if counts[newton.CountIndex.UNSYMMETRIC] else SETTINGS.max_refined
+        few = SETTINGS.max_refined_slip if counts[newton.StepIntegerIndex.UNSYMMETRIC] else SETTINGS.max_refined
         return (not self._equations.memory.works and self.force.size <= few
-                and settings[newton.SettingIndex.INERTIA] == 0 and counts[newton.CountIndex.FACTORISED] == 1
-                and counts[newton.CountIndex.BENDING] == 1)
+                and settings[newton.SettingIndex.INERTIA] == 0 and counts[newton.StepIntegerIndex.FACTORISED] == 1
+                and counts[newton.StepIntegerIndex.BENDING] == 1)
 
     def _refine_iteratively(self) -> bool:
         """Differentiate by iterative refinement with the step's factorisation; return whether it converged."""
         before = self._multiplier_rates.copy()
-        self._which[[KernelSwitch.FACTORISES, KernelSwitch.REFINES]] = 1
-        self._equations.run_with_exact_tangent(self._run_kernels, assembles=False)
-        self._which[KernelSwitch.REFINES] = 0
-        if self._which[KernelSwitch.FACTORISES]:
+        self._which[[SensitivityControlIndex.FACTORISES, SensitivityControlIndex.REFINES]] = 1
+        self._equations.launch_on_exact_equilibrium_tangent(self._run_kernels, assembles=False)
+        self._which[SensitivityControlIndex.REFINES] = 0
+        if self._which[SensitivityControlIndex.FACTORISES]:
             self._multiplier_rates[:] = before
-        return not self._which[KernelSwitch.FACTORISES]
+        return not self._which[SensitivityControlIndex.FACTORISES]
 
     def _differentiate_relaxation_increment(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the derivatives of instantaneous factor, decay and gain of each term in a step of duration dt, s."""
@@ -186,14 +189,14 @@ class MaterialSensitivity:
 
     def _run_kernels(self) -> None:
         """Run both kernels: force derivatives at fixed displacements, then derivatives of the state."""
-        self._differentiate_forces()
+        self._differentiate_forces_by_one_parameter()
         self._differentiate_state()
 
     def _differentiate_with_factorisation(self) -> None:
         """Differentiate with a factorisation of the assembled exact tangent; the force is NaN if it is singular."""
-        self._which[KernelSwitch.FACTORISES] = 1
+        self._which[SensitivityControlIndex.FACTORISES] = 1
         self._run_kernels()
-        if self._which[KernelSwitch.FACTORISES]:
+        if self._which[SensitivityControlIndex.FACTORISES]:
             self.force[:] = np.nan
 
     def _update_contact_derivatives(self) -> None:
@@ -207,7 +210,8 @@ class MaterialSensitivity:
             return
         rebound = (held > 0) & (surface.held != surface.anchors).any(axis=-1)
         if rebound.any():
-            normals = surface.rates[rebound][:, [ContactRateColumn.NORMAL_R, ContactRateColumn.NORMAL_Z]]
+            normals = surface.rates[rebound][:,
+                                             [ContactLinearisationColumn.NORMAL_R, ContactLinearisationColumn.NORMAL_Z]]
             along = np.stack([-normals[:, 1], normals[:, 0]], axis=-1)
             slip = np.einsum("kni,ni->kn", self._point_rates[:, rebound], along)
             self._anchor_rates[:, rebound] = slip[..., None] * along

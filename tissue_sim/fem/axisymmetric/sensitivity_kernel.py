@@ -13,22 +13,27 @@ Eng. 37 (1994) 2471.
 from dataclasses import dataclass
 from functools import cache
 
-from tissue_sim.fem.axisymmetric.contact import PENALTY, ContactRateColumn, ContactSpanColumn, FactorisedRateColumn
+from tissue_sim.fem.axisymmetric.contact import (
+    PENALTY,
+    ContactLinearisationColumn,
+    FactorisedRateColumn,
+    OutlineSpanColumn,
+)
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
-from tissue_sim.fem.axisymmetric.newton_tables import CountIndex, SettingIndex
+from tissue_sim.fem.axisymmetric.newton_tables import SettingIndex, StepIntegerIndex
 from tissue_sim.fem.axisymmetric.sensitivity_points import make_sensitivity_functions
 from tissue_sim.fem.axisymmetric.sensitivity_product import make_tangent_product_functions
-from tissue_sim.fem.axisymmetric.sensitivity_tables import KernelSwitch
+from tissue_sim.fem.axisymmetric.sensitivity_tables import SensitivityControlIndex
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import make_cholesky_functions
 from tissue_sim.fem.linear.lu import make_lu_functions
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
 
 
 @dataclass(frozen=True)
-class DifferentiationSettings:
+class DerivativeIterationSettings:
     """Settings of the iteration for the derivatives of displacements and contact forces.
 
     The kernel contains the values as constants.
@@ -49,11 +54,11 @@ class DifferentiationSettings:
 
 
 #: Settings of the compiled kernels.
-DIFFERENTIATION = DifferentiationSettings()
+DIFFERENTIATION = DerivativeIterationSettings()
 
 
 @cache
-def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers: bool, slips: bool):
+def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers: bool, slips: bool):
     """Return the two kernels that differentiate a step; see `MaterialSensitivity` in `sensitivity`.
 
     Args:
@@ -65,7 +70,7 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
     Returns:
         Kernel of the force derivatives at fixed displacements, and kernel of all other derivatives.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
     work, tangent = make_sensitivity_functions(element_name, energy,
                                                remembers), make_tangent_product_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
@@ -85,8 +90,8 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
 
         The residual of the constraint is multiplied by the derivatives that the matrix contains.
         """
-        fr = contact_rates[i, ContactRateColumn.RR] * dr + contact_rates[i, ContactRateColumn.RZ] * dz
-        fz = contact_rates[i, ContactRateColumn.ZR] * dr + contact_rates[i, ContactRateColumn.ZZ] * dz
+        fr = contact_rates[i, ContactLinearisationColumn.RR] * dr + contact_rates[i, ContactLinearisationColumn.RZ] * dz
+        fz = contact_rates[i, ContactLinearisationColumn.ZR] * dr + contact_rates[i, ContactLinearisationColumn.ZZ] * dz
         lr, lz = multiplier_rates[k, i, 0], multiplier_rates[k, i, 1]
         hr, hz = anchor_rates[k, i, 0], anchor_rates[k, i, 1]
         stiff, missed_r, missed_z = PENALTY.stick_factor * springs[i], 0.0, 0.0
@@ -94,9 +99,12 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
             missed_r, missed_z = dr - hr, dz - hz
             fr += lr - stiff * hr
             fz += lz - stiff * hz
-        elif contact_rates[i, ContactRateColumn.RR] != 0.0 or contact_rates[i, ContactRateColumn.ZZ] != 0.0:
-            nr, nz = contact_rates[i, ContactRateColumn.NORMAL_R], contact_rates[i, ContactRateColumn.NORMAL_Z]
-            mu = contact_rates[i, ContactRateColumn.FRICTION]
+        elif contact_rates[i, ContactLinearisationColumn.RR] != 0.0 or contact_rates[i, ContactLinearisationColumn.ZZ] \
+            != 0.0:
+            nr, nz = contact_rates[i,
+                                   ContactLinearisationColumn.NORMAL_R], contact_rates[
+                                       i, ContactLinearisationColumn.NORMAL_Z]
+            mu = contact_rates[i, ContactLinearisationColumn.FRICTION]
             tr, tz = -nz, nr
             pressed, along = lr * nr + lz * nz, 0.0
             apart, slip = dr * nr + dz * nz, 0.0
@@ -107,61 +115,62 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
             missed_r, missed_z = apart * nr + slip * tr, apart * nz + slip * tz
             fr += pressed * nr + along * tr
             fz += pressed * nz + along * tz
-        fr += ((known[i, FactorisedRateColumn.RR] - contact_rates[i, ContactRateColumn.RR]) * missed_r
-               + (known[i, FactorisedRateColumn.RZ] - contact_rates[i, ContactRateColumn.RZ]) * missed_z)
-        fz += ((known[i, FactorisedRateColumn.ZR] - contact_rates[i, ContactRateColumn.ZR]) * missed_r
-               + (known[i, FactorisedRateColumn.ZZ] - contact_rates[i, ContactRateColumn.ZZ]) * missed_z)
+        fr += ((known[i, FactorisedRateColumn.RR] - contact_rates[i, ContactLinearisationColumn.RR]) * missed_r
+               + (known[i, FactorisedRateColumn.RZ] - contact_rates[i, ContactLinearisationColumn.RZ]) * missed_z)
+        fz += ((known[i, FactorisedRateColumn.ZR] - contact_rates[i, ContactLinearisationColumn.ZR]) * missed_r
+               + (known[i, FactorisedRateColumn.ZZ] - contact_rates[i, ContactLinearisationColumn.ZZ]) * missed_z)
         return fr, fz
 
     @ti.func
-    def factorise_tangent(counts: ti.template(), entries: ti.template(), blocks: ti.template(),
-                          upper_blocks: ti.template(), factor: ti.template(), upper_factor: ti.template(),
-                          inverse: ti.template(), rows, width):
+    def factorise_assembled_tangent(counts: ti.template(), entries: ti.template(), blocks: ti.template(),
+                                    upper_blocks: ti.template(), factor: ti.template(), upper_factor: ti.template(),
+                                    inverse: ti.template(), rows, width):
         """Factorise the assembled exact tangent; return 1, or 0 if the tangent is singular or not positive definite."""
-        for i in range(counts[CountIndex.FREE], rows * B):
+        for i in range(counts[StepIntegerIndex.FREE], rows * B):
             entries[i // B, width - 1, i % B, i % B] = 1.0
         good = 1
         if ti.static(slips):
-            if counts[CountIndex.UNSYMMETRIC] == 1:
+            if counts[StepIntegerIndex.UNSYMMETRIC] == 1:
                 good = lu.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0,
-                                         counts[CountIndex.SKEWED])
-        if counts[CountIndex.UNSYMMETRIC] == 0:
+                                         counts[StepIntegerIndex.SKEWED])
+        if counts[StepIntegerIndex.UNSYMMETRIC] == 0:
             good = cholesky.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0, rows)
         return good
 
     @ti.func
-    def solve_parameter_derivatives(k, kappa, batches, which: ti.template(), counts: ti.template(),
-                                    equation: ti.template(), contact_nodes: ti.template(),
-                                    contact_shapes: ti.template(), springs: ti.template(), held: ti.template(),
-                                    slip_signs: ti.template(), contact_rates: ti.template(), known_rates: ti.template(),
-                                    factor: ti.template(), upper_factor: ti.template(), inverse: ti.template(),
-                                    right: ti.template(), residual: ti.template(), forces: ti.template(),
-                                    multiplier_rates: ti.template(), anchor_rates: ti.template(),
-                                    point_rates: ti.template(), law: ti.template(), dx: ti.template(),
-                                    motion: ti.template(), dofs: ti.template(), real: ti.template(),
-                                    gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
-                                    moduli: ti.template(), equations_r: ti.template(), equations_z: ti.template(),
-                                    volume_r: ti.template(), volume_z: ti.template(), known_volume_r: ti.template(),
-                                    known_volume_z: ti.template(), pressure_rates: ti.template(),
-                                    swelling: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
-                                    rows_zr: ti.template(), rows_zz: ti.template(), inverse_rr: ti.template(),
-                                    inverse_rz: ti.template(), inverse_zz: ti.template(), centre_r: ti.template(),
-                                    centre_z: ti.template(), way_r: ti.template(), way_z: ti.template()):
+    def solve_one_parameter_derivative(k, kappa, batches, which: ti.template(), counts: ti.template(),
+                                       equation: ti.template(), contact_nodes: ti.template(),
+                                       contact_shapes: ti.template(), springs: ti.template(), held: ti.template(),
+                                       slip_signs: ti.template(), contact_rates: ti.template(),
+                                       known_rates: ti.template(),
+                                       factor: ti.template(), upper_factor: ti.template(), inverse: ti.template(),
+                                       right: ti.template(), residual: ti.template(), forces: ti.template(),
+                                       multiplier_rates: ti.template(), anchor_rates: ti.template(),
+                                       point_rates: ti.template(), law: ti.template(), dx: ti.template(),
+                                       motion: ti.template(), dofs: ti.template(), real: ti.template(),
+                                       gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
+                                       moduli: ti.template(), equations_r: ti.template(), equations_z: ti.template(),
+                                       volume_r: ti.template(), volume_z: ti.template(), known_volume_r: ti.template(),
+                                       known_volume_z: ti.template(), pressure_rates: ti.template(),
+                                       swelling: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
+                                       rows_zr: ti.template(), rows_zz: ti.template(), inverse_rr: ti.template(),
+                                       inverse_rz: ti.template(), inverse_zz: ti.template(), centre_r: ti.template(),
+                                       centre_z: ti.template(), way_r: ti.template(), way_z: ti.template()):
         """Solve for the derivatives of displacements and contact forces with respect to parameter k.
 
         Each round solves with the factorisation and updates the derivatives of the contact forces. With the
-        factorisation of a nearby tangent (`KernelSwitch.REFINES`) the rounds are iterative refinement of the exact
-        equations, and `KernelSwitch.SETTLED` is 1 if they converged. `motion` contains the last displacement increment,
-        followed by the residual before that increment.
+        factorisation of a nearby tangent (`SensitivityControlIndex.REFINES`) the rounds are iterative refinement of the
+        exact equations, and `SensitivityControlIndex.SETTLED` is 1 if they converged. `motion` contains the last
+        displacement increment, followed by the residual before that increment.
         """
-        free, width, rows = counts[CountIndex.FREE], factor.shape[1], factor.shape[0]
+        free, width, rows = counts[StepIntegerIndex.FREE], factor.shape[1], factor.shape[0]
         last, before_last = 0.0, 0.0
-        refines = which[KernelSwitch.REFINES]
+        refines = which[SensitivityControlIndex.REFINES]
         goes_on = float(refines)
-        which[KernelSwitch.SETTLED] = 0
+        which[SensitivityControlIndex.SETTLED] = 0
         for i in range(dx.shape[1]):
             dx[k, i] = 0.0
-        for c in range(counts[CountIndex.CONTACTS]):
+        for c in range(counts[StepIntegerIndex.CONTACTS]):
             point_rates[k, c, 0], point_rates[k, c, 1] = 0.0, 0.0
         for b in range(way_r.shape[0]):
             at = k * batches + b
@@ -176,8 +185,9 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
             if ti.static(not remembers):
                 if refines == 1 and round > 0:
                     for b in range(batches):
-                        missed = tangent.add_tangent_product(
-                            b, k, kappa, batches, which[KernelSwitch.ONE], law, dx, dofs, real, gradient_r, gradient_z,
+                        missed = tangent.add_tangent_product_to_residual(
+                            b, k, kappa, batches, which[SensitivityControlIndex.ONE], law, dx, dofs, real, gradient_r,
+                            gradient_z,
                                                      value_r,
                             moduli, equations_r, equations_z, volume_r, volume_z, known_volume_r, known_volume_z,
                             pressure_rates, swelling, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
@@ -185,7 +195,7 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
                         missing += missed
             for i in range(free, residual.shape[0]):
                 motion[equation.shape[0] + i] = residual[i]
-            for c in range(counts[CountIndex.CONTACTS]):
+            for c in range(counts[StepIntegerIndex.CONTACTS]):
                 fr, fz = compute_contact_force_rate(c, k, goes_on * point_rates[k, c, 0],
                                                     goes_on * point_rates[k, c, 1], held, slip_signs, springs,
                                                     contact_rates, known_rates, multiplier_rates, anchor_rates)
@@ -200,7 +210,7 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
                                  or (slow and missing <= DIFFERENTIATION.contact_tolerance * pushing)):
                 for dof in range(equation.shape[0]):
                     motion[dof] = 0.0
-                which[KernelSwitch.SETTLED] = 1
+                which[SensitivityControlIndex.SETTLED] = 1
                 break
             if slow:
                 break
@@ -211,9 +221,9 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
                 for i in ti.static(range(B)):
                     right[I][i] = residual[I * B + i] if I * B + i < free else 0.0
             if ti.static(slips):
-                if counts[CountIndex.UNSYMMETRIC] == 1:
+                if counts[StepIntegerIndex.UNSYMMETRIC] == 1:
                     lu.solve_band(factor, upper_factor, inverse, right, rows, width)
-            if counts[CountIndex.UNSYMMETRIC] == 0:
+            if counts[StepIntegerIndex.UNSYMMETRIC] == 0:
                 cholesky.solve_band(factor, upper_factor, inverse, right, rows, width)
             for dof in range(equation.shape[0]):
                 i = equation[dof]
@@ -227,7 +237,7 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
                         tangent.update_condensed_derivatives(b, k, kappa, motion, dofs, real, moduli, known_volume_r,
                                                              known_volume_z, rows_rr, rows_rz, rows_zr, rows_zz, way_r,
                                                              way_z, pressure_rates, swelling, dx)
-            for c in range(counts[CountIndex.CONTACTS]):
+            for c in range(counts[StepIntegerIndex.CONTACTS]):
                 dr, dz = 0.0, 0.0
                 for a in range(contact_shapes.shape[1]):
                     dr += contact_shapes[c, a] * dx[k, 2 * contact_nodes[c, a]]
@@ -260,15 +270,15 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
                              before_rates: vector1, internal_rates: vector1, centre_r: vector1, centre_z: vector1,
                              law: vector1, forces: real2):
         ti.loop_config(serialize=True)
-        for _ in range(which[KernelSwitch.PASSES]):
+        for _ in range(which[SensitivityControlIndex.PASSES]):
             batches, pressures, parameters = elements.shape[0], equation.shape[0], forces.shape[0]
             kappa = settings[SettingIndex.KAPPA]
-            if which[KernelSwitch.REFINES] == 1:
-                which[KernelSwitch.FACTORISES] = 0
+            if which[SensitivityControlIndex.REFINES] == 1:
+                which[SensitivityControlIndex.FACTORISES] = 0
             else:
-                which[KernelSwitch.FACTORISES] = 1 - factorise_tangent(counts, entries, blocks, upper_blocks,
-                                                                       factor, upper_factor, inverse,
-                                                                       blocks.shape[0], blocks.shape[1])
+                which[SensitivityControlIndex.FACTORISES] = 1 - factorise_assembled_tangent(
+                    counts, entries, blocks, upper_blocks, factor, upper_factor, inverse, blocks.shape[0],
+                    blocks.shape[1])
             for k in range(parameters):
                 for i in range(residual.shape[0]):
                     forces[k, i] = 0.0
@@ -276,54 +286,61 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
                 work.store_point_data(b, which, x, dofs, elements, gradient_r, gradient_z, value_r, coefficients, past,
                                       inherited, largest, pressures, mode_values, point_weights, moduli, law)
                 if ti.static(remembers):
-                    if which[KernelSwitch.RELAXES] == 1:
-                        work.load_stress_history(b, which, elements, stresses, before, internal, recent)
+                    if which[SensitivityControlIndex.RELAXES] == 1:
+                        work.copy_stress_history_to_buffers(b, which, elements, stresses, before, internal, recent)
                 for k in range(parameters):
-                    work.add_force_derivatives(b, k, kappa, parameters, batches, pressures, which, acts, directions, x,
-                                               elements, gradient_r, gradient_z, value_r, point_weights, moduli,
-                                               equations_r, equations_z, volume_r, volume_z, rows_rr, rows_rz, rows_zr,
-                                               rows_zz, inverse_rr, inverse_rz, inverse_zz, kappa_rates, moduli_rates,
-                                               past, past_rates, largest, largest_rates, energy_rates, stress_rates,
-                                               before_rates, recent, internal_rates, decay, gain, decay_rates,
-                                               gain_rates, relaxes, centre_r, centre_z, forces)
+                    work.add_force_derivatives_at_fixed_displacement(b, k, kappa, parameters, batches, pressures, which,
+                                                                     acts, directions, x,
+                                                                     elements, gradient_r, gradient_z, value_r,
+                                                                     point_weights, moduli,
+                                                                     equations_r, equations_z, volume_r, volume_z,
+                                                                     rows_rr, rows_rz, rows_zr,
+                                                                     rows_zz, inverse_rr, inverse_rz, inverse_zz,
+                                                                     kappa_rates, moduli_rates,
+                                                                     past, past_rates, largest, largest_rates,
+                                                                     energy_rates, stress_rates,
+                                                                     before_rates, recent, internal_rates, decay, gain,
+                                                                     decay_rates,
+                                                                     gain_rates, relaxes, centre_r, centre_z, forces)
 
     @ti.kernel
-    def differentiate_state(which: int1, counts: int1, settings: real1, equation: int1, direction: real1,
-                            elements: int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1,
-                            value_r: vector1, moduli: vector1, equations_r: int2, equations_z: int2,
-                            contact_nodes: int2, contact_shapes: real2, spans: int2, springs: real1, held: real2,
-                            slip_signs: real1, contact_rates: real2, known_rates: real2, largest: real2,
-                            stresses: real3, energies: real2, before: real3, internal: real4, recent: vector1,
-                            factor: block3, upper_factor: block3, inverse: real1, right: block1, residual: real1,
-                            pull: real1, volume_r: vector1, volume_z: vector1, known_volume_r: vector1,
-                            known_volume_z: vector1, pressure_rates: vector1, swelling: vector1, rows_rr: vector1,
-                            rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1,
-                            inverse_rz: vector1, inverse_zz: vector1, relaxes: int1, decay: real1, gain: real1,
-                            decay_rates: real2, gain_rates: real2, largest_rates: vector1, energy_rates: vector1,
-                            stress_rates: vector1, before_rates: vector1, internal_rates: vector1,
-                            multiplier_rates: real3, anchor_rates: real3, point_rates: real3, centre_r: vector1,
-                            centre_z: vector1, way_r: vector1, way_z: vector1, motion: real1, law: vector1,
-                            forces: real2, dx: real2, force_rates: real1):
+    def solve_state_derivatives(which: int1, counts: int1, settings: real1, equation: int1, direction: real1,
+                                elements: int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1,
+                                value_r: vector1, moduli: vector1, equations_r: int2, equations_z: int2,
+                                contact_nodes: int2, contact_shapes: real2, spans: int2, springs: real1, held: real2,
+                                slip_signs: real1, contact_rates: real2, known_rates: real2, largest: real2,
+                                stresses: real3, energies: real2, before: real3, internal: real4, recent: vector1,
+                                factor: block3, upper_factor: block3, inverse: real1, right: block1, residual: real1,
+                                pull: real1, volume_r: vector1, volume_z: vector1, known_volume_r: vector1,
+                                known_volume_z: vector1, pressure_rates: vector1, swelling: vector1, rows_rr: vector1,
+                                rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1,
+                                inverse_rz: vector1, inverse_zz: vector1, relaxes: int1, decay: real1, gain: real1,
+                                decay_rates: real2, gain_rates: real2, largest_rates: vector1, energy_rates: vector1,
+                                stress_rates: vector1, before_rates: vector1, internal_rates: vector1,
+                                multiplier_rates: real3, anchor_rates: real3, point_rates: real3, centre_r: vector1,
+                                centre_z: vector1, way_r: vector1, way_z: vector1, motion: real1, law: vector1,
+                                forces: real2, dx: real2, force_rates: real1):
         ti.loop_config(serialize=True)
-        for _ in range(which[KernelSwitch.PASSES]):
+        for _ in range(which[SensitivityControlIndex.PASSES]):
             batches, pressures, parameters = elements.shape[0], equation.shape[0], force_rates.shape[0]
-            free, kappa = counts[CountIndex.FREE], settings[SettingIndex.KAPPA]
+            free, kappa = counts[StepIntegerIndex.FREE], settings[SettingIndex.KAPPA]
             for k in range(parameters):
-                if which[KernelSwitch.FACTORISES] == 0 or which[KernelSwitch.REFINES] == 0:
-                    solve_parameter_derivatives(k, kappa, batches, which, counts, equation, contact_nodes,
-                                                contact_shapes, springs, held, slip_signs, contact_rates, known_rates,
-                                                factor, upper_factor, inverse, right, residual, forces,
-                                                multiplier_rates, anchor_rates, point_rates, law, dx, motion, dofs,
-                                                real, gradient_r, gradient_z, value_r, moduli, equations_r, equations_z,
-                                                volume_r, volume_z, known_volume_r, known_volume_z, pressure_rates,
-                                                swelling, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
-                                                inverse_zz, centre_r, centre_z, way_r, way_z)
-                    if which[KernelSwitch.REFINES] == 1 and which[KernelSwitch.SETTLED] == 0:
-                        which[KernelSwitch.FACTORISES] = 1
+                if which[SensitivityControlIndex.FACTORISES] == 0 or which[SensitivityControlIndex.REFINES] == 0:
+                    solve_one_parameter_derivative(k, kappa, batches, which, counts, equation, contact_nodes,
+                                                   contact_shapes, springs, held, slip_signs, contact_rates,
+                                                   known_rates, factor, upper_factor, inverse, right, residual, forces,
+                                                   multiplier_rates, anchor_rates, point_rates, law, dx, motion, dofs,
+                                                   real, gradient_r, gradient_z, value_r, moduli, equations_r,
+                                                   equations_z,
+                                                   volume_r, volume_z, known_volume_r, known_volume_z, pressure_rates,
+                                                   swelling, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
+                                                   inverse_zz, centre_r, centre_z, way_r, way_z)
+                    if which[SensitivityControlIndex.REFINES] == 1 and which[SensitivityControlIndex.SETTLED] == 0:
+                        which[SensitivityControlIndex.FACTORISES] = 1
                 # Force on the tool: of contact points, and of tissue that is bonded to the tool.
                 total = 0.0
-                for c in range(counts[CountIndex.CONTACTS]):
-                    total += float(spans[c, ContactSpanColumn.MOVES]) * multiplier_rates[k, c, 1]
+                for c in range(counts[StepIntegerIndex.CONTACTS]):
+                    total += float(spans[c, OutlineSpanColumn.MOVES]) * multiplier_rates[k, c, 1]
                 for dof in range(pressures):
                     i = equation[dof]
                     if i >= free:
@@ -333,8 +350,8 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
                 force_rates[k] = total
             if ti.static(remembers):
                 for b in range(batches):
-                    if which[KernelSwitch.RELAXES] == 1:
-                        work.load_stress_history(b, which, elements, stresses, before, internal, recent)
+                    if which[SensitivityControlIndex.RELAXES] == 1:
+                        work.copy_stress_history_to_buffers(b, which, elements, stresses, before, internal, recent)
                     for k in range(parameters):
                         work.update_memory_derivatives(b, k, parameters, batches, which, dx, dofs, elements, gradient_r,
                                                        gradient_z, value_r, rows_rr, rows_rz, rows_zr, rows_zz, law,
@@ -342,4 +359,4 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
                                                        before_rates, recent, internal_rates, decay, gain, decay_rates,
                                                        gain_rates, relaxes, centre_r, centre_z)
 
-    return differentiate_forces, differentiate_state
+    return differentiate_forces, solve_state_derivatives

@@ -10,11 +10,15 @@ from typing import NamedTuple
 import sympy as sp
 
 from tissue_sim.fem.axisymmetric import energy as point
-from tissue_sim.fem.axisymmetric.scratch import AT, get_scratch_field
-from tissue_sim.fem.axisymmetric.sensitivity_tables import KernelSwitch, PointRecordOffset, StoredRecordOffset
+from tissue_sim.fem.axisymmetric.scratch import AT, get_axisymmetric_scratch_field
+from tissue_sim.fem.axisymmetric.sensitivity_tables import (
+    PointRecordOffset,
+    SensitivityControlIndex,
+    StoredRecordOffset,
+)
 from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
-from tissue_sim.fem.history import MemoryCoefficient
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.history import RelaxationSofteningCoefficient
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
@@ -24,12 +28,12 @@ class SensitivityFunctions(NamedTuple):
     """Taichi functions that differentiate forces and memory of one element type and one family of laws."""
 
     store_point_data: object
-    load_stress_history: object
-    add_force_derivatives: object
+    copy_stress_history_to_buffers: object
+    add_force_derivatives_at_fixed_displacement: object
     update_memory_derivatives: object
 
 
-def make_directional_derivative(energy: KernelEnergy) -> KernelEnergy:
+def build_directional_derivative_energy(energy: KernelEnergy) -> KernelEnergy:
     """Return a `KernelEnergy`: the directional derivative of a strain energy with respect to its coefficients.
 
     The coefficients of the result are those of the energy, followed by the components of the direction.
@@ -44,23 +48,23 @@ def make_directional_derivative(energy: KernelEnergy) -> KernelEnergy:
 def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remembers: bool) -> SensitivityFunctions:
     """Return the Taichi functions of an element type and a law.
 
-    Tissue without memory uses `store_point_data` and `add_force_derivatives` only.
+    Tissue without memory uses `store_point_data` and `add_force_derivatives_at_fixed_displacement` only.
 
     Rows of arrays of vectors are numbered by batch, point, parameter, term and component, the last fastest. The
     component in a row index is multiplied by `one`, a 1 that is unknown to the compiler: with constant indices the
     compiler would load a vector number by number.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
     element = ELEMENTS[element_name]
     nodes, nb, modes = element.node_count, element.boundary_nodes, element.pressure_modes
     points = element.quadrature[1].size
     has_centre, centre = nodes > nb, nodes - 1
     coefficients_of_both = 2 * len(energy.coefficients)
     vec = ti.types.vector(LANES, ti.f64)
-    s = get_scratch_field()
+    s = get_axisymmetric_scratch_field()
     law_of = point.make_stress_function(energy)
     add_pressure_terms = point.make_pressure_term_function()
-    stress_rate = point.make_stress_function(make_directional_derivative(energy), tangents=False)
+    stress_rate = point.make_stress_function(build_directional_derivative_energy(energy), tangents=False)
     inverse_cube_root = make_inverse_cube_root_function()
     apply_softening = make_softening_function(5)
     UR, UZ, FR, FZ, RATE = AT["UR"], AT["UZ"], AT["FR"], AT["FZ"], AT["STRESS"]
@@ -71,31 +75,31 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
     # stored in the scratch field.
 
     @ti.func
-    def gather_point_values(values: ti.template(), elements: ti.template(), b, q):
+    def gather_point_value_per_lane(values: ti.template(), elements: ti.template(), b, q):
         """Return `values` at quadrature point q of the elements of batch b, one in each SIMD lane."""
         return ti.Vector([values[elements[b, l], q] for l in ti.static(range(LANES))])
 
     @ti.func
-    def gather_point_component(values: ti.template(), elements: ti.template(), b, q, i: ti.template()):
+    def gather_point_component_per_lane(values: ti.template(), elements: ti.template(), b, q, i: ti.template()):
         """Return component i of `values` at quadrature point q of the elements of batch b, one in each SIMD lane."""
         return ti.Vector([values[elements[b, l], q, i] for l in ti.static(range(LANES))])
 
     @ti.func
-    def pull_back_stress(F, P):
+    def compute_second_piola_from_first_piola(F, P):
         """Return the second Piola stress F^-1 P (RR, RZ, ZZ, hoop) of a first Piola stress P."""
         over_j = 1.0 / (F[0] * F[3] - F[1] * F[2])
         return [(F[3] * P[0] - F[1] * P[2]) * over_j, (F[3] * P[1] - F[1] * P[3]) * over_j,
                 (F[0] * P[3] - F[2] * P[1]) * over_j, P[4] / F[4]]
 
     @ti.func
-    def push_forward_stress(F, S):
+    def compute_first_piola_from_second_piola(F, S):
         """Return the first Piola stress F S (5 components) of a second Piola stress S (RR, RZ, ZZ, hoop)."""
         return [F[0] * S[0] + F[1] * S[1], F[0] * S[1] + F[1] * S[2], F[2] * S[0] + F[3] * S[1],
                 F[2] * S[1] + F[3] * S[2], F[4] * S[3]]
 
     @ti.func
-    def compute_displacement_gradient(b, q, gradient_r: ti.template(), gradient_z: ti.template(),
-                                      value_r: ti.template()):
+    def compute_gradient_of_stored_displacements(b, q, gradient_r: ti.template(), gradient_z: ti.template(),
+                                                 value_r: ti.template()):
         """Return the gradient (rR, rZ, zR, zZ, hoop) of the stored nodal displacements at quadrature point q."""
         h0, h1, h2, h3, h4 = vec(0.0), vec(0.0), vec(0.0), vec(0.0), vec(0.0)
         for a in range(nodes):
@@ -115,13 +119,13 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                          largest: ti.template(), pressures, modes_at: ti.template(), weights: ti.template(),
                          moduli: ti.template(), law: ti.template()):
         """Store strains, stresses and tangents at the quadrature points of batch b, equal for all parameters."""
-        one = which[KernelSwitch.ONE]
+        one = which[SensitivityControlIndex.ONE]
         for a in range(nodes):
             i = b * nodes + a
             s[UR + a] = ti.Vector([x[dofs[i, l]] for l in ti.static(range(LANES))])
             s[UZ + a] = ti.Vector([x[dofs[i, l] + 1] for l in ti.static(range(LANES))])
         for q in range(points):
-            h0, h1, h2, h3, h4 = compute_displacement_gradient(b, q, gradient_r, gradient_z, value_r)
+            h0, h1, h2, h3, h4 = compute_gradient_of_stored_displacements(b, q, gradient_r, gradient_z, value_r)
             area = h0 + h3 + h0 * h3 - h1 * h2
             F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
             root = inverse_cube_root(ti.max(1.0 + area + h4 + area * h4, 1e-6))
@@ -130,7 +134,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 s[at + PointRecordOffset.GRADIENT + i] = F[i]
             s[at + PointRecordOffset.ROOT] = root
             if ti.static(remembers):
-                kept, f = (b * points + q) * StoredRecordOffset.SIZE, past[MemoryCoefficient.FACTOR]
+                kept, f = (b * points + q) * StoredRecordOffset.SIZE, past[RelaxationSofteningCoefficient.FACTOR]
                 W, P, A = law_of(F, root, coefficients)
                 s[at + PointRecordOffset.ENERGY] = f * W
                 for i in ti.static(range(5)):
@@ -139,31 +143,33 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 for n in ti.static(range(15)):
                     to = kept + (StoredRecordOffset.SOFT_TANGENT + n) * one
                     law[to] = f * A[n]
-                if past[MemoryCoefficient.LOSS] != 0.0:
-                    P1, A1 = apply_softening(f * W, gather_point_values(largest, elements, b, q),
-                                             past[MemoryCoefficient.LOSS], past[MemoryCoefficient.LOSS_MODULUS],
-                                             past[MemoryCoefficient.LOSS_SHARE],
-                                             [f * P[i] for i in ti.static(range(5))],
-                                             [f * A[n] for n in ti.static(range(15))])
+                if past[RelaxationSofteningCoefficient.LOSS] != 0.0:
+                    P1, A1 = apply_softening(
+                        f * W, gather_point_value_per_lane(largest, elements, b, q),
+                        past[RelaxationSofteningCoefficient.LOSS], past[RelaxationSofteningCoefficient.LOSS_MODULUS],
+                        past[RelaxationSofteningCoefficient.LOSS_SHARE], [f * P[i] for i in ti.static(range(5))],
+                        [f * A[n] for n in ti.static(range(15))])
                     for i in ti.static(range(5)):
                         s[at + PointRecordOffset.SOFT_STRESS + i] = P1[i]
                     for n in ti.static(range(15)):
                         to = kept + (StoredRecordOffset.SOFT_TANGENT + n) * one
                         law[to] = A1[n]
-                left = push_forward_stress(F, [gather_point_component(inherited, elements, b, q,
-                                                                      i) for i in ti.static(range(4))])
+                left = compute_first_piola_from_second_piola(
+                    F, [gather_point_component_per_lane(inherited, elements, b, q, i) for i in ti.static(range(4))])
                 for i in ti.static(range(5)):
                     s[at + PointRecordOffset.RELAXED_STRESS + i] = (
-                        past[MemoryCoefficient.INSTANT] * s[at + PointRecordOffset.SOFT_STRESS + i] + left[i])
+                        past[RelaxationSofteningCoefficient.INSTANT] * s[at + PointRecordOffset.SOFT_STRESS + i]
+                        + left[i])
                     to = kept + (StoredRecordOffset.GRADIENT + i) * one
                     law[to] = F[i]
                     to1 = kept + (StoredRecordOffset.STRESS + i) * one
                     law[to1] = s[at + PointRecordOffset.STRESS + i]
-                S = pull_back_stress(F, [s[at + PointRecordOffset.SOFT_STRESS + i] for i in ti.static(range(5))])
+                S = compute_second_piola_from_first_piola(F, [s[at + PointRecordOffset.SOFT_STRESS + i]
+                                                              for i in ti.static(range(5))])
                 for i in ti.static(range(4)):
                     to2 = kept + (StoredRecordOffset.SECOND + i) * one
                     law[to2] = S[i]
-            elif which[KernelSwitch.LAYERED] + which[KernelSwitch.REFINES] > 0:
+            elif which[SensitivityControlIndex.LAYERED] + which[SensitivityControlIndex.REFINES] > 0:
                 W, P, A = law_of(F, root, coefficients)
                 for i in ti.static(range(5)):
                     s[at + PointRecordOffset.RELAXED_STRESS + i] = P[i]
@@ -179,54 +185,58 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                     law[to] = w * A1[n]
 
     @ti.func
-    def load_stress_history(b, which: ti.template(), elements: ti.template(), stresses: ti.template(),
-                            before: ti.template(), internal: ti.template(), recent: ti.template()):
+    def copy_stress_history_to_buffers(b, which: ti.template(), elements: ti.template(), stresses: ti.template(),
+                                       before: ti.template(), internal: ti.template(), recent: ti.template()):
         """Copy internal stresses to `recent`, and the last stress and its change to the scratch field, for batch b."""
-        one, terms = which[KernelSwitch.ONE], which[KernelSwitch.TERMS]
+        one, terms = which[SensitivityControlIndex.ONE], which[SensitivityControlIndex.TERMS]
         for q in range(points):
             for i in ti.static(range(4)):
-                s[BEFORE + 4 * q + i] = gather_point_component(before, elements, b, q, i)
-                s[CHANGE + 4 * q + i] = gather_point_component(stresses, elements, b, q, i) - s[BEFORE + 4 * q + i]
+                s[BEFORE + 4 * q + i] = gather_point_component_per_lane(before, elements, b, q, i)
+                stress = gather_point_component_per_lane(stresses, elements, b, q, i)
+                s[CHANGE + 4 * q + i] = stress - s[BEFORE + 4 * q + i]
                 for t in range(terms):
                     at_term = (q * terms + t) * 4 + i * one
                     recent[at_term] = ti.Vector([internal[t, elements[b, l], q, i] for l in ti.static(range(LANES))])
 
     @ti.func
-    def apply_memory_to_stress_rate(b, q, k, parameters, which: ti.template(), elements: ti.template(),
-                                    past: ti.template(), past_rates: ti.template(), largest: ti.template(),
-                                    largest_rates: ti.template(), energy_rates: ti.template(),
-                                    stress_rates: ti.template(), before_rates: ti.template(), recent: ti.template(),
-                                    internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
-                                    decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template()):
+    def apply_memory_to_stored_stress_rate(
+            b, q, k, parameters, which: ti.template(), elements: ti.template(), past: ti.template(),
+            past_rates: ti.template(), largest: ti.template(), largest_rates: ti.template(),
+            energy_rates: ti.template(), stress_rates: ti.template(), before_rates: ti.template(),
+            recent: ti.template(), internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
+            decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template()):
         """Convert, in place, the derivative of the law's stress to that of the softened and relaxed stress.
 
         The derivatives of energy and softened stress are stored for the memory.
         The modulus ratio of the element is not included.
         """
-        at, noted, terms, one = (RATE + 5 * q, LAW + PointRecordOffset.SIZE * q, which[KernelSwitch.TERMS],
-                                 which[KernelSwitch.ONE])
-        f, df = past[MemoryCoefficient.FACTOR], past_rates[k, MemoryCoefficient.FACTOR] / past[MemoryCoefficient.FACTOR]
+        at, noted = RATE + 5 * q, LAW + PointRecordOffset.SIZE * q
+        terms, one = which[SensitivityControlIndex.TERMS], which[SensitivityControlIndex.ONE]
+        f = past[RelaxationSofteningCoefficient.FACTOR]
+        df = past_rates[k, RelaxationSofteningCoefficient.FACTOR] / f
         F = [s[noted + PointRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
         W = s[noted + PointRecordOffset.ENERGY]
         dW = f * s[ENERGY_RATE + q] + df * W
         for i in ti.static(range(5)):
             s[at + i] = f * s[at + i] + df * s[noted + PointRecordOffset.STRESS + i]
         own = (b * points + q) * parameters + k
-        if which[KernelSwitch.SOFTENS] == 1:
-            L, dL = gather_point_values(largest, elements, b, q), largest_rates[own]
-            width = ti.max(past[MemoryCoefficient.LOSS_MODULUS] + past[MemoryCoefficient.LOSS_SHARE] * L, 1e-300)
-            width_rate = (past_rates[k,
-                                     MemoryCoefficient.LOSS_MODULUS] + past_rates[k, MemoryCoefficient.LOSS_SHARE] * L
-                          + past[MemoryCoefficient.LOSS_SHARE] * dL)
+        if which[SensitivityControlIndex.SOFTENS] == 1:
+            L, dL = gather_point_value_per_lane(largest, elements, b, q), largest_rates[own]
+            width = ti.max(past[RelaxationSofteningCoefficient.LOSS_MODULUS]
+                           + past[RelaxationSofteningCoefficient.LOSS_SHARE] * L, 1e-300)
+            width_rate = (past_rates[k, RelaxationSofteningCoefficient.LOSS_MODULUS]
+                          + past_rates[k, RelaxationSofteningCoefficient.LOSS_SHARE] * L
+                          + past[RelaxationSofteningCoefficient.LOSS_SHARE] * dL)
             bend = ti.tanh(ti.max(L - W, 0.0) / width)
             argument_rate = (dL - dW - (L - W) * width_rate / width) / width
-            eta_rate = ti.select(W < L, -past_rates[k, MemoryCoefficient.LOSS] * bend
-                                 - past[MemoryCoefficient.LOSS] * (1.0 - bend * bend) * argument_rate, 0.0 * W)
+            eta_rate = ti.select(W < L, -past_rates[k, RelaxationSofteningCoefficient.LOSS] * bend
+                                 - past[RelaxationSofteningCoefficient.LOSS] * (1.0 - bend * bend) * argument_rate,
+                                 0.0 * W)
             for i in ti.static(range(5)):
-                s[at + i] = ((1.0 - past[MemoryCoefficient.LOSS] * bend) * s[at + i]
+                s[at + i] = ((1.0 - past[RelaxationSofteningCoefficient.LOSS] * bend) * s[at + i]
                              + eta_rate * s[noted + PointRecordOffset.STRESS + i])
         energy_rates[own] = dW
-        S = pull_back_stress(F, [s[at + i] for i in ti.static(range(5))])
+        S = compute_second_piola_from_first_piola(F, [s[at + i] for i in ti.static(range(5))])
         for i in ti.static(range(4)):
             to = 4 * own + i * one
             stress_rates[to] = S[i]
@@ -238,27 +248,25 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                     at_term = (q * terms + t) * 4 + i * one
                     s[PAST + i] = (s[PAST + i] + decay_rates[k, t] * recent[at_term]
                                    - gain_rates[k, t] * s[BEFORE + 4 * q + i])
-        left = push_forward_stress(F, [s[PAST + i] for i in ti.static(range(4))])
+        left = compute_first_piola_from_second_piola(F, [s[PAST + i] for i in ti.static(range(4))])
         for i in ti.static(range(5)):
-            s[at + i] = (past[MemoryCoefficient.INSTANT] * s[at + i]
-                         + past_rates[k, MemoryCoefficient.INSTANT] * s[noted + PointRecordOffset.SOFT_STRESS + i]
-                         + left[i])
+            s[at + i] = (past[RelaxationSofteningCoefficient.INSTANT] * s[at + i]
+                         + past_rates[k, RelaxationSofteningCoefficient.INSTANT]
+                         * s[noted + PointRecordOffset.SOFT_STRESS + i] + left[i])
 
     @ti.func
-    def add_force_derivatives(b, k, kappa, parameters, batches, pressures, which: ti.template(), acts: ti.template(),
-                              directions: ti.template(), x: ti.template(), elements: ti.template(),
-                              gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
-                              weights: ti.template(), moduli: ti.template(), equations_r: ti.template(),
-                              equations_z: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
-                              rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
-                              rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
-                              inverse_zz: ti.template(), kappa_rates: ti.template(), moduli_rates: ti.template(),
-                              past: ti.template(), past_rates: ti.template(), largest: ti.template(),
-                              largest_rates: ti.template(), energy_rates: ti.template(), stress_rates: ti.template(),
-                              before_rates: ti.template(), recent: ti.template(), internal_rates: ti.template(),
-                              decay: ti.template(), gain: ti.template(), decay_rates: ti.template(),
-                              gain_rates: ti.template(), relaxes: ti.template(), centre_r: ti.template(),
-                              centre_z: ti.template(), forces: ti.template()):
+    def add_force_derivatives_at_fixed_displacement(
+            b, k, kappa, parameters, batches, pressures, which: ti.template(), acts: ti.template(),
+            directions: ti.template(), x: ti.template(), elements: ti.template(), gradient_r: ti.template(),
+            gradient_z: ti.template(), value_r: ti.template(), weights: ti.template(), moduli: ti.template(),
+            equations_r: ti.template(), equations_z: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
+            rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(), rows_zz: ti.template(),
+            inverse_rr: ti.template(), inverse_rz: ti.template(), inverse_zz: ti.template(), kappa_rates: ti.template(),
+            moduli_rates: ti.template(), past: ti.template(), past_rates: ti.template(), largest: ti.template(),
+            largest_rates: ti.template(), energy_rates: ti.template(), stress_rates: ti.template(),
+            before_rates: ti.template(), recent: ti.template(), internal_rates: ti.template(), decay: ti.template(),
+            gain: ti.template(), decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template(),
+            centre_r: ti.template(), centre_z: ti.template(), forces: ti.template()):
         """Add the derivatives of the nodal forces of batch b with parameter k at fixed displacements to `forces`."""
         direction = ti.Vector([directions[k, i] for i in ti.static(range(coefficients_of_both))])
         own = k * batches + b
@@ -276,13 +284,13 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 for i in ti.static(range(5)):
                     s[at + i] = vec(0.0)
             if ti.static(remembers):
-                apply_memory_to_stress_rate(b, q, k, parameters, which, elements, past, past_rates, largest,
-                                            largest_rates, energy_rates, stress_rates, before_rates, recent,
-                                            internal_rates, decay, gain, decay_rates, gain_rates, relaxes)
+                apply_memory_to_stored_stress_rate(b, q, k, parameters, which, elements, past, past_rates, largest,
+                                                   largest_rates, energy_rates, stress_rates, before_rates, recent,
+                                                   internal_rates, decay, gain, decay_rates, gain_rates, relaxes)
             w = weights[b * points + q]
             for i in ti.static(range(5)):
                 s[at + i] = (w * modulus) * s[at + i]
-            if which[KernelSwitch.LAYERED] == 1:
+            if which[SensitivityControlIndex.LAYERED] == 1:
                 for i in ti.static(range(5)):
                     s[at + i] = s[at + i] + (w * modulus_rate) * s[noted + PointRecordOffset.RELAXED_STRESS + i]
         # Relative derivative of the pressure p = K (v - V) at fixed volume.
@@ -316,18 +324,17 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 forces[k, equations_z[at, l]] = forces[k, equations_z[at, l]] + fz[l]
 
     @ti.func
-    def update_memory_derivatives(b, k, parameters, batches, which: ti.template(), dx: ti.template(),
-                                  dofs: ti.template(), elements: ti.template(), gradient_r: ti.template(),
-                                  gradient_z: ti.template(), value_r: ti.template(), rows_rr: ti.template(),
-                                  rows_rz: ti.template(), rows_zr: ti.template(), rows_zz: ti.template(),
-                                  law: ti.template(), largest: ti.template(), energies: ti.template(),
-                                  largest_rates: ti.template(), energy_rates: ti.template(),
-                                  stress_rates: ti.template(), before_rates: ti.template(), recent: ti.template(),
-                                  internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
-                                  decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template(),
-                                  centre_r: ti.template(), centre_z: ti.template()):
+    def update_memory_derivatives(
+            b, k, parameters, batches, which: ti.template(), dx: ti.template(), dofs: ti.template(),
+            elements: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
+            rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(), rows_zz: ti.template(),
+            law: ti.template(), largest: ti.template(), energies: ti.template(), largest_rates: ti.template(),
+            energy_rates: ti.template(), stress_rates: ti.template(), before_rates: ti.template(),
+            recent: ti.template(), internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
+            decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template(), centre_r: ti.template(),
+            centre_z: ti.template()):
         """Update the derivatives of the material history of batch b with parameter k, from the derivatives `dx`."""
-        in_batch, terms, one = k * batches + b, which[KernelSwitch.TERMS], which[KernelSwitch.ONE]
+        in_batch, terms, one = k * batches + b, which[SensitivityControlIndex.TERMS], which[SensitivityControlIndex.ONE]
         for a in range(nb):
             i = b * nodes + a
             s[UR + a] = ti.Vector([dx[k, dofs[i, l]] for l in ti.static(range(LANES))])
@@ -341,7 +348,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
             s[UR + centre], s[UZ + centre] = cr, cz
         for q in range(points):
             own, kept = (b * points + q) * parameters + k, (b * points + q) * StoredRecordOffset.SIZE
-            h0, h1, h2, h3, h4 = compute_displacement_gradient(b, q, gradient_r, gradient_z, value_r)
+            h0, h1, h2, h3, h4 = compute_gradient_of_stored_displacements(b, q, gradient_r, gradient_z, value_r)
             H = [h0, h1, h2, h3, h4]
             F = [1.0 * h0 for _i in ti.static(range(5))]
             second = [1.0 * h0 for _i in ti.static(range(4))]
@@ -355,15 +362,16 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 of2 = kept + (StoredRecordOffset.SECOND + i) * one
                 second[i] = law[of2]
             # d(F S) = F dS + dF S.
-            lost = push_forward_stress(H, second)
+            lost = compute_first_piola_from_second_piola(H, second)
             rate = [-1.0 * lost[i] for i in ti.static(range(5))]
             for i in ti.static(range(5)):
                 for n in ti.static(range(5)):
                     of = kept + ti.static(StoredRecordOffset.SOFT_TANGENT + row[i][n]) * one
                     rate[i] = rate[i] + law[of] * H[n]
-            S_rate = pull_back_stress(F, rate)
-            most = gather_point_values(largest, elements, b, q)
-            largest_rates[own] = ti.select(gather_point_values(energies, elements, b, q) > most, dW, largest_rates[own])
+            S_rate = compute_second_piola_from_first_piola(F, rate)
+            most = gather_point_value_per_lane(largest, elements, b, q)
+            largest_rates[own] = ti.select(gather_point_value_per_lane(energies, elements, b, q) > most, dW,
+                                           largest_rates[own])
             for i in ti.static(range(4)):
                 to = 4 * own + i * one
                 S = stress_rates[to] + S_rate[i]
@@ -377,4 +385,5 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                         internal_rates[of] = (internal_rates[of] + decay_rates[k, t] * recent[at_term]
                                               + gain_rates[k, t] * s[CHANGE + 4 * q + i])
 
-    return SensitivityFunctions(store_point_data, load_stress_history, add_force_derivatives, update_memory_derivatives)
+    return SensitivityFunctions(store_point_data, copy_stress_history_to_buffers,
+                                add_force_derivatives_at_fixed_displacement, update_memory_derivatives)

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.condensation import make_condensation_functions
-from tissue_sim.fem.axisymmetric.scratch import AT, get_scratch_field
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.axisymmetric.scratch import AT, get_axisymmetric_scratch_field
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.mesh.elements import ELEMENTS
 
@@ -19,35 +19,36 @@ from tissue_sim.mesh.elements import ELEMENTS
 class TangentProductFunctions(NamedTuple):
     """Taichi functions of the tangent product for one element type."""
 
-    add_tangent_product: object
+    add_tangent_product_to_residual: object
     update_condensed_derivatives: object
 
 
 @cache
 def make_tangent_product_functions(element_name: str) -> TangentProductFunctions:
     """Return the Taichi functions of the tangent product for an element type."""
-    ti = initialise()
+    ti = get_initialised_taichi()
     element = ELEMENTS[element_name]
     nodes, modes = element.node_count, element.pressure_modes
     points = element.quadrature[1].size
     has_centre, centre = nodes > element.boundary_nodes, nodes - 1
     own = make_condensation_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
-    s = get_scratch_field()
+    s = get_axisymmetric_scratch_field()
     UR, UZ, FR, FZ, SR, SZ, RATE = (AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ", "STRESS"))
     row = point.PLACE
 
     @ti.func
-    def add_tangent_product(b, k, kappa, batches, one, tangents: ti.template(), dx: ti.template(), dofs: ti.template(),
-                            real: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
-                            value_r: ti.template(), moduli: ti.template(), equations_r: ti.template(),
-                            equations_z: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
-                            known_r: ti.template(), known_z: ti.template(), pressure_rates: ti.template(),
-                            swelling: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
-                            rows_zr: ti.template(), rows_zz: ti.template(), inverse_rr: ti.template(),
-                            inverse_rz: ti.template(), inverse_zz: ti.template(), centre_r: ti.template(),
-                            centre_z: ti.template(), way_r: ti.template(), way_z: ti.template(),
-                            residual: ti.template()):
+    def add_tangent_product_to_residual(b, k, kappa, batches, one, tangents: ti.template(), dx: ti.template(),
+                                        dofs: ti.template(),
+                                        real: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
+                                        value_r: ti.template(), moduli: ti.template(), equations_r: ti.template(),
+                                        equations_z: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
+                                        known_r: ti.template(), known_z: ti.template(), pressure_rates: ti.template(),
+                                        swelling: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
+                                        rows_zr: ti.template(), rows_zz: ti.template(), inverse_rr: ti.template(),
+                                        inverse_rz: ti.template(), inverse_zz: ti.template(), centre_r: ti.template(),
+                                        centre_z: ti.template(), way_r: ti.template(), way_z: ti.template(),
+                                        residual: ti.template()):
         """Add the forces of the displacement derivatives (row k of `dx`) and pressure derivatives to the residual.
 
         `way_r` and `way_z` get the displacement derivatives of the interior nodes, including those at fixed shared
@@ -103,8 +104,8 @@ def make_tangent_product_functions(element_name: str) -> TangentProductFunctions
                 s[FZ + a] = s[FZ + a] + p * volume_z[v] + missed * known_z[v]
                 aside = aside + ti.abs(missed * (known_r[v] - volume_r[v])) + ti.abs(
                     missed * (known_z[v] - volume_z[v]))
-        own.condense_interior_force(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz, inverse_zz,
-                                    way_r, way_z)
+        own.condense_interior_force_and_get_square(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
+                                                   inverse_zz, way_r, way_z)
         if ti.static(has_centre):
             at = k * batches + b
             way_r[b], way_z[b] = way_r[b] + centre_r[at], way_z[b] + centre_z[at]
@@ -118,7 +119,7 @@ def make_tangent_product_functions(element_name: str) -> TangentProductFunctions
                                      rows_zz: ti.template(), way_r: ti.template(), way_z: ti.template(),
                                      pressure_rates: ti.template(), swelling: ti.template(), dx: ti.template()):
         """Update the derivatives of interior nodes (row k of `dx`) and pressures after the `motion` of shared nodes."""
-        own.compute_node_increments(b, motion, dofs, rows_rr, rows_rz, rows_zr, rows_zz, way_r, way_z)
+        own.store_increments_of_all_nodes(b, motion, dofs, rows_rr, rows_rz, rows_zr, rows_zz, way_r, way_z)
         if ti.static(has_centre):
             i, cr, cz = b * nodes + centre, s[SR + centre], s[SZ + centre]
             for l in ti.static(range(LANES)):
@@ -128,6 +129,6 @@ def make_tangent_product_functions(element_name: str) -> TangentProductFunctions
         for m in range(modes):
             mode = b * modes + m
             pressure_rates[mode] = pressure_rates[mode] + kappa * moduli[b] * (
-                swelling[mode] + own.compute_volume_increment(mode, known_r, known_z))
+                swelling[mode] + own.compute_volume_increment_of_mode(mode, known_r, known_z))
 
-    return TangentProductFunctions(add_tangent_product, update_condensed_derivatives)
+    return TangentProductFunctions(add_tangent_product_to_residual, update_condensed_derivatives)

@@ -43,7 +43,7 @@ class StoredRecordOffset(IntEnum):
     SIZE = 29
 
 
-class KernelSwitch(IntEnum):
+class SensitivityControlIndex(IntEnum):
     """Indices of `which`, the integers that control the kernels of the sensitivities.
 
     Attributes:

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.contact import ContactPairs, ContactSpanColumn
+from tissue_sim.fem.axisymmetric.contact import ContactPairs, OutlineSpanColumn
 from tissue_sim.fem.axisymmetric.creep import iterate_damped_steps
 from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.fem.axisymmetric.predictor import compute_extrapolation_weights
-from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_levels
+from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_levels_finest_first
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, extract_deformed_surface
-from tissue_sim.fem.axisymmetric.touch import bind_points_reached_early, place_at_first_touch
+from tissue_sim.fem.axisymmetric.touch import bind_at_first_touch_and_get_height, bind_points_reached_in_half_increment
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.inertia import InertialMotion
 from tissue_sim.fem.solver import (
@@ -34,7 +34,12 @@ from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 from tissue_sim.model import Model
 from tissue_sim.pose import NO_ROTATION, Pose
-from tissue_sim.tool_force import PredictedForce, get_depth_of_pose, make_axial_stiffness_matrix, make_axial_wrench
+from tissue_sim.tool_force import (
+    PredictedForceOfNextStep,
+    get_depth_of_pose_or_number,
+    make_axial_stiffness_matrix,
+    make_axial_wrench,
+)
 
 if TYPE_CHECKING:
     from tissue_sim.fem.axisymmetric.sensitivity import MaterialSensitivity
@@ -95,7 +100,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
         self._sensitivity: MaterialSensitivity | None = None
         # Target depth of the last iteration (m), and its number of linear solves.
         self._target_depth, self._iterated, self._pose = 0.0, 0, Pose.at_depth(0.0)
-        self.datum = equations.settings[newton.SettingIndex.TOUCH] = 0.0 if contact is None else place_at_first_touch(
+        self.datum = equations.settings[newton.SettingIndex.TOUCH] = 0.0 if contact is None \
+            else bind_at_first_touch_and_get_height(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
         self.committed.store_initial_bonds()
         self._max_depth = MAX_RELATIVE_DEPTH * float(np.ptp(mesh.nodes[:, 1]))
@@ -129,13 +135,13 @@ class AxisymmetricSolver(KernelOwner, Solver):
         """Move the tool to a depth (m), or to the depth of a pose, and solve for equilibrium; see `Solver.step`."""
         state, rate = self.committed, 0.0
         if state.motion is not None and inertial:
-            rate = state.motion.prepare_step(state.latest_state, dt)
-        return self.solve_depth_step(get_depth_of_pose(pose), dt, tolerance, max_iterations, predictor_order, rate,
-                                     inertial=inertial, resumes=resumes, own_stiffness=own_stiffness)
+            rate = state.motion.prepare_step(state.last_committed_solution, dt)
+        return self.try_depth_step(get_depth_of_pose_or_number(pose), dt, tolerance, max_iterations, predictor_order,
+                                   rate, inertial=inertial, resumes=resumes, own_stiffness=own_stiffness)
 
-    def solve_depth_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
-                         rate: float, *, inertial: bool = False, resumes: bool = False,
-                         own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:
+    def try_depth_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
+                       rate: float, *, inertial: bool = False, resumes: bool = False,
+                       own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:
         """Solve a step with the force `rate` times mass times displacement from rest (`EquilibriumEquations.rest`).
 
         Args:
@@ -164,12 +170,13 @@ class AxisymmetricSolver(KernelOwner, Solver):
         self._target_depth = depth
         self._iterated += int(equations.report[newton.ReportIndex.ITERATIONS])
         status, iterations, residual, force, violation, slipping, stiffness = equations.report.tolist()
-        asked = bool(equations.counts[newton.CountIndex.STIFFNESS_ASKED])
+        asked = bool(equations.counts[newton.StepIntegerIndex.STIFFNESS_ASKED])
         result = Step.axial(_STATUSES[int(status)], int(iterations), residual, force, violation, int(slipping),
                             stiffness if asked else None)
         if result.status is StepStatus.CONVERGED and asked and inertial:
-            is_due = StaticStiffnessRequest.is_stiffness_due(own_stiffness, iterations < max_iterations)
-            own = equations.compute_static_stiffness() if is_due else None
+            is_due = StaticStiffnessRequest.needs_stiffness_given_spare_solve(
+                own_stiffness, iterations < max_iterations)
+            own = equations.compute_static_stiffness_or_none() if is_due else None
             result = replace(result, step_stiffness_matrix=result.stiffness_matrix,
                              stiffness_matrix=None if own is None else make_axial_stiffness_matrix(own))
         if result.status is StepStatus.CONVERGED:
@@ -178,24 +185,25 @@ class AxisymmetricSolver(KernelOwner, Solver):
             if self._sensitivity is not None:
                 self._sensitivity.update_at_equilibrium()
             if state.motion is not None:
-                state.motion.commit_step(state.latest_state, state.x, dt, inertial)
+                state.motion.commit_step(state.last_committed_solution, state.x, dt, inertial)
             state.commit_step(depth, dt if inertial else 0.0, watched=asked)
         return result
 
     def step_with_damping(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9,
                           max_iterations: int = 20, allowed: Callable[[], int] | None = None) -> Generator[Step]:
         """Step to a depth (m), or to the depth of a pose, with decreasing damping; see `Solver.step_with_damping`."""
-        return iterate_damped_steps(self, get_depth_of_pose(pose), dt, tolerance, max_iterations, allowed)
+        return iterate_damped_steps(self, get_depth_of_pose_or_number(pose), dt, tolerance, max_iterations, allowed)
 
     def enable_inertia(self, density: float) -> bool:
         """Enable inertial steps with a mass density, kg/m3; returns True, because the solver supports inertia."""
         equations = self.equations
-        self.committed.motion = InertialMotion(equations.masses, equations.rest, density * equations.shared_dof_volumes)
+        self.committed.motion = InertialMotion(equations.masses, equations.rest,
+                                               density * equations.dof_volumes_of_shared_nodes)
         equations.settings[newton.SettingIndex.DENSITY] = density
         self._masses = density * equations.compute_dof_volumes()
         return True
 
-    def predict_next_force(self, dt: float) -> PredictedForce | None:
+    def predict_next_force(self, dt: float) -> PredictedForceOfNextStep | None:
         """Predict the force of the next inertial step if the tool stays; see `Solver.predict_next_force`.
 
         Let D be the displacement of all degrees of freedom per depth of the tool, f the internal forces and a the
@@ -207,19 +215,19 @@ class AxisymmetricSolver(KernelOwner, Solver):
         _, _, _, force, _, _, stiffness = equations.report.tolist()
         if motion is None or stiffness <= 0.0:
             return None
-        more, stiffer = map(float, motion.predict_inertial_force_change(self.committed.latest_state, dt, self._masses,
-                                                equations.compute_displacement_per_depth()))
-        return PredictedForce(make_axial_wrench(force + more),
-                              make_axial_stiffness_matrix(max(stiffness + stiffer, 0.0)))
+        more, stiffer = map(float, motion.predict_inertial_force_and_stiffness_change(
+            self.committed.last_committed_solution, dt, self._masses, equations.compute_displacement_per_depth()))
+        return PredictedForceOfNextStep(make_axial_wrench(force + more),
+                                        make_axial_stiffness_matrix(max(stiffness + stiffer, 0.0)))
 
     def ask_for_stiffness(self) -> None:
         """Enable the computation of the stiffness (derivative of the force with respect to the depth) in every step."""
-        self.equations.counts[newton.CountIndex.STIFFNESS_ASKED] = 1
+        self.equations.counts[newton.StepIntegerIndex.STIFFNESS_ASKED] = 1
 
     @classmethod
     def realtime_levels(cls, model: Model) -> Sequence[ResolutionLevel]:
         """See `Solver.realtime_levels`."""
-        return list_realtime_levels(model.experiment)
+        return list_realtime_levels_finest_first(model.experiment)
 
     @classmethod
     def error_estimate(cls, resolution: str) -> ErrorEstimate | None:
@@ -256,15 +264,16 @@ class AxisymmetricSolver(KernelOwner, Solver):
         equations, surface = self.equations, self.equations.surface
         own, contact = surface.moves, equations.contact
         if (contact is None or contact.laws or self._holds_tissue or not own.any() or surface.anchors[own, 0].any()
-                or surface.spans[own, ContactSpanColumn.STAYS].any()):
+                or surface.spans[own, OutlineSpanColumn.STAYS].any()):
             return None
-        positions = surface.deformed_positions(self.committed.latest_state[: 2 * len(self.mesh.nodes)].reshape(-1, 2))
+        positions = surface.deformed_positions(
+            self.committed.last_committed_solution[: 2 * len(self.mesh.nodes)].reshape(-1, 2))
         positions[own, 1] += pose.depth - self.datum
         return float(surface.signed_gaps(positions)[own].min())
 
     def move_in_air(self, pose: Pose) -> None:
         """Set the depth of a tool in the air without solving a step; see `FreeTool.move_in_air`."""
-        self.committed.set_tool_depth(pose.depth)
+        self.committed.restart_depth_history_at(pose.depth)
 
     def move_to_next_touch(self, pose: Pose) -> bool:
         """Move a lifted tool to its next touch; return whether this touch is like a first touch.
@@ -272,9 +281,10 @@ class AxisymmetricSolver(KernelOwner, Solver):
         See `FreeTool.move_to_next_touch`.
         """
         tolerance = AT_REST * float(self.equations.settings[newton.SettingIndex.CONTACT_TOLERANCE])
-        begins = not self.is_time_dependent and self.committed.is_at_rest(2 * len(self.mesh.nodes), tolerance)
+        begins = not self.is_time_dependent \
+            and self.committed.are_displacements_untouched(2 * len(self.mesh.nodes), tolerance)
         if begins:
-            self.committed.restore_untouched_state()
+            self.committed.restore_untouched_shape_and_bonds()
         else:
             self.move_in_air(pose)
         return begins
@@ -287,9 +297,9 @@ class AxisymmetricSolver(KernelOwner, Solver):
         committed = self.committed
         if committed.motion is not None:
             committed.motion.restart_at_first_order()
-        bind_points_reached_early(self.equations.surface,
-                                  committed.latest_state[: 2 * len(self.mesh.nodes)].reshape(-1, 2),
-                                  committed.depths[0] - self.datum, pose.depth - committed.depths[0])
+        displacement = committed.last_committed_solution[: 2 * len(self.mesh.nodes)].reshape(-1, 2)
+        bind_points_reached_in_half_increment(self.equations.surface, displacement,
+                                              committed.depths[0] - self.datum, pose.depth - committed.depths[0])
 
     def stop_tissue_motion(self) -> None:
         """Set the velocity of the tissue to zero; see `FreeTool.stop_tissue_motion`."""
@@ -298,7 +308,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
 
     def lift_off(self) -> None:
         """Remove the tool at once and restore the displacements before the first touch; see `Solver.lift_off`."""
-        self.committed.restore_untouched_state()
+        self.committed.restore_untouched_shape_and_bonds()
 
     def save(self) -> SavedState:
         """Return a copy of the committed state, for `restore`."""
@@ -333,7 +343,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
     @property
     def state(self) -> np.ndarray:
         """Copy of the last committed state: nodal displacements (m), pressure amplitudes, contact forces (N)."""
-        return self.committed.latest_state.copy()
+        return self.committed.last_committed_solution.copy()
 
     @property
     def sag(self) -> float:
@@ -349,9 +359,9 @@ class AxisymmetricSolver(KernelOwner, Solver):
         equations = self.equations
         if not equations.has_material_history:
             return FieldSample(self.state, None)
-        stresses = equations.memory.total_stress()
+        stresses = equations.memory.compute_committed_relaxed_stress()
         if equations.effects.formulas:
-            stresses = stresses + equations.effects.total_stress
+            stresses = stresses + equations.effects.committed_effect_stress
         return FieldSample(self.state, stresses)
 
     def fields(self, samples: Sequence[FieldSample]) -> Fields:
@@ -375,7 +385,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
                   "mesh": {"elements": len(self.mesh.connectivity), "freedoms": self.equations.free}}
         if contact is not None:
             report |= {"penetration_mm": 0.0, "penetration_tolerance_mm": contact.tolerance * 1e3}
-            if self.equations.surface.can_slip:
+            if self.equations.surface.has_coulomb_friction_points:
                 report["slipping_points"] = 0
         if self.equations.specific_weight:
             report["self_weight"] = {"sag_mm": self.sag * 1e3,

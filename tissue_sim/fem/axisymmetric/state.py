@@ -65,11 +65,14 @@ class SolverState:
         self.store_initial_bonds()
 
     def store_initial_bonds(self) -> None:
-        """Store the present contact bonds as the bonds before the first step, for `restore_untouched_state`."""
+        """Store the present contact bonds as the bonds before the first step.
+
+        `restore_untouched_shape_and_bonds` needs them.
+        """
         self._first_bonds = self.surface.anchors.copy(), self.surface.slipped.copy()
 
     @property
-    def latest_state(self) -> np.ndarray:
+    def last_committed_solution(self) -> np.ndarray:
         """Solution vector of the last committed step, a view, shape (unknowns,)."""
         return self.history[self.slots[0]]
 
@@ -103,7 +106,7 @@ class SolverState:
             self.equilibria_since_contact_change = self.equilibria_since_contact_change + 1 if is_same else 0
             self._touching = touching
 
-    def set_tool_depth(self, depth: float) -> None:
+    def restart_depth_history_at(self, depth: float) -> None:
         """Set the depth of a tool in the air for the latest state; earlier states are no longer used to extrapolate.
 
         Args:
@@ -111,16 +114,16 @@ class SolverState:
         """
         self.depths, self.times = [depth], [0.0]
 
-    def is_at_rest(self, nodal: int, tolerance: float) -> bool:
+    def are_displacements_untouched(self, nodal: int, tolerance: float) -> bool:
         """Return whether the displacements differ from those before the first touch by at most a tolerance.
 
         Args:
             nodal: number of displacement components, the first entries of the state.
             tolerance: largest difference, m.
         """
-        return float(np.abs(self.latest_state[:nodal] - self._untouched[:nodal]).max()) <= tolerance
+        return float(np.abs(self.last_committed_solution[:nodal] - self._untouched[:nodal]).max()) <= tolerance
 
-    def restore_untouched_state(self) -> None:
+    def restore_untouched_shape_and_bonds(self) -> None:
         """Restore the displacements and bonds before the first touch; the material history stays."""
         self.slots[:], self.depths, self.times, self.equilibria_since_contact_change = np.arange(KEPT), [0.0], [0.0], 0
         self.history[0] = self._untouched

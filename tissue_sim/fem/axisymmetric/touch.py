@@ -14,7 +14,8 @@ TOUCH_ITERATIONS = 3
 LEAST_CLOSING = 1e-3
 
 
-def place_at_first_touch(mesh: Mesh, contact: ContactPairs, surface: ContactPoints, displacement: np.ndarray) -> float:
+def bind_at_first_touch_and_get_height(mesh: Mesh, contact: ContactPairs, surface: ContactPoints,
+                                       displacement: np.ndarray) -> float:
     """Place the tool at its first touch of the surface, and bind the points that touch a body.
 
     Args:
@@ -31,7 +32,7 @@ def place_at_first_touch(mesh: Mesh, contact: ContactPairs, surface: ContactPoin
         datum = _find_first_touch_height(mesh, contact, displacement, positions[surface.moves])
     positions[surface.moves, 1] -= datum
     if contact.level:
-        _shift_to_level_top(mesh, surface, displacement, positions, datum)
+        _shift_points_to_level_top_in_place(mesh, surface, displacement, positions, datum)
     touches = surface.signed_gaps(positions) <= 1e-9 * np.ptp(mesh.nodes[:, 1])
     untouched = touches & (surface.anchors[:, 0] == contact_kernels.FREE)
     surface.anchors[untouched, 0] = np.where(surface.tied[untouched], contact_kernels.HELD, contact_kernels.TOUCHED)
@@ -39,10 +40,11 @@ def place_at_first_touch(mesh: Mesh, contact: ContactPairs, surface: ContactPoin
     return datum
 
 
-def bind_points_reached_early(surface: ContactPoints, displacement: np.ndarray, lift: float, descent: float) -> None:
+def bind_points_reached_in_half_increment(surface: ContactPoints, displacement: np.ndarray, lift: float,
+                                          descent: float) -> None:
     """Bind the contact points with friction that the tool reaches in the first half of an increment.
 
-    Points under a face without slip are left to `bind_face_points_reached`.
+    Points under a face without slip are left to `bind_no_slip_points_where_they_touch`.
 
     A point is bound to the position on the tool that would reach the point if the tissue did not move. Points that the
     tool reaches later slide freely until the end of the increment, so that the errors of both halves have opposite
@@ -61,7 +63,7 @@ def bind_points_reached_early(surface: ContactPoints, displacement: np.ndarray, 
         return
     positions = surface.deformed_positions(displacement, points)
     positions[:, 1] += lift
-    way = _compute_distance_to_touch(surface, points, positions, np.array([0.0, 1.0]))
+    way = _estimate_point_distances_to_touch(surface, points, positions, np.array([0.0, 1.0]))
     meets = way <= 0.5 * descent
     points, positions = points[meets], positions[meets]
     positions[:, 1] += way[meets]
@@ -69,8 +71,8 @@ def bind_points_reached_early(surface: ContactPoints, displacement: np.ndarray, 
     surface.anchors[points, 1:] = positions - surface.places[points]
 
 
-def bind_face_points_reached(surface: ContactPoints, points: np.ndarray, now: np.ndarray, predicted: np.ndarray,
-                             lift: float, descent: float) -> None:
+def bind_no_slip_points_where_they_touch(surface: ContactPoints, points: np.ndarray, now: np.ndarray,
+                                         predicted: np.ndarray, lift: float, descent: float) -> None:
     """Bind the points under a face without slip that the tool reaches in an increment to the positions of their touch.
 
     A point that touches within an increment and is not bound slides without friction until the end of the increment,
@@ -97,13 +99,13 @@ def bind_face_points_reached(surface: ContactPoints, points: np.ndarray, now: np
     direction, way = (end - start) / length[:, None], np.zeros(points.size)
     for _ in range(TOUCH_ITERATIONS):
         here = start + way[:, None] * direction
-        way = np.minimum(way + _compute_distance_to_touch(surface, points, here, direction), length)
+        way = np.minimum(way + _estimate_point_distances_to_touch(surface, points, here, direction), length)
     surface.initial[points, 0] = contact_kernels.TOUCHED
     surface.initial[points, 1:] = start + way[:, None] * direction - surface.places[points]
 
 
-def _compute_distance_to_touch(surface: ContactPoints, points: np.ndarray, positions: np.ndarray,
-                               direction: np.ndarray) -> np.ndarray:
+def _estimate_point_distances_to_touch(surface: ContactPoints, points: np.ndarray, positions: np.ndarray,
+                                       direction: np.ndarray) -> np.ndarray:
     """Return the distances that points move in straight lines until they touch, from a linearised gap, m.
 
     The gap is linearised over half of its size, where the point stays at the same face of the body, so that edges have
@@ -121,8 +123,8 @@ def _compute_distance_to_touch(surface: ContactPoints, points: np.ndarray, posit
     return np.where(gap > 0.0, 0.5 * gap**2 / np.maximum(closes, least), 0.0)
 
 
-def _shift_to_level_top(mesh: Mesh, surface: ContactPoints, displacement: np.ndarray, positions: np.ndarray,
-                        datum: float) -> None:
+def _shift_points_to_level_top_in_place(mesh: Mesh, surface: ContactPoints, displacement: np.ndarray,
+                                        positions: np.ndarray, datum: float) -> None:
     """Shift the points so that a plate touches the whole unevenly settled top at once, as if the top were cut level.
 
     Without the shift a plate would touch the highest ring first.

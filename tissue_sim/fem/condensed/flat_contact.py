@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.condensed.flat_kernel import FLAT_COLUMNS, FlatKernelInput, make_flat_contact_kernel
+from tissue_sim.fem.condensed.flat_kernel import FLAT_COLUMNS, FlatKernelInputIndex, make_flat_contact_residual_kernel
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 
@@ -41,7 +41,7 @@ class TangentPlaneContact:
     """Solver of the frictional contact of nodes near the tool with the tangent planes of the tool surface.
 
     Args:
-        arrays: arrays of the stepper, by the names of `make_flat_contact_kernel`; the forces and contact
+        arrays: arrays of the stepper, by the names of `make_flat_contact_residual_kernel`; the forces and contact
             states in them are changed.
         near: largest gap of a node that takes part without carrying a force, m.
         floor: smallest force by which the residual is divided, N.
@@ -55,9 +55,9 @@ class TangentPlaneContact:
         own = {"found": self._found, "limits": self._limits, "flat": np.zeros((n, FLAT_COLUMNS)),
                "matrix": self._matrix, "right": self._right}
         with LOCK:
-            self._kernel = BoundKernel.bind_by_name(make_flat_contact_kernel(), arrays | own)
+            self._kernel = BoundKernel.bind_by_name(make_flat_contact_residual_kernel(), arrays | own)
 
-    def solve_contact_forces(self, tolerance: float) -> bool:
+    def try_solving_contact_forces(self, tolerance: float) -> bool:
         """Solve for forces and contact states of the nodes; both are written to the arrays of the stepper.
 
         Args:
@@ -68,8 +68,8 @@ class TangentPlaneContact:
         """
         from scipy.linalg import lapack
 
-        self._limits[FlatKernelInput.TOLERANCE] = tolerance
-        residual, k = self._evaluate_residual(0.0)
+        self._limits[FlatKernelInputIndex.TOLERANCE] = tolerance
+        residual, k = self._take_step_and_get_residual_norm(0.0)
         for _ in range(_SETTINGS.max_iterations):
             if residual <= tolerance:
                 return True
@@ -82,7 +82,7 @@ class TangentPlaneContact:
                     return False
             step_length = 1.0
             for halving in range(_SETTINGS.max_halvings + 1):
-                now, k = self._evaluate_residual(step_length)
+                now, k = self._take_step_and_get_residual_norm(step_length)
                 if now <= (1.0 - _SETTINGS.sufficient_decrease * step_length) * residual:
                     break
                 step_length *= 0.5
@@ -91,7 +91,7 @@ class TangentPlaneContact:
             residual = now
         return residual <= tolerance
 
-    def _evaluate_residual(self, step_length: float) -> tuple[float, int]:
+    def _take_step_and_get_residual_norm(self, step_length: float) -> tuple[float, int]:
         """Evaluate the residual at a step length towards the linear solution, and assemble the next linear equations.
 
         Args:
@@ -100,7 +100,7 @@ class TangentPlaneContact:
         Returns:
             Residual over the norm of the forces, and the number of unknowns of the next linear equations.
         """
-        self._limits[FlatKernelInput.STEP_LENGTH] = step_length
+        self._limits[FlatKernelInputIndex.STEP_LENGTH] = step_length
         with LOCK:
             self._kernel()
         residual, forces, _, unknowns = self._found.tolist()

@@ -3,20 +3,20 @@
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.condensed.kernel import make_node_compliance_function
+from tissue_sim.fem.condensed.kernel import make_normal_tangential_compliance_function
 from tissue_sim.fem.condensed.tables import (
-    ContactStateColumn,
     KernelSetting,
-    LocalContactColumn,
-    NodeColumn,
+    LinearisedContactColumn,
+    NodeBondAndStatusColumn,
+    NodeForceAndAnchorColumn,
     NodeListColumn,
 )
-from tissue_sim.fem.contact_settings import ContactBond
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.contact_settings import ContactBondState
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
 class FlatKernelOutputIndex(IntEnum):
-    """Indices of `found`, the outputs of the kernel of `make_flat_contact_kernel`.
+    """Indices of `found`, the outputs of the kernel of `make_flat_contact_residual_kernel`.
 
     Attributes:
         RESIDUAL: square of the norm of the residual, N2.
@@ -31,8 +31,8 @@ class FlatKernelOutputIndex(IntEnum):
     EQUATIONS = 3
 
 
-class FlatKernelInput(IntEnum):
-    """Indices of `limits`, the inputs of the kernel of `make_flat_contact_kernel`.
+class FlatKernelInputIndex(IntEnum):
+    """Indices of `limits`, the inputs of the kernel of `make_flat_contact_residual_kernel`.
 
     Attributes:
         NEAR_GAP: nodes with a smaller gap take part, m.
@@ -75,17 +75,17 @@ FLAT_COLUMNS = FlatContactColumn.KNOWN + 3
 
 
 @cache
-def make_flat_contact_kernel():
+def make_flat_contact_residual_kernel():
     """Return the kernel of `TangentPlaneContact`: line-search step, then residual and next linear equations.
 
     A sticking node has three unknowns. A slipping node has two: the normal force, to which the friction is
     proportional, and the tangential force perpendicular to the slip; the change of the friction along the slip is then
     known. A node without friction has one unknown.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
     real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
     int2 = ti.types.ndarray(ti.i32, ndim=2)
-    node_compliance = make_node_compliance_function()
+    normal_and_tangential_compliance = make_normal_tangential_compliance_function()
 
     @ti.func
     def apply_line_search_step(settings: ti.template(), found: ti.template(), step_length, lists: ti.template(),
@@ -95,7 +95,8 @@ def make_flat_contact_kernel():
         if step_length == 1.0:
             for i in range(many):
                 for a in ti.static(range(3)):
-                    flat[i, FlatContactColumn.START + a] = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
+                    flat[i, FlatContactColumn.START + a] = carried[lists[i, NodeListColumn.NODE],
+                                                                   NodeForceAndAnchorColumn.FORCE + a]
                     flat[i, FlatContactColumn.GOAL + a] = 0.0
             for p in range(ti.cast(found[FlatKernelOutputIndex.NODES], ti.i32)):
                 i = lists[p, NodeListColumn.UNKNOWN]
@@ -109,11 +110,11 @@ def make_flat_contact_kernel():
             for a in ti.static(range(3)):
                 begun = flat[i, FlatContactColumn.START + a]
                 force = begun + step_length * (flat[i, FlatContactColumn.GOAL + a] - begun)
-                carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a] = force
+                carried[lists[i, NodeListColumn.NODE], NodeForceAndAnchorColumn.FORCE + a] = force
 
     @ti.func
-    def compute_displacements(many, carried: ti.template(), lists: ti.template(), local: ti.template(),
-                              compliance: ti.template(), flat: ti.template()):
+    def compute_displacements_by_force_changes(many, carried: ti.template(), lists: ti.template(), local: ti.template(),
+                                               compliance: ti.template(), flat: ti.template()):
         """Compute the node displacements caused by force changes since the tool surface was linearised."""
         for p in range(many):
             for a in ti.static(range(3)):
@@ -121,8 +122,8 @@ def make_flat_contact_kernel():
         for q in range(many):
             j = lists[q, NodeListColumn.NEAR]
             s = lists[j, NodeListColumn.NODE]
-            change = ti.Vector([carried[s, NodeColumn.FORCE + b] - local[j, LocalContactColumn.FORCE + b]
-                                for b in ti.static(range(3))])
+            change = ti.Vector([carried[s, NodeForceAndAnchorColumn.FORCE + b]
+                                - local[j, LinearisedContactColumn.FORCE + b] for b in ti.static(range(3))])
             if change.norm() > 0.0:
                 for p in range(many):
                     i = lists[p, NodeListColumn.NEAR]
@@ -133,8 +134,8 @@ def make_flat_contact_kernel():
                             + compliance[3 * j + 2, 3 * i + a] * change[2])
 
     @ti.func
-    def store_node_unknown(p, row, rate, way, own, rest, lists: ti.template(), flat: ti.template(),
-                           right: ti.template()):
+    def store_coefficients_of_node_unknown(p, row, rate, way, own, rest, lists: ti.template(), flat: ti.template(),
+                                           right: ti.template()):
         """Store one unknown of node p: force derivative and direction, diagonal entry, minus the residual."""
         for a in ti.static(range(3)):
             flat[p, FlatContactColumn.RATES + 3 * row + a], flat[p, FlatContactColumn.DIRECTIONS + 3 * row + a] = (
@@ -146,20 +147,21 @@ def make_flat_contact_kernel():
     def evaluate_node_residual(p, i, first, states: ti.template(), carried: ti.template(), lists: ti.template(),
                                local: ti.template(), compliance: ti.template(), flat: ti.template(),
                                right: ti.template()):
-        """Return the residual of the equation of node i, N, and store its unknowns (`store_node_unknown`).
+        """Return the residual of the equation of node i, N, and store its unknowns.
 
-        The unknowns are those of the p-th node with unknowns, from equation `first` on.
+        For the storage see `store_coefficients_of_node_unknown`. The unknowns are those of the p-th node with
+        unknowns, from equation `first` on.
         """
         s = lists[i, NodeListColumn.NODE]
-        n = ti.Vector([local[i, LocalContactColumn.NORMAL + a] for a in ti.static(range(3))])
-        F = ti.Vector([carried[s, NodeColumn.FORCE + a] for a in ti.static(range(3))])
+        n = ti.Vector([local[i, LinearisedContactColumn.NORMAL + a] for a in ti.static(range(3))])
+        F = ti.Vector([carried[s, NodeForceAndAnchorColumn.FORCE + a] for a in ti.static(range(3))])
         move = ti.Vector([flat[i, FlatContactColumn.DISPLACEMENT + a] for a in ti.static(range(3))])
-        slip = ti.Vector([local[i, LocalContactColumn.SLIP + a] for a in ti.static(range(3))]) + move
-        gap, mu = local[i, LocalContactColumn.GAP] + n.dot(move), local[i, LocalContactColumn.FRICTION]
-        give = node_compliance(i, n, compliance)
+        slip = ti.Vector([local[i, LinearisedContactColumn.SLIP + a] for a in ti.static(range(3))]) + move
+        gap, mu = local[i, LinearisedContactColumn.GAP] + n.dot(move), local[i, LinearisedContactColumn.FRICTION]
+        give = normal_and_tangential_compliance(i, n, compliance)
         along, aside = give[0], give[1]
         nn, eye = n.outer_product(n), ti.Matrix.identity(ti.f64, 3)
-        held, N = states[s, ContactStateColumn.BOND] == ContactBond.HELD, F.dot(n) + gap / along
+        held, N = states[s, NodeBondAndStatusColumn.BOND] == ContactBondState.HELD, F.dot(n) + gap / along
         rest, rates, sticks = -F, eye, held
         lists[p,
               NodeListColumn.UNKNOWN], lists[p, NodeListColumn.FIRST_ROW], lists[p, NodeListColumn.ROWS] = i, first, 0
@@ -169,25 +171,26 @@ def make_flat_contact_kernel():
             rates = eye / ti.max(along, aside)
             rest = rates @ slip
         else:
-            states[s, ContactStateColumn.PRESSED], states[s, ContactStateColumn.SLIPS] = 0, 0
+            states[s, NodeBondAndStatusColumn.PRESSED], states[s, NodeBondAndStatusColumn.SLIPS] = 0, 0
             if N < 0.0:
                 tried = F + slip / aside
                 q = tried - tried.dot(n) * n
                 length, most = q.norm(), -mu * N
-                states[s, ContactStateColumn.PRESSED] = 1
+                states[s, NodeBondAndStatusColumn.PRESSED] = 1
                 sticks = mu > 0.0 and length <= most
                 if sticks:
                     rest, rates = N * n + q - F, nn / along + (eye - nn) / aside
                 else:
-                    states[s, ContactStateColumn.SLIPS] = 1
+                    states[s, NodeBondAndStatusColumn.SLIPS] = 1
                     way = q / ti.max(length, 1e-300)
                     rest = N * n + most * way - F
-                    store_node_unknown(p, 0, n / along, n - mu * way, 0.0, rest.dot(n), lists, flat, right)
+                    store_coefficients_of_node_unknown(p, 0, n / along, n - mu * way, 0.0, rest.dot(n), lists, flat,
+                                                       right)
                     known = rest - rest.dot(n) * n
                     if mu > 0.0:
                         part, other = most / length, n.cross(way)
-                        store_node_unknown(p, 1, part / aside * other, other, part - 1.0, rest.dot(other), lists, flat,
-                                           right)
+                        store_coefficients_of_node_unknown(p, 1, part / aside * other, other, part - 1.0,
+                                                           rest.dot(other), lists, flat, right)
                         known = (rest.dot(way) + mu * rest.dot(n)) * way
                     for a in ti.static(range(3)):
                         flat[p, FlatContactColumn.KNOWN + a] = known[a]
@@ -195,7 +198,7 @@ def make_flat_contact_kernel():
             for a in ti.static(range(3)):
                 row = ti.Vector([rates[a, b] for b in ti.static(range(3))])
                 unit = ti.Vector([1.0 if a == b else 0.0 for b in ti.static(range(3))])
-                store_node_unknown(p, a, row, unit, 0.0, rest[a], lists, flat, right)
+                store_coefficients_of_node_unknown(p, a, row, unit, 0.0, rest[a], lists, flat, right)
         return rest
 
     @ti.func
@@ -222,10 +225,11 @@ def make_flat_contact_kernel():
                 flat[q, FlatContactColumn.DIAGONAL + row])
 
     @ti.func
-    def subtract_separated_node_force(j, count, carried: ti.template(), lists: ti.template(), compliance: ti.template(),
-                                      flat: ti.template(), right: ti.template()):
+    def subtract_separated_force_from_right_side(j, count, carried: ti.template(), lists: ti.template(),
+                                                 compliance: ti.template(), flat: ti.template(), right: ti.template()):
         """Subtract the displacement caused by the force of a separating node from the right-hand side."""
-        force = ti.Vector([carried[lists[j, NodeListColumn.NODE], NodeColumn.FORCE + b] for b in ti.static(range(3))])
+        force = ti.Vector([carried[lists[j, NodeListColumn.NODE], NodeForceAndAnchorColumn.FORCE + b]
+                           for b in ti.static(range(3))])
         for p in range(count if force.norm() > 0.0 else 0):
             i, begin = lists[p, NodeListColumn.UNKNOWN], lists[p, NodeListColumn.FIRST_ROW]
             C = ti.Matrix([[compliance[3 * j + b, 3 * i + a] for a in ti.static(range(3))]
@@ -235,47 +239,49 @@ def make_flat_contact_kernel():
                 right[begin + other] = right[begin + other] - pushed.dot(force)
 
     @ti.kernel
-    def evaluate_contact_equations(settings: real1, found: real1, limits: real1, states: int2, carried: real2,
-                                   lists: int2, local: real2, compliance: real2, flat: real2, matrix: real1,
-                                   right: real1):
+    def take_step_and_assemble_contact_equations(settings: real1, found: real1, limits: real1, states: int2,
+                                                 carried: real2,
+                                                 lists: int2, local: real2, compliance: real2, flat: real2,
+                                                 matrix: real1, right: real1):
         """Apply a line-search step, compute the residual, and assemble the next linear equations if needed."""
         ti.loop_config(serialize=True)
         for _ in range(1):
-            if limits[FlatKernelInput.STEP_LENGTH] > 0.0:
-                apply_line_search_step(settings, found, limits[FlatKernelInput.STEP_LENGTH], lists, carried, flat,
+            if limits[FlatKernelInputIndex.STEP_LENGTH] > 0.0:
+                apply_line_search_step(settings, found, limits[FlatKernelInputIndex.STEP_LENGTH], lists, carried, flat,
                                        right)
             many, count, k, left, size = 0, 0, 0, 0.0, 0.0
             for i in range(ti.cast(settings[KernelSetting.COUNT], ti.i32)):
                 s = lists[i, NodeListColumn.NODE]
                 loaded = 0.0
                 for a in ti.static(range(3)):
-                    loaded = loaded + ti.abs(carried[s, NodeColumn.FORCE + a]) + ti.abs(
-                        local[i, LocalContactColumn.FORCE + a])
-                if (states[s, ContactStateColumn.BOND] == ContactBond.HELD or loaded > 0.0
-                        or local[i, LocalContactColumn.GAP] < limits[FlatKernelInput.NEAR_GAP]):
+                    loaded = loaded + ti.abs(carried[s, NodeForceAndAnchorColumn.FORCE + a]) + ti.abs(
+                        local[i, LinearisedContactColumn.FORCE + a])
+                if (states[s, NodeBondAndStatusColumn.BOND] == ContactBondState.HELD or loaded > 0.0
+                        or local[i, LinearisedContactColumn.GAP] < limits[FlatKernelInputIndex.NEAR_GAP]):
                     lists[many, NodeListColumn.NEAR] = i
                     many = many + 1
-            compute_displacements(many, carried, lists, local, compliance, flat)
+            compute_displacements_by_force_changes(many, carried, lists, local, compliance, flat)
             for p in range(many):
                 i = lists[p, NodeListColumn.NEAR]
                 rest = evaluate_node_residual(count, i, k, states, carried, lists, local, compliance, flat, right)
                 left = left + rest.dot(rest)
                 for a in ti.static(range(3)):
-                    force = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
+                    force = carried[lists[i, NodeListColumn.NODE], NodeForceAndAnchorColumn.FORCE + a]
                     size = size + force * force
                 k = k + lists[count, NodeListColumn.ROWS]
                 if lists[count, NodeListColumn.ROWS] > 0:
                     count = count + 1
             found[FlatKernelOutputIndex.RESIDUAL], found[FlatKernelOutputIndex.FORCES] = left, size
             found[FlatKernelOutputIndex.NODES], found[FlatKernelOutputIndex.EQUATIONS] = count, k
-            if ti.sqrt(left) > limits[FlatKernelInput.TOLERANCE] * ti.max(ti.sqrt(size), limits[FlatKernelInput.FLOOR]):
+            if ti.sqrt(left) > limits[FlatKernelInputIndex.TOLERANCE] * ti.max(ti.sqrt(size),
+                                                                               limits[FlatKernelInputIndex.FLOOR]):
                 for q in range(many):
                     j = lists[q, NodeListColumn.NEAR]
                     s = lists[j, NodeListColumn.NODE]
-                    if (states[s, ContactStateColumn.BOND] != ContactBond.HELD
-                            and states[s, ContactStateColumn.PRESSED] == 0):
-                        subtract_separated_node_force(j, count, carried, lists, compliance, flat, right)
+                    if (states[s, NodeBondAndStatusColumn.BOND] != ContactBondState.HELD
+                            and states[s, NodeBondAndStatusColumn.PRESSED] == 0):
+                        subtract_separated_force_from_right_side(j, count, carried, lists, compliance, flat, right)
                 for q in range(count):
                     add_node_coupling(q, count, k, lists, compliance, flat, matrix, right)
 
-    return evaluate_contact_equations
+    return take_step_and_assemble_contact_equations

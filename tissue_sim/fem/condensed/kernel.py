@@ -17,56 +17,56 @@ from functools import cache
 from tissue_sim.fem.condensed.tables import (
     MAX_FREEDOMS,
     RESULT_COUNT,
-    ContactStateColumn,
     ContactStatus,
     KernelResult,
     KernelSetting,
-    LocalContactColumn,
-    NodeColumn,
+    LinearisedContactColumn,
+    NodeBondAndStatusColumn,
+    NodeForceAndAnchorColumn,
     NodeListColumn,
     SurfaceNodeColumn,
 )
-from tissue_sim.fem.contact_settings import SOLID_PENALTY, ContactBond
-from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.scratch import LANES, get_scratch_field
+from tissue_sim.fem.contact_settings import SOLID_PENALTY, ContactBondState
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
+from tissue_sim.fem.taichi.scratch import LANES, get_shared_scratch_field
 
 #: The extrapolation of the forces is discarded if a force changes by more than this fraction of the largest force.
 _MAX_PREDICTED_CHANGE = 0.5
 
 
 @cache
-def make_node_compliance_function():
-    """Return the Taichi function ``node_compliance(i, n, compliance)``.
+def make_normal_tangential_compliance_function():
+    """Return the Taichi function ``normal_and_tangential_compliance(i, n, compliance)``.
 
     The function returns the displacement of node i per own force along the normal n, and the mean displacement per own
     tangential force, m/N, both bounded below.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
 
     @ti.func
-    def node_compliance(i, n, compliance: ti.template()):
+    def normal_and_tangential_compliance(i, n, compliance: ti.template()):
         """Return the displacement of node i per own normal force and, as mean, per own tangential force, m/N."""
         C = ti.Matrix([[compliance[3 * i + a, 3 * i + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
         # Tissue that would buckle without the tool may have negative compliances.
         least, along = 1e-2 * ti.abs(C.trace()), n.dot(C @ n)
         return ti.Vector([ti.max(along, least), ti.max(0.5 * (C.trace() - along), least)])
 
-    return node_compliance
+    return normal_and_tangential_compliance
 
 
 @cache
-def make_contact_kernel():
+def make_contact_iteration_kernel():
     """Return the kernel of one contact iteration; for its arrays see the enumerations in `tables`."""
-    ti = initialise()
+    ti = get_initialised_taichi()
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     int2 = ti.types.ndarray(ti.i32, ndim=2)
     vector1 = ti.types.ndarray(ti.types.vector(LANES, ti.f64), ndim=1)
-    node_compliance = make_node_compliance_function()
-    move = get_scratch_field(LANES, MAX_FREEDOMS // LANES)
+    normal_and_tangential_compliance = make_normal_tangential_compliance_function()
+    move = get_shared_scratch_field(LANES, MAX_FREEDOMS // LANES)
 
     @ti.func
-    def extrapolate_forces(settings: ti.template(), lists: ti.template(), carried: ti.template(),
-                           columns: ti.template(), local: ti.template()):
+    def extrapolate_forces_by_tool_motion(settings: ti.template(), lists: ti.template(), carried: ti.template(),
+                                          columns: ti.template(), local: ti.template()):
         """Predict the forces of the nodes in contact by linear extrapolation with the motion of the tool."""
         most, largest, many = 0.0, 0.0, ti.cast(settings[KernelSetting.PREDICTED], ti.i32)
         for p in range(many):
@@ -75,22 +75,22 @@ def make_contact_kernel():
                 more = 0.0
                 for c in ti.static(range(6)):
                     more = more + columns[3 * p + a, c] * settings[KernelSetting.STEP + c]
-                local[i, LocalContactColumn.FORCE + a] = more
-                force = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
+                local[i, LinearisedContactColumn.FORCE + a] = more
+                force = carried[lists[i, NodeListColumn.NODE], NodeForceAndAnchorColumn.FORCE + a]
                 most, largest = ti.max(most, ti.abs(more)), ti.max(largest, ti.abs(force))
         if most < _MAX_PREDICTED_CHANGE * largest:
             for p in range(many):
                 i = lists[p, NodeListColumn.ACTIVE]
                 for a in ti.static(range(3)):
-                    force = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
+                    force = carried[lists[i, NodeListColumn.NODE], NodeForceAndAnchorColumn.FORCE + a]
                     carried[lists[i, NodeListColumn.NODE],
-                            NodeColumn.FORCE + a] = force + local[i, LocalContactColumn.FORCE + a]
+                            NodeForceAndAnchorColumn.FORCE + a] = force + local[i, LinearisedContactColumn.FORCE + a]
         settings[KernelSetting.PREDICTED] = 0.0
 
     @ti.func
-    def compute_displacements(n, many, settings: ti.template(), lists: ti.template(), carried: ti.template(),
-                              free_displacement: ti.template(),
-                              tool_coupling: ti.template(), rows: ti.template(), u: ti.template()):
+    def compute_displacements_of_all_nodes(n, many, settings: ti.template(), lists: ti.template(),
+                                           carried: ti.template(), free_displacement: ti.template(),
+                                           tool_coupling: ti.template(), rows: ti.template(), u: ti.template()):
         """Compute the displacements u of all nodes under the contact forces and the motion of the tool.
 
         The sum uses rows of the symmetric compliance, so that the compiler vectorises the loops.
@@ -103,7 +103,7 @@ def make_contact_kernel():
             j = lists[l, NodeListColumn.LOADED]
             s = lists[j, NodeListColumn.NODE]
             for m in range(3):
-                force = carried[s, NodeColumn.FORCE + m]
+                force = carried[s, NodeForceAndAnchorColumn.FORCE + m]
                 for q in range(used):
                     at = (3 * j + m) * width + q
                     move[q] = move[q] - rows[at] * force
@@ -129,7 +129,7 @@ def make_contact_kernel():
                          for a in ti.static(range(3))])
         at = R.transpose() @ arm
         # Closest-point projection on the outline.
-        body = states[s, ContactStateColumn.OUTLINE]
+        body = states[s, NodeBondAndStatusColumn.OUTLINE]
         rounding, shaft, lines = shapes[body, 0], shapes[body, 1], ti.cast(shapes[body, 3], ti.i32)
         closed = shapes[body, 2] * settings[KernelSetting.PRESSED_IN]
         r = ti.sqrt(at[0] * at[0] + at[1] * at[1])
@@ -169,24 +169,24 @@ def make_contact_kernel():
         # Displacement relative to the tool since all nodes were evaluated: other nodes may have come near.
         for a in ti.static(range(3)):
             if settings[KernelSetting.NEAR_COUNT] == 0.0:
-                local[i, LocalContactColumn.REFERENCE + a] = at[a]
+                local[i, LinearisedContactColumn.REFERENCE + a] = at[a]
             results[KernelResult.TRAVEL] = ti.max(results[KernelResult.TRAVEL],
-                                                  ti.abs(at[a] - local[i, LocalContactColumn.REFERENCE + a]))
+                                                  ti.abs(at[a] - local[i, LinearisedContactColumn.REFERENCE + a]))
         # Contact state (active set) and force.
         k = surface[s, SurfaceNodeColumn.PENALTY] * settings[KernelSetting.MODULUS]
-        F = ti.Vector([carried[s, NodeColumn.FORCE + a] for a in ti.static(range(3))])
+        F = ti.Vector([carried[s, NodeForceAndAnchorColumn.FORCE + a] for a in ti.static(range(3))])
         normal = ti.min(F.dot(n), 0.0)
         tangential = F - F.dot(n) * n
-        give = node_compliance(i, n, compliance)
-        held = states[s, ContactStateColumn.BOND] == ContactBond.HELD
+        give = normal_and_tangential_compliance(i, n, compliance)
+        held = states[s, NodeBondAndStatusColumn.BOND] == ContactBondState.HELD
         changeable = settings[KernelSetting.CHANGEABLE] > 0.0
         if held and settings[KernelSetting.RELEASE] > 0.0 and F.dot(n) > 0.0:
-            states[s, ContactStateColumn.BOND] = ContactBond.FREE
+            states[s, NodeBondAndStatusColumn.BOND] = ContactBondState.FREE
             held = False
         if changeable and not held:
-            states[s, ContactStateColumn.PRESSED] = 1 if normal + gap / give[0] < 0.0 else 0
-        is_pressed = states[s, ContactStateColumn.PRESSED] == 1 and not held
-        anchor = ti.Vector([carried[s, NodeColumn.ANCHOR + a] for a in ti.static(range(3))])
+            states[s, NodeBondAndStatusColumn.PRESSED] = 1 if normal + gap / give[0] < 0.0 else 0
+        is_pressed = states[s, NodeBondAndStatusColumn.PRESSED] == 1 and not held
+        anchor = ti.Vector([carried[s, NodeForceAndAnchorColumn.ANCHOR + a] for a in ti.static(range(3))])
         slip = R @ (at - anchor)
         aside = slip - slip.dot(n) * n
         length = aside.norm()
@@ -205,14 +205,14 @@ def make_contact_kernel():
             A = k * nn + normal * (bent * meridian.outer_product(meridian) + hoop * around.outer_product(around))
             missing, found = k * gap * n, normal * n
             rough = mu * ti.max(-normal - gap / give[0], 0.0)
-            if mu > 0.0 and states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED and (
+            if mu > 0.0 and states[s, NodeBondAndStatusColumn.BOND] == ContactBondState.TOUCHED and (
                     rough > settings[KernelSetting.NEGLIGIBLE]):
                 limit = mu * ti.max(-normal, 0.0)
                 tried = tangential + aside / give[1]
                 size = tried.norm()
                 if changeable:
-                    states[s, ContactStateColumn.SLIPS] = 1 if size > rough else 0
-                if states[s, ContactStateColumn.SLIPS] == 1:
+                    states[s, NodeBondAndStatusColumn.SLIPS] = 1 if size > rough else 0
+                if states[s, NodeBondAndStatusColumn.SLIPS] == 1:
                     state = ContactStatus.SLIPPING
                     way = tried / ti.max(size, 1e-300)
                     T = limit / ti.max(size, 1e-300) * (eye - nn - way.outer_product(way))
@@ -228,49 +228,52 @@ def make_contact_kernel():
             violation = ti.max(-gap, 0.0)
         results[KernelResult.VIOLATION] = ti.max(results[KernelResult.VIOLATION], violation)
         touches = is_pressed or (mu > 0.0 and gap <= 1e-3 * settings[KernelSetting.TOLERANCE])
-        states[s, ContactStateColumn.NEW_BOND] = ContactBond.FREE
+        states[s, NodeBondAndStatusColumn.NEW_BOND] = ContactBondState.FREE
         if mu < 0.0 and is_pressed:
-            states[s, ContactStateColumn.NEW_BOND] = ContactBond.HELD
+            states[s, NodeBondAndStatusColumn.NEW_BOND] = ContactBondState.HELD
         elif touches and mu > 0.0:
-            states[s, ContactStateColumn.NEW_BOND] = ContactBond.TOUCHED
-        keeps = sticks or (touches and not is_pressed and states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED)
+            states[s, NodeBondAndStatusColumn.NEW_BOND] = ContactBondState.TOUCHED
+        keeps = sticks or (touches and not is_pressed and states[s, NodeBondAndStatusColumn.BOND]
+                           == ContactBondState.TOUCHED)
         for a in ti.static(range(3)):
-            carried[s, NodeColumn.NEW_ANCHOR + a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
-            local[i, LocalContactColumn.ARM + a] = arm[a]
-            local[i, LocalContactColumn.NORMAL + a], local[i, LocalContactColumn.SLIP + a] = n[a], slip[a]
-            local[i, LocalContactColumn.INTERCEPT + a] = found[a] + missing[a]
-            change = found[a] - local[i, LocalContactColumn.FORCE + a]
+            carried[s, NodeForceAndAnchorColumn.NEW_ANCHOR + a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
+            local[i, LinearisedContactColumn.ARM + a] = arm[a]
+            local[i, LinearisedContactColumn.NORMAL + a], local[i, LinearisedContactColumn.SLIP + a] = n[a], slip[a]
+            local[i, LinearisedContactColumn.INTERCEPT + a] = found[a] + missing[a]
+            change = found[a] - local[i, LinearisedContactColumn.FORCE + a]
             results[KernelResult.UNBALANCED] = results[KernelResult.UNBALANCED] + change * change
             results[KernelResult.SIZE] = results[KernelResult.SIZE] + found[a] * found[a]
-            carried[s, NodeColumn.FORCE + a] = found[a]
+            carried[s, NodeForceAndAnchorColumn.FORCE + a] = found[a]
             for b in ti.static(range(3)):
-                local[i, LocalContactColumn.STIFFNESS + 3 * a + b] = A[a, b]
-                local[i, LocalContactColumn.ROTATION + 3 * a + b] = T[a, b]
-        local[i, LocalContactColumn.GAP] = gap
-        local[i, LocalContactColumn.FRICTION] = (
-            ti.max(mu, 0.0) if states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED else 0.0)
+                local[i, LinearisedContactColumn.STIFFNESS + 3 * a + b] = A[a, b]
+                local[i, LinearisedContactColumn.ROTATION + 3 * a + b] = T[a, b]
+        local[i, LinearisedContactColumn.GAP] = gap
+        local[i, LinearisedContactColumn.FRICTION] = (
+            ti.max(mu, 0.0) if states[s, NodeBondAndStatusColumn.BOND] == ContactBondState.TOUCHED else 0.0)
         # The matrix is reused while the set of nodes in contact does not change.
         if (lists[i, NodeListColumn.STATUS] > 0) != (state > 0) or lists[i, NodeListColumn.STATUS] < 0:
             settings[KernelSetting.REBUILDS] = 1.0
         lists[i, NodeListColumn.STATUS] = state
 
     @ti.kernel
-    def run_contact_iteration(settings: real1, results: real1, chains: real3, shapes: real2, surface: real2,
-                              states: int2, carried: real2, lists: int2, free_displacement: real2, tool_coupling: real2,
-                              compliance: real2, rows: vector1, u: real1, local: real2, columns: real2, matrix: real1,
-                              right: real1):
+    def evaluate_contact_and_assemble_equations(settings: real1, results: real1, chains: real3, shapes: real2,
+                                                surface: real2,
+                                                states: int2, carried: real2, lists: int2, free_displacement: real2,
+                                                tool_coupling: real2,
+                                                compliance: real2, rows: vector1, u: real1, local: real2,
+                                                columns: real2, matrix: real1, right: real1):
         """Evaluate displacements and contact of the nodes, and assemble the linear equations of their forces."""
         ti.loop_config(serialize=True)
         for _ in range(1):
             if settings[KernelSetting.PREDICTED] > 0.0:
-                extrapolate_forces(settings, lists, carried, columns, local)
+                extrapolate_forces_by_tool_motion(settings, lists, carried, columns, local)
             n, many = ti.cast(settings[KernelSetting.COUNT], ti.i32), 0
             for i in range(n):
                 s = lists[i, NodeListColumn.NODE]
                 size = 0.0
                 for a in ti.static(range(3)):
-                    local[i, LocalContactColumn.FORCE + a] = carried[s, NodeColumn.FORCE + a]
-                    size = size + ti.abs(carried[s, NodeColumn.FORCE + a])
+                    local[i, LinearisedContactColumn.FORCE + a] = carried[s, NodeForceAndAnchorColumn.FORCE + a]
+                    size = size + ti.abs(carried[s, NodeForceAndAnchorColumn.FORCE + a])
                 if size > 0.0:
                     lists[many, NodeListColumn.LOADED] = i
                     many = many + 1
@@ -280,7 +283,8 @@ def make_contact_kernel():
             all_nodes = settings[KernelSetting.NEAR_COUNT] == 0.0
             if not all_nodes:
                 n = ti.cast(settings[KernelSetting.NEAR_COUNT], ti.i32)
-            compute_displacements(n, many, settings, lists, carried, free_displacement, tool_coupling, rows, u)
+            compute_displacements_of_all_nodes(n, many, settings, lists, carried, free_displacement, tool_coupling,
+                                               rows, u)
             for i in range(n):
                 evaluate_node_contact(i, lists[i, NodeListColumn.NODE], settings, results, chains, shapes, surface,
                                       states, carried, lists, u, local, compliance)
@@ -290,7 +294,7 @@ def make_contact_kernel():
                     lists[count, NodeListColumn.ACTIVE] = i
                     count = count + 1
                 if lists[i, NodeListColumn.STATUS] > 0 or (
-                        local[i, LocalContactColumn.GAP] < settings[KernelSetting.NEAR_GAP]):
+                        local[i, LinearisedContactColumn.GAP] < settings[KernelSetting.NEAR_GAP]):
                     near = i + 1
             if all_nodes:
                 # Loaded nodes may come into contact again when other nodes separate.
@@ -311,18 +315,21 @@ def make_contact_kernel():
                     if lists[j, NodeListColumn.STATUS] == 0:
                         for a in ti.static(range(3)):
                             for b in ti.static(range(3)):
-                                e[a] = e[a] + compliance[3 * i + a, 3 * j + b] * local[j, LocalContactColumn.FORCE + b]
-                x, y, z = (local[i, LocalContactColumn.ARM], local[i, LocalContactColumn.ARM + 1],
-                           local[i, LocalContactColumn.ARM + 2])
-                f = ti.Vector([local[i, LocalContactColumn.INTERCEPT], local[i, LocalContactColumn.INTERCEPT + 1],
-                               local[i, LocalContactColumn.INTERCEPT + 2]])
+                                e[a] = e[a] + compliance[3 * i + a,
+                                                         3 * j + b] * local[j, LinearisedContactColumn.FORCE + b]
+                x, y, z = (local[i, LinearisedContactColumn.ARM], local[i, LinearisedContactColumn.ARM + 1],
+                           local[i, LinearisedContactColumn.ARM + 2])
+                f = ti.Vector([local[i, LinearisedContactColumn.INTERCEPT],
+                               local[i, LinearisedContactColumn.INTERCEPT + 1],
+                               local[i, LinearisedContactColumn.INTERCEPT + 2]])
                 turning = ti.Matrix([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
                 turned = ti.Matrix([[0.0, f[2], -f[1]], [-f[2], 0.0, f[0]], [f[1], -f[0], 0.0]])
                 for a in ti.static(range(3)):
                     row = 3 * p + a
-                    value = local[i, LocalContactColumn.INTERCEPT + a] - local[i, LocalContactColumn.FORCE + a]
+                    value = (local[i, LinearisedContactColumn.INTERCEPT + a]
+                             - local[i, LinearisedContactColumn.FORCE + a])
                     for b in ti.static(range(3)):
-                        value = value + local[i, LocalContactColumn.STIFFNESS + 3 * a + b] * e[b]
+                        value = value + local[i, LinearisedContactColumn.STIFFNESS + 3 * a + b] * e[b]
                     right[row] = value
                     for c in ti.static(range(6)):
                         value = 0.0
@@ -334,7 +341,7 @@ def make_contact_kernel():
                                 way = way - turning[b, ti.static(c - 3)]
                             elif ti.static(c == b):
                                 way = way - 1.0
-                            value = value + local[i, LocalContactColumn.STIFFNESS + 3 * a + b] * way
+                            value = value + local[i, LinearisedContactColumn.STIFFNESS + 3 * a + b] * way
                         right[(c + 1) * k + row] = value
             # Column by column, the order of LAPACK; the compliance is symmetric.
             for q in range(count if rebuilt else 0):
@@ -344,8 +351,9 @@ def make_contact_kernel():
                     i = lists[p, NodeListColumn.ACTIVE]
                     C = ti.Matrix([[compliance[3 * j + b, 3 * i + c] for b in ti.static(range(3))]
                                    for c in ti.static(range(3))])
-                    A = ti.Matrix([[local[i, LocalContactColumn.STIFFNESS + 3 * a + c] for c in ti.static(range(3))]
-                                   for a in ti.static(range(3))])
+                    A = ti.Matrix(
+                        [[local[i, LinearisedContactColumn.STIFFNESS + 3 * a + c] for c in ti.static(range(3))]
+                         for a in ti.static(range(3))])
                     value = A @ C
                     for b in ti.static(range(3)):
                         for a in ti.static(range(3)):
@@ -353,7 +361,7 @@ def make_contact_kernel():
                 for b in ti.static(range(3)):
                     for a in ti.static(range(3)):
                         at = start + b * k + 3 * q + a
-                        matrix[at] = matrix[at] - local[j, LocalContactColumn.ROTATION + 3 * a + b] + (
+                        matrix[at] = matrix[at] - local[j, LinearisedContactColumn.ROTATION + 3 * a + b] + (
                             1.0 if a == b else 0.0)
 
-    return run_contact_iteration
+    return evaluate_contact_and_assemble_equations

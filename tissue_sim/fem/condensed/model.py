@@ -39,7 +39,8 @@ class ContactSurface:
         shapes: constants of the outlines, shape (outlines, 5): edge radius, m; index of the first segment of the
             shaft; 1 if a sharp shaft is extended downwards; number of segments; radius below which a point counts as
             on the axis, m.
-        bound: bonds of the nodes at the first touch, each a `tissue_sim.fem.contact_settings.ContactBond`, shape (s,).
+        bound: bonds of the nodes at the first touch, each a `tissue_sim.fem.contact_settings.ContactBondState`, shape
+            (s,).
         anchors: positions in the frame of the tool where these nodes are bound, m, shape (s, 3).
         start: pose of the tool at the first touch.
         datum: height of the scene's origin in the frame of the mesh, m.
@@ -127,7 +128,7 @@ class CondensedBulk:
         return self.base == self.number
 
     @property
-    def holds_tissue(self) -> bool:
+    def has_tissue_bonded_to_tool(self) -> bool:
         """Whether tissue is bonded to the tool, so that `stiffness` is nonzero."""
         return bool(self.stiffness.any())
 
@@ -197,7 +198,7 @@ class ContactState:
         before: pose of the tool at the earlier time.
         forces: forces of the surface's nodes on the tool, N, shape (s, 3).
         anchors: positions in the frame of the tool where nodes are bound, m, shape (s, 3).
-        states: bond (`ContactBond`), whether pressed, and whether slipping, shape (3, s).
+        states: bond (`ContactBondState`), whether pressed, and whether slipping, shape (3, s).
         touched: whether the tool has touched the specimen since the last reset.
     """
 
@@ -227,7 +228,7 @@ class ContactState:
                    forces.reshape(-1, 3), anchors.reshape(-1, 3), states.reshape(3, -1), bool(touched))
 
 
-def packed_state_size(surface: ContactSurface) -> int:
+def compute_packed_state_size(surface: ContactSurface) -> int:
     """Return the number of entries of a packed `ContactState` of a surface."""
     return _STATE_HEAD + 9 * len(surface.places)
 
@@ -236,7 +237,7 @@ def packed_state_size(surface: ContactSurface) -> int:
 Executor = Callable[[Callable[[], None]], Callable[[], bool]]
 
 
-def run_synchronously(compute: Callable[[], None]) -> Callable[[], bool]:
+def run_now_and_get_completion_check(compute: Callable[[], None]) -> Callable[[], bool]:
     """Run a computation before returning (synchronous `Executor`); the returned function always gives True."""
     compute()
     return lambda: True
@@ -255,7 +256,7 @@ class BulkLinearisation(Protocol):
     def surface(self) -> ContactSurface:
         """Nodes of the tissue surface and shape of the tool, constant during the simulation."""
 
-    def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedBulk | None:
+    def iterate_and_linearise_or_none(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedBulk | None:
         """Make an iteration of the bulk under the contact forces, and return its new linearisation.
 
         Args:

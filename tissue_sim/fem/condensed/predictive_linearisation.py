@@ -48,7 +48,8 @@ class PredictiveLinearisation:
         self._stepper = CondensedStepper(linearisation.surface, PREDICTION.max_increment)
         self._epoch = self._material = 0
 
-    def linearise(self, state: ContactState, lead: float, serves: float) -> CondensedBulk | None:
+    def linearise_at_predicted_pose_or_none(self, state: ContactState, lead: float,
+                                            serves: float) -> CondensedBulk | None:
         """Linearise the bulk for the predicted pose, and return the linearisation.
 
         Args:
@@ -57,7 +58,7 @@ class PredictiveLinearisation:
             serves: time from the state to the end of the use of the present tangent, s.
 
         Returns:
-            None under the conditions of `BulkLinearisation.linearise`.
+            None under the conditions of `BulkLinearisation.iterate_and_linearise_or_none`.
         """
         stepper, ahead = self._stepper, self.extrapolate_pose(state, lead)
         predicted = state
@@ -66,10 +67,11 @@ class PredictiveLinearisation:
             stepper.load_state(state)
             if stepper.step(ahead).converged:
                 predicted = replace(state, pose=ahead, forces=stepper.forces.copy())
-        model = self._linearisation.linearise(predicted, (state.pose, self.extrapolate_pose(state, serves)))
+        model = self._linearisation.iterate_and_linearise_or_none(predicted,
+                                                                  (state.pose, self.extrapolate_pose(state, serves)))
         if model is None:
             return None
-        has_contact = bool(predicted.forces.any()) or (state.touched and model.holds_tissue)
+        has_contact = bool(predicted.forces.any()) or (state.touched and model.has_tissue_bonded_to_tool)
         model = replace(model, material=self._material, has_contact=has_contact)
         stepper.set_linearisation(model)
         self._epoch = state.epoch
@@ -96,7 +98,7 @@ class PredictiveLinearisation:
         passed = state.time - state.earlier
         if passed <= 0.0:
             return state.pose
-        distance = self._stepper.max_travel(motion(state.before, state.pose))
+        distance = self._stepper.compute_max_contact_point_travel(motion(state.before, state.pose))
         factor = lead / passed
         if distance * factor > 0.0:
             factor = min(factor, PREDICTION.max_prediction * self._linearisation.surface.radius / distance)

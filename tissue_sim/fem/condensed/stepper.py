@@ -15,7 +15,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.flat_contact import TangentPlaneContact
-from tissue_sim.fem.condensed.kernel import make_contact_kernel
+from tissue_sim.fem.condensed.kernel import make_contact_iteration_kernel
 from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface
 from tissue_sim.fem.condensed.settings import StepperSettings
 from tissue_sim.fem.condensed.tables import (
@@ -28,12 +28,12 @@ from tissue_sim.fem.condensed.tables import (
     SETTING_COUNT,
     STATE_COLUMNS,
     KernelSetting,
-    LocalContactColumn,
-    NodeColumn,
+    LinearisedContactColumn,
+    NodeForceAndAnchorColumn,
     NodeListColumn,
 )
-from tissue_sim.fem.condensed.wrench_kernel import ANSWER_SIZE, WrenchIndex, make_wrench_kernel
-from tissue_sim.fem.contact_settings import ContactBond
+from tissue_sim.fem.condensed.wrench_kernel import ANSWER_SIZE, WrenchKernelArrayIndex, make_wrench_kernel
+from tissue_sim.fem.contact_settings import ContactBondState
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.scratch import LANES
@@ -53,7 +53,8 @@ class ContactStepResult:
         iterations: number of contact iterations of the last increment.
         wrench: wrench on the tool about its deepest point, N and N m.
         stiffness_matrix: minus the derivative of the wrench with respect to position and rotation vector, 6 x 6.
-        distance: distance of the tool from the pose of the model, m, see `CondensedStepper.max_travel`.
+        distance: distance of the tool from the pose of the model, m, see
+            `CondensedStepper.compute_max_contact_point_travel`.
         residual: norm of the change of the forces in the last iteration, N.
         pressed: number of nodes in contact.
         slipping: number of slipping nodes.
@@ -94,7 +95,8 @@ class CondensedStepper:
         self.surface = surface
         s, n = len(surface.places), surface.candidates
         self._carried, self._states = np.zeros((s, NODE_COLUMNS)), np.zeros((s, STATE_COLUMNS), dtype=np.int32)
-        self.forces, self._anchors = (self._carried[:, at:at + 3] for at in (NodeColumn.FORCE, NodeColumn.ANCHOR))
+        self.forces, self._anchors = (self._carried[:, at:at + 3]
+                                      for at in (NodeForceAndAnchorColumn.FORCE, NodeForceAndAnchorColumn.ANCHOR))
         self._bound, self._met, self._pressed, self._slips, outlines = self._states.T
         outlines[:] = surface.outlines
         self._settings, self._results = np.zeros(SETTING_COUNT), np.zeros(RESULT_COUNT)
@@ -110,7 +112,7 @@ class CondensedStepper:
         self._nodes, self._active, self._signature = (lists[:, at]
                                                       for at in (NodeListColumn.NODE, NodeListColumn.ACTIVE,
                                                                  NodeListColumn.STATUS))
-        self._guess = local[:, LocalContactColumn.FORCE:LocalContactColumn.FORCE + 3]
+        self._guess = local[:, LinearisedContactColumn.FORCE:LinearisedContactColumn.FORCE + 3]
         arrays = {
             "settings": self._settings, "results": self._results, "chains": surface.chains, "shapes": surface.shapes,
             "surface": np.column_stack([surface.places, surface.springs, surface.friction]), "states": self._states,
@@ -120,7 +122,7 @@ class CondensedStepper:
             "local": local, "columns": self._columns, "matrix": self._matrix, "right": self._right}
         self._sum = np.zeros(ANSWER_SIZE)
         with LOCK:
-            self._kernel = BoundKernel(make_contact_kernel(), arrays)
+            self._kernel = BoundKernel(make_contact_iteration_kernel(), arrays)
             self._wrench_kernel = BoundKernel.bind_by_name(make_wrench_kernel(), arrays | {"answer": self._sum})
         self._flat = TangentPlaneContact(arrays, _SETTINGS.flat_gap * surface.radius, surface.floor)
         self._tolerance, self._stiffest = _SETTINGS.violation_factor * surface.tolerance, math.inf
@@ -145,10 +147,10 @@ class CondensedStepper:
         self._discard_equations()
         self._steps = 0
 
-    def place_in_air(self) -> None:
+    def reset_contact_in_air(self) -> None:
         """Reset the contact for a tool in the air above undeformed tissue: no node is bound to the tool."""
         self.reset()
-        self._bound[:] = ContactBond.FREE
+        self._bound[:] = ContactBondState.FREE
 
     def place_at_first_touch(self, pose: Pose) -> None:
         """Place the tool at a pose of first touch; the next step continues from there.
@@ -157,8 +159,8 @@ class CondensedStepper:
         is bound; nodes are bound where the tool touches them in the next steps.
         """
         self.reset()
-        if self.max_travel(motion(self.surface.start, pose)) > self.surface.tolerance:
-            self._bound[:] = ContactBond.FREE
+        if self.compute_max_contact_point_travel(motion(self.surface.start, pose)) > self.surface.tolerance:
+            self._bound[:] = ContactBondState.FREE
         self._pose = pose
 
     def _discard_equations(self) -> None:
@@ -195,20 +197,21 @@ class CondensedStepper:
             dropped = rows < 0
             self.forces[dropped], self._pressed[dropped], self._met[dropped], self._slips[dropped] = 0.0, 0, 0, 0
             self._others = self.surface.places[dropped]
-            self._bound[dropped & (self._bound != ContactBond.HELD)] = 0
+            self._bound[dropped & (self._bound != ContactBondState.HELD)] = 0
             self._nodes[:n], self._tool_coupling[:3 * n], self._compliance[:3 * n, :3 * n] = (
                 model.nodes, model.tool_coupling, model.compliance)
             self._signature[:] = -1
             self._settings[KernelSetting.COUNT] = n
             smallest_compliance = float(np.abs(np.diag(model.compliance)).min(initial=math.inf))
             self._stiffest = _SETTINGS.max_stiffness_factor / smallest_compliance
-            self._sum[WrenchIndex.HELD_STIFFNESS:WrenchIndex.HELD_STIFFNESS + 36] = model.stiffness.ravel()
+            self._sum[WrenchKernelArrayIndex.HELD_STIFFNESS:WrenchKernelArrayIndex.HELD_STIFFNESS
+                      + 36] = model.stiffness.ravel()
             self._discard_equations()
             if not dropped[predicted].any():
                 # The force derivatives of the last model are a better predictor than constant forces.
                 self._predicted_count = len(predicted)
                 self._active[:self._predicted_count] = rows[predicted]
-        self._sum[WrenchIndex.HELD_WRENCH:WrenchIndex.HELD_WRENCH + 6] = model.wrench
+        self._sum[WrenchKernelArrayIndex.HELD_WRENCH:WrenchKernelArrayIndex.HELD_WRENCH + 6] = model.wrench
         self._free_displacement[:n], self._evaluation_pose = model.free_displacement, None
         self._settings[KernelSetting.MODULUS] = model.modulus
         self.model = model
@@ -232,14 +235,14 @@ class CondensedStepper:
             raise ValueError("model must be a linearisation of the bulk; got None. Call set_linearisation before step.")
         start = self._pose
         if start is None:
-            return self._solve_increment(pose, exact)
-        length, done, increment = self.max_travel(motion(start, pose)), 0.0, 1.0
+            return self._solve_increment_to_result(pose, exact)
+        length, done, increment = self.compute_max_contact_point_travel(motion(start, pose)), 0.0, 1.0
         if length > 0.0:
             increment = min(1.0, self._largest / length)
         while True:
             # The last increment ends exactly at the pose.
             end = 1.0 if done + increment > 1.0 - _SETTINGS.rounding else done + increment
-            step = self._solve_increment(between(start, pose, end), exact)
+            step = self._solve_increment_to_result(between(start, pose, end), exact)
             if step.converged:
                 done = end
                 increment = 1.0 if length == 0.0 else min(2.0 * increment, self._largest / length)
@@ -250,7 +253,7 @@ class CondensedStepper:
                 if increment * length < _SETTINGS.min_increment * self._largest or length == 0.0:
                     return step
 
-    def _solve_increment(self, pose: Pose, exact: bool) -> ContactStepResult:
+    def _solve_increment_to_result(self, pose: Pose, exact: bool) -> ContactStepResult:
         """Solve the contact at the end of one increment; the state is unchanged if the solution does not converge."""
         from scipy.linalg import lapack
 
@@ -265,8 +268,9 @@ class CondensedStepper:
         self._steps += 1
         if exact or self._steps % _SETTINGS.reassembly_interval == 0:
             settings[KernelSetting.REBUILDS] = 1.0
-        if self._evaluation_pose is None or self.max_travel(motion(self._evaluation_pose,
-                                                           pose)) > _SETTINGS.near_gap / 3.0 * self.surface.radius:
+        nearest = _SETTINGS.near_gap / 3.0 * self.surface.radius
+        if self._evaluation_pose is None or \
+                self.compute_max_contact_point_travel(motion(self._evaluation_pose, pose)) > nearest:
             self._evaluation_pose, settings[KernelSetting.NEAR_COUNT] = pose, 0.0
         settings[KernelSetting.RELEASE], settings[KernelSetting.CHANGEABLE] = 0.0, 1.0
         max_iterations = _SETTINGS.max_exact_iterations if exact else _SETTINGS.max_iterations
@@ -295,30 +299,30 @@ class CondensedStepper:
             elif done and k and not usable and 3 * self._predicted_count != k:
                 settings[KernelSetting.REBUILDS] = 1.0
             elif done:
-                solution = self._solve_equations(k) if k and usable else None
+                solution = self._solve_factored_equations_or_zero(k) if k and usable else None
                 converged = True
                 break
             elif usable and (decided or (exact and settles)):
-                chosen, step = self._active[:k // 3], self._solve_equations(k)[:, 0]
+                chosen, step = self._active[:k // 3], self._solve_factored_equations_or_zero(k)[:, 0]
                 self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
                 decided = False
                 settings[KernelSetting.CHANGEABLE], settings[KernelSetting.REBUILDS] = 0.0 if settles else 1.0, 1.0
             else:
-                solved = self._flat.solve_contact_forces(_SETTINGS.flat_tolerance)
+                solved = self._flat.try_solving_contact_forces(_SETTINGS.flat_tolerance)
                 decided = solved and iterations <= _SETTINGS.max_flat_iterations
                 settings[KernelSetting.CHANGEABLE], settings[KernelSetting.REBUILDS] = 0.0, 1.0
         if converged:
             if solution is not None:
                 self._columns[:k] = solution[:, 1:]
             self._pose, self._predicted_count = pose, k // 3
-            self._last = self._commit_increment(displacement, iterations, change, int(slipping))
+            self._last = self._commit_bonds_and_get_step_result(displacement, iterations, change, int(slipping))
             return self._last
         self._carried[:], self._states[:] = carried, states
         self._discard_equations()
-        return replace(self._last, converged=False, iterations=iterations, distance=self.max_travel(displacement),
-                       residual=change)
+        return replace(self._last, converged=False, iterations=iterations,
+                       distance=self.compute_max_contact_point_travel(displacement), residual=change)
 
-    def _solve_equations(self, k: int) -> np.ndarray:
+    def _solve_factored_equations_or_zero(self, k: int) -> np.ndarray:
         """Return the solution of the last linear equations, shape (k, `RIGHT_HAND_SIDES`).
 
         The solution is zero if the equations are close to singular, which happens when all nodes are about to slip.
@@ -335,7 +339,8 @@ class CondensedStepper:
     def may_touch_missing_nodes(self, pose: Pose) -> bool:
         """Whether the tool at a pose may touch nodes of the surface that the condensed model does not contain."""
         model = self.model
-        if model is None or not len(self._others) or self.max_travel(motion(model.pose, pose)) <= model.reach:
+        if model is None or not len(self._others) or self.compute_max_contact_point_travel(motion(model.pose, pose)) \
+            <= model.reach:
             return False
         # Only nodes within the largest radius of the tool can be touched; distant nodes have small displacements.
         self._write_pose_settings(pose, motion(model.pose, pose))
@@ -344,7 +349,7 @@ class CondensedStepper:
         at = (self._others - origin) @ rotation
         return bool(np.hypot(at[:, 0], at[:, 1]).min() < self._tool_radius)
 
-    def max_travel(self, displacement: Screw) -> float:
+    def compute_max_contact_point_travel(self, displacement: Screw) -> float:
         """Return an upper bound of the path length of any contact point in a rigid motion of the tool, m.
 
         Args:
@@ -364,19 +369,19 @@ class CondensedStepper:
         settings[KernelSetting.MOTION:KernelSetting.MOTION + 6] = displacement
         settings[KernelSetting.PRESSED_IN] = float(z <= self._first_height)
 
-    def _commit_increment(self, displacement: Screw, iterations: int, change: float,
-                          slipping: int) -> ContactStepResult:
+    def _commit_bonds_and_get_step_result(self, displacement: Screw, iterations: int, change: float,
+                                          slipping: int) -> ContactStepResult:
         """Commit the bonds of a converged increment, and return its wrench and stiffness."""
         count = self._predicted_count
-        self._sum[WrenchIndex.COUNT] = count
+        self._sum[WrenchKernelArrayIndex.COUNT] = count
         with LOCK:
             self._wrench_kernel()
         answer = self._sum.tolist()
-        x, y, z, u, v, w = answer[WrenchIndex.WRENCH:WrenchIndex.WRENCH + 6]
+        x, y, z, u, v, w = answer[WrenchKernelArrayIndex.WRENCH:WrenchKernelArrayIndex.WRENCH + 6]
         if count and not self._columns[:3 * count].any():
             stiffness = self._last.stiffness_matrix  # the linear equations were close to singular
         else:
             stiffness = cast("Matrix", tuple(tuple(-rate for rate in answer[row:row + 6])
-                                             for row in range(WrenchIndex.RATES, ANSWER_SIZE, 6)))
-        return ContactStepResult(True, iterations, (x, y, z, u, v, w), stiffness, self.max_travel(displacement), change,
-                                 count, slipping)
+                                             for row in range(WrenchKernelArrayIndex.RATES, ANSWER_SIZE, 6)))
+        return ContactStepResult(True, iterations, (x, y, z, u, v, w), stiffness,
+                                 self.compute_max_contact_point_travel(displacement), change, count, slipping)

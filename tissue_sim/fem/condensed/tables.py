@@ -90,7 +90,7 @@ class SurfaceNodeColumn(IntEnum):
     FRICTION = 4
 
 
-class NodeColumn(IntEnum):
+class NodeForceAndAnchorColumn(IntEnum):
     """Columns of `carried`: forces and anchors of the surface nodes, which continue from step to step.
 
     Attributes:
@@ -105,14 +105,14 @@ class NodeColumn(IntEnum):
 
 
 #: Number of columns of `carried`.
-NODE_COLUMNS = NodeColumn.NEW_ANCHOR + 3
+NODE_COLUMNS = NodeForceAndAnchorColumn.NEW_ANCHOR + 3
 
 
-class ContactStateColumn(IntEnum):
+class NodeBondAndStatusColumn(IntEnum):
     """Columns of `states`, the contact states of the nodes of the surface.
 
     Attributes:
-        BOND: bond to the tool, a `tissue_sim.fem.contact_settings.ContactBond`.
+        BOND: bond to the tool, a `tissue_sim.fem.contact_settings.ContactBondState`.
         NEW_BOND: `BOND` of the next step if this step converges.
         PRESSED: 1 if the node is in contact.
         SLIPS: 1 if the node slips against friction.
@@ -127,7 +127,7 @@ class ContactStateColumn(IntEnum):
 
 
 #: Number of columns of `states`.
-STATE_COLUMNS = len(ContactStateColumn)
+STATE_COLUMNS = len(NodeBondAndStatusColumn)
 
 
 class NodeListColumn(IntEnum):
@@ -176,7 +176,7 @@ class ContactStatus(IntEnum):
     STICKING = 4
 
 
-class LocalContactColumn(IntEnum):
+class LinearisedContactColumn(IntEnum):
     """Columns of `local`: gap, force and force derivatives (linearised contact) of each node of the model.
 
     Attributes:
@@ -205,7 +205,7 @@ class LocalContactColumn(IntEnum):
 
 
 #: Number of columns of `local`.
-LOCAL_COLUMNS = LocalContactColumn.REFERENCE + 3
+LOCAL_COLUMNS = LinearisedContactColumn.REFERENCE + 3
 #: Maximum number of displacement components, three for each node.
 MAX_FREEDOMS = LANES * VECTORS
 #: Number of right-hand sides: one of the iteration and six of the motions of the tool.

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 #: Rows and columns of a block; the number of lanes of a vector.
 BLOCK = 8
@@ -36,7 +36,7 @@ class BandSolverFunctions(NamedTuple):
     solve_band: object
 
 
-def band_block_shape(size: int, half_band: int) -> tuple[int, int]:
+def count_block_rows_and_blocks_per_row(size: int, half_band: int) -> tuple[int, int]:
     """Return the number of block rows and of blocks per row of the band of a matrix of `size` equations.
 
     Args:
@@ -46,10 +46,10 @@ def band_block_shape(size: int, half_band: int) -> tuple[int, int]:
     return max(1, -(-size // BLOCK)), -(-half_band // BLOCK) + 1
 
 
-def pack_band_blocks(lower: np.ndarray) -> np.ndarray:
+def pack_lapack_band_to_blocks(lower: np.ndarray) -> np.ndarray:
     """Convert LAPACK's lower band storage, shape (half_band + 1, n), to blocks, shape (rows, width, BLOCK, BLOCK)."""
     half_band, size = lower.shape[0] - 1, lower.shape[1]
-    rows, width = band_block_shape(size, half_band)
+    rows, width = count_block_rows_and_blocks_per_row(size, half_band)
     band = np.zeros((rows, width, BLOCK, BLOCK))
     for d in range(half_band + 1):
         j = np.arange(size - d)
@@ -60,8 +60,11 @@ def pack_band_blocks(lower: np.ndarray) -> np.ndarray:
     return band
 
 
-def unpack_band_blocks(blocks: np.ndarray, size: int, half_band: int) -> np.ndarray:
-    """Convert blocks to LAPACK's lower band storage, shape (half_band + 1, size); the inverse of `pack_band_blocks`."""
+def unpack_blocks_to_lapack_band(blocks: np.ndarray, size: int, half_band: int) -> np.ndarray:
+    """Convert blocks to LAPACK's lower band storage, shape (half_band + 1, size).
+
+    This is the inverse of `pack_lapack_band_to_blocks`.
+    """
     width = blocks.shape[1]
     lower = np.zeros((half_band + 1, size))
     for d in range(half_band + 1):
@@ -78,7 +81,7 @@ def make_add_lower_entry_function():
     It adds `value` to an entry of the lower triangle of the matrix of the first `free` equations; other entries are
     ignored.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
 
     @ti.func
     def add_lower_entry(row, column, value, free, width, band: ti.template()):
@@ -92,15 +95,16 @@ def make_add_lower_entry_function():
 
 
 @cache
-def make_subtract_block_products_function():
-    """Return the Taichi function ``subtract_block_products(I, J, first, width, matrix, left, right)``.
+def make_subtract_earlier_products_function():
+    """Return the Taichi function ``subtract_earlier_block_products(I, J, first, width, matrix, left, right)``.
 
     left(I, J) = matrix(I, J) - sum of left(I, K) right(J, K)^T over the block columns K from `first` to J - 1.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
 
     @ti.func
-    def subtract_block_products(I, J, first, width, matrix: ti.template(), left: ti.template(), right: ti.template()):
+    def subtract_earlier_block_products(I, J, first, width, matrix: ti.template(), left: ti.template(),
+                                        right: ti.template()):
         """Write matrix(I, J) minus the sum of left(I, K) right(J, K)^T over earlier columns K to left(I, J)."""
         w = J - I + width - 1
         # Eight columns stay in registers while all earlier blocks are subtracted.
@@ -121,45 +125,45 @@ def make_subtract_block_products_function():
         left[I, w, 0], left[I, w, 1], left[I, w, 2], left[I, w, 3] = t0, t1, t2, t3
         left[I, w, 4], left[I, w, 5], left[I, w, 6], left[I, w, 7] = t4, t5, t6, t7
 
-    return subtract_block_products
+    return subtract_earlier_block_products
 
 
 @cache
-def make_copy_lower_to_upper_function():
-    """Return the Taichi function ``copy_lower_to_upper(lower, upper, begin, end, width)``.
+def make_copy_lower_to_upper_band_function():
+    """Return the Taichi function ``copy_lower_band_to_upper_band(lower, upper, begin, end, width)``.
 
     It copies the lower band of a symmetric matrix to the upper band, for block rows `begin` to `end` - 1.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
 
     @ti.func
-    def copy_lower_to_upper(lower: ti.template(), upper: ti.template(), begin, end, width):
+    def copy_lower_band_to_upper_band(lower: ti.template(), upper: ti.template(), begin, end, width):
         """Copy block rows `begin` to `end` - 1 of the lower band to the upper band, which stores the transpose."""
         for I in range(begin, end):
             for w in range(width):
                 for c in range(BLOCK):
                     upper[I, w, c] = lower[I, w, c]
 
-    return copy_lower_to_upper
+    return copy_lower_band_to_upper_band
 
 
 @cache
-def make_fill_diagonal_blocks_function():
-    """Return the Taichi function ``fill_diagonal_blocks(lower, rows, width)``.
+def make_symmetrise_diagonal_blocks_function():
+    """Return the Taichi function ``symmetrise_diagonal_blocks(lower, rows, width)``.
 
     It fills the upper triangles of the diagonal blocks of a symmetric matrix.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
 
     @ti.func
-    def fill_diagonal_blocks(lower: ti.template(), rows, width):
+    def symmetrise_diagonal_blocks(lower: ti.template(), rows, width):
         """Copy the lower triangle of every diagonal block to its upper triangle."""
         for I in range(rows):
             for c in range(BLOCK):
                 for r in range(c):
                     lower[I, width - 1, c][r] = lower[I, width - 1, r][c]
 
-    return fill_diagonal_blocks
+    return symmetrise_diagonal_blocks
 
 
 @cache
@@ -168,7 +172,7 @@ def make_add_unsymmetric_entry_function():
 
     It adds `value` to an entry on either side of the diagonal of the matrix of the first `free` equations.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
 
     @ti.func
     def add_unsymmetric_entry(row, column, value, free, width, lower: ti.template(), upper: ti.template()):

@@ -2,15 +2,15 @@
 
 from functools import cache
 
-from tissue_sim.fem.linear.band import BLOCK, BandSolverFunctions, make_subtract_block_products_function
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.linear.band import BLOCK, BandSolverFunctions, make_subtract_earlier_products_function
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
 @cache
 def make_cholesky_functions() -> BandSolverFunctions:
     """Return the Taichi functions of L L^T; `factorise_band` fails if the matrix is not positive definite."""
-    ti = initialise()
-    subtract_block_products = make_subtract_block_products_function()
+    ti = get_initialised_taichi()
+    subtract_block_products = make_subtract_earlier_products_function()
     lanes = ti.Vector(list(range(BLOCK)))
     unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
 

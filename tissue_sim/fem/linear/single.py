@@ -46,32 +46,33 @@ class SinglePrecisionFactor:
         self._exact: PardisoPatternFactor | None = None
 
     @classmethod
-    def try_factorise(cls, pattern: PardisoPatternFactor, matrix: Any, symmetric: bool) -> SinglePrecisionFactor | None:
+    def make_factor_or_none(cls, pattern: PardisoPatternFactor, matrix: Any,
+                            symmetric: bool) -> SinglePrecisionFactor | None:
         """Return the factor; None if single precision is too inaccurate, or a symmetric matrix may be indefinite."""
         try:
-            pattern.factorise(matrix)
+            pattern.factorise_and_get_schur_or_none(matrix)
         except PardisoError:
             return None
         if pattern.has_perturbed_pivots:
             return None
         factor = cls(pattern, matrix.copy(), symmetric)
         right = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
-        found = factor._solve_iteratively(right, _SETTINGS.test_tolerance, _SETTINGS.max_test_iterations)
+        found = factor._solve_iteratively_or_none(right, _SETTINGS.test_tolerance, _SETTINGS.max_test_iterations)
         return None if found is None else factor
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solve for right-hand sides, shape (n,) or (n, m), to the relative residual of the settings."""
         if self._exact is None:
-            answer = self._solve_iteratively(right.reshape(right.shape[0], -1), _SETTINGS.tolerance,
-                                             _SETTINGS.max_iterations)
+            answer = self._solve_iteratively_or_none(right.reshape(right.shape[0], -1), _SETTINGS.tolerance,
+                                                     _SETTINGS.max_iterations)
             if answer is not None:
                 return answer.reshape(right.shape)
             kind = MatrixType.SYMMETRIC if self._symmetric else MatrixType.UNSYMMETRIC
             self._exact = PardisoPatternFactor(self._matrix, kind)
-            self._exact.factorise(self._matrix)
+            self._exact.factorise_and_get_schur_or_none(self._matrix)
         return self._exact.solve(right)
 
-    def _solve_iteratively(self, right: np.ndarray, tolerance: float, max_iterations: int) -> np.ndarray | None:
+    def _solve_iteratively_or_none(self, right: np.ndarray, tolerance: float, max_iterations: int) -> np.ndarray | None:
         """Solve by preconditioned conjugate gradients, or by GCR if the matrix is not symmetric.
 
         Args:

@@ -51,7 +51,7 @@ class CondensedFactor(Factor, Protocol):
             right: shape (n,) or (n, several).
         """
 
-    def solve_interface_force(self, forces: np.ndarray) -> np.ndarray:
+    def solve_up_to_interface_for_force(self, forces: np.ndarray) -> np.ndarray:
         """Return the result of `solve_interface` for a right-hand side that is 0 except in the interface equations.
 
         Args:
@@ -73,7 +73,7 @@ class SparseSolver:
         self._single: dict[MatrixType, PardisoPatternFactor] = {}
         self._single_is_enough = True
 
-    def factorise(self, matrix: Any, *, symmetric: bool) -> Factor | None:
+    def factorise_or_none(self, matrix: Any, *, symmetric: bool) -> Factor | None:
         """Factorise a square matrix.
 
         Args:
@@ -83,23 +83,24 @@ class SparseSolver:
         Returns:
             None if the matrix is singular.
         """
-        if sparse_library_name() != "pardiso":
-            return _SuperLUFactor.try_factorise(matrix, symmetric)
+        if get_pardiso_or_scipy_name() != "pardiso":
+            return _SuperLUFactor.make_factor_or_none(matrix, symmetric)
         tried = self._single_is_enough and matrix.shape[0] >= _SINGLE_FROM
         if tried:
             kind = MatrixType.DEFINITE if symmetric else MatrixType.UNSYMMETRIC
-            single = SinglePrecisionFactor.try_factorise(_find_or_analyse_pattern(self._single, matrix, kind,
-                                                                                  single=True), matrix, symmetric)
+            pattern = _find_or_analyse_pattern(self._single, matrix, kind, single=True)
+            single = SinglePrecisionFactor.make_factor_or_none(pattern, matrix, symmetric)
             if single is not None:
                 return single
         kind = MatrixType.SYMMETRIC if symmetric else MatrixType.UNSYMMETRIC
-        factor = _PardisoFactor.try_factorise(_find_or_analyse_pattern(self._kept, matrix, kind), matrix, symmetric)
+        factor = _PardisoFactor.make_factor_or_none(_find_or_analyse_pattern(self._kept, matrix, kind), matrix,
+                                                    symmetric)
         if tried and factor is not None and factor.definite:
             self._single_is_enough = False
             self._single.clear()
         return factor
 
-    def factorise_condensed(self, matrix: Any, interface: np.ndarray) -> CondensedFactor | None:
+    def factorise_condensed_or_none(self, matrix: Any, interface: np.ndarray) -> CondensedFactor | None:
         """Factorise a symmetric matrix, and condense the matrix onto interface equations.
 
         Args:
@@ -109,13 +110,13 @@ class SparseSolver:
         Returns:
             None if the matrix is singular, or not positive definite with the interface held.
         """
-        if sparse_library_name() != "pardiso":
-            return _CondensedSuperLUFactor.try_factorise(matrix, interface)
+        if get_pardiso_or_scipy_name() != "pardiso":
+            return _CondensedSuperLUFactor.make_factor_or_none(matrix, interface)
         pattern = self._kept.get(MatrixType.DEFINITE)
         if pattern is None or pattern.indices is not matrix.indices or not np.array_equal(
-                pattern.require_interface_equations(), interface):
+                pattern.get_interface_equations_or_raise(), interface):
             pattern = self._kept[MatrixType.DEFINITE] = PardisoPatternFactor(matrix, MatrixType.DEFINITE, interface)
-        return _CondensedPardisoFactor.try_factorise(pattern, matrix)
+        return _CondensedPardisoFactor.make_factor_or_none(pattern, matrix)
 
 
 def _find_or_analyse_pattern(kept: dict[MatrixType, PardisoPatternFactor], matrix: Any, kind: MatrixType, *,
@@ -127,12 +128,12 @@ def _find_or_analyse_pattern(kept: dict[MatrixType, PardisoPatternFactor], matri
     return pattern
 
 
-def factorise(matrix: Any, *, symmetric: bool) -> Factor | None:
-    """Factorise one sparse matrix; for arguments and result see `SparseSolver.factorise`."""
-    return SparseSolver().factorise(matrix, symmetric=symmetric)
+def factorise_or_none(matrix: Any, *, symmetric: bool) -> Factor | None:
+    """Factorise one sparse matrix; for arguments and result see `SparseSolver.factorise_or_none`."""
+    return SparseSolver().factorise_or_none(matrix, symmetric=symmetric)
 
 
-def sparse_library_name() -> str:
+def get_pardiso_or_scipy_name() -> str:
     """Return the name of the library that factorises sparse matrices: ``"pardiso"`` or ``"scipy"``."""
     if os.environ.get(_CHOICE) == "scipy" or importlib.util.find_spec("pypardiso") is None:
         return "scipy"
@@ -146,7 +147,7 @@ class _SuperLUFactor:
         self._factor, self.definite = factor, definite
 
     @classmethod
-    def try_factorise(cls, matrix: Any, symmetric: bool) -> _SuperLUFactor | None:
+    def make_factor_or_none(cls, matrix: Any, symmetric: bool) -> _SuperLUFactor | None:
         """Return the factor of a matrix; None if the matrix is singular."""
         from scipy.sparse.linalg import splu
 
@@ -173,9 +174,9 @@ class _CondensedSuperLUFactor:
         self._factor, self.compliance, self._interface, self._size = factor, compliance, interface, size
 
     @classmethod
-    def try_factorise(cls, matrix: Any, interface: np.ndarray) -> _CondensedSuperLUFactor | None:
+    def make_factor_or_none(cls, matrix: Any, interface: np.ndarray) -> _CondensedSuperLUFactor | None:
         """Return the factor of a matrix; None if the matrix is singular."""
-        factor = _SuperLUFactor.try_factorise(matrix, True)
+        factor = _SuperLUFactor.make_factor_or_none(matrix, True)
         if factor is None:
             return None
         unit = np.zeros((matrix.shape[0], interface.size))
@@ -187,7 +188,7 @@ class _CondensedSuperLUFactor:
 
     solve_interface = solve
 
-    def solve_interface_force(self, forces: np.ndarray) -> np.ndarray:
+    def solve_up_to_interface_for_force(self, forces: np.ndarray) -> np.ndarray:
         right = np.zeros(self._size)
         right[self._interface] = forces
         return self._factor.solve(right)
@@ -203,10 +204,10 @@ class _PardisoFactor:
         self._pattern, self.definite = pattern, definite
 
     @classmethod
-    def try_factorise(cls, pattern: PardisoPatternFactor, matrix: Any, symmetric: bool) -> _PardisoFactor | None:
+    def make_factor_or_none(cls, pattern: PardisoPatternFactor, matrix: Any, symmetric: bool) -> _PardisoFactor | None:
         """Return the factor of a matrix; None if the matrix is singular."""
         try:
-            pattern.factorise(matrix)
+            pattern.factorise_and_get_schur_or_none(matrix)
         except PardisoError:
             return None
         if pattern.has_perturbed_pivots and not symmetric:
@@ -226,12 +227,12 @@ class _CondensedPardisoFactor:
         self._pattern, self.compliance = pattern, compliance
 
     @classmethod
-    def try_factorise(cls, pattern: PardisoPatternFactor, matrix: Any) -> _CondensedPardisoFactor | None:
+    def make_factor_or_none(cls, pattern: PardisoPatternFactor, matrix: Any) -> _CondensedPardisoFactor | None:
         """Return the factor of a matrix; None if it is singular, or not positive definite with the interface held."""
         from scipy.linalg import lapack
 
         try:
-            schur = pattern.factorise(matrix)
+            schur = pattern.factorise_and_get_schur_or_none(matrix)
         except PardisoError:
             return None
         assert schur is not None
@@ -250,14 +251,14 @@ class _CondensedPardisoFactor:
         return self.complete_solution(self.solve_interface(right))
 
     def solve_interface(self, right: np.ndarray) -> np.ndarray:
-        begun, interface = self._pattern.substitute_forward(right), self._pattern.require_interface_equations()
+        begun, interface = self._pattern.substitute_forward(right), self._pattern.get_interface_equations_or_raise()
         begun[interface] = self.compliance @ begun[interface]
         return begun
 
-    def solve_interface_force(self, forces: np.ndarray) -> np.ndarray:
+    def solve_up_to_interface_for_force(self, forces: np.ndarray) -> np.ndarray:
         # Forward substitution does not change such a right-hand side.
         begun = np.zeros(self._pattern.size)
-        begun[self._pattern.require_interface_equations()] = self.compliance @ forces
+        begun[self._pattern.get_interface_equations_or_raise()] = self.compliance @ forces
         return begun
 
     def complete_solution(self, begun: np.ndarray) -> np.ndarray:

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from tissue_sim.fem.reduced.compliance import MissingComplianceForce, compute_contact_compliance
-from tissue_sim.fem.reduced.compliance_table import with_accepted_missing_forces
+from tissue_sim.fem.reduced.compliance_table import calibrate_accepted_missing_forces
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.path_steps import iterate_reduced_steps
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.fem.reduced.training import TrainingSnapshots
+from tissue_sim.fem.reduced.training import TrainingDisplacementsAndWrenches
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.material import Material
@@ -20,12 +20,13 @@ from tissue_sim.pose import Pose
 
 
 def add_calibrated_compliance(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[Sequence[Pose]],
-                              snapshots: Sequence[TrainingSnapshots], materials: Sequence[Material]) -> ReducedModel:
+                              snapshots: Sequence[TrainingDisplacementsAndWrenches],
+                              materials: Sequence[Material]) -> ReducedModel:
     """Return a copy of a reduced solid with the calibrated compliance table of its contact nodes.
 
     The reduced solid is simulated along the training paths. Its missing force and its true force error give the
-    missing forces that are accepted, see `with_accepted_missing_forces`. A reduced solid with a bonded tool is returned
-    unchanged.
+    missing forces that are accepted, see `calibrate_accepted_missing_forces`. A reduced solid with a bonded tool is
+    returned unchanged.
 
     Args:
         reduced: the reduced solid.
@@ -48,6 +49,6 @@ def add_calibrated_compliance(reduced: ReducedModel, solver: SolidSolver, poses:
             if step.status is StepStatus.CONVERGED and small.contact.has_touching_nodes:
                 force = np.array(step.wrench[:3])
                 forces.append(float(np.linalg.norm(force)))
-                missing.append(missing_force.compute_missing_force())
+                missing.append(missing_force.compute_missing_axial_force())
                 errors.append(float(np.linalg.norm(force - wrench[:3])))
-    return replace(reduced, compliance=with_accepted_missing_forces(table, forces, missing, errors))
+    return replace(reduced, compliance=calibrate_accepted_missing_forces(table, forces, missing, errors))

@@ -19,7 +19,7 @@ from tissue_sim.fem.reduced.compliance_table import ContactCompliance
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.model import ReducedModel
-from tissue_sim.fem.solid.elastic import compute_node_compliance
+from tissue_sim.fem.solid.elastic import compute_axial_node_compliance_matrix
 from tissue_sim.fem.solid.solver import SolidSolver
 
 
@@ -45,22 +45,24 @@ class MissingComplianceForce:
         self._touching = b""
         self._weights = np.zeros((table.nodes.size, 3))
 
-    def compute_missing_force(self) -> float:
+    def compute_missing_axial_force(self) -> float:
         """Return the missing force for the contact forces of the last evaluation, N."""
         touching = self._contact.touching_mask
         if (key := touching.tobytes()) != self._touching:
             self._touching = key
-            self._weights = self._compute_weights(np.flatnonzero(touching))
+            self._weights = self._derive_missing_force_by_nodal_forces(np.flatnonzero(touching))
         return abs(float(np.vdot(self._weights, self._contact.forces)))
 
-    def estimate_force_error(self, force: float) -> float:
+    def estimate_missing_compliance_error(self, force: float) -> float:
         """Return the force error from missing compliance, N, for a force on the tool of this norm, N.
 
-        The error is the excess of `compute_missing_force` over the value of accurate training states at this force.
+        The error is the excess of `compute_missing_axial_force` over the value of accurate training states at this
+        force.
         """
-        return max(0.0, self.compute_missing_force() - self._table.accepted_missing_force_at(force))
+        return max(0.0, self.compute_missing_axial_force()
+                   - self._table.get_accepted_missing_force_at_tool_force(force))
 
-    def _compute_weights(self, nodes: np.ndarray) -> np.ndarray:
+    def _derive_missing_force_by_nodal_forces(self, nodes: np.ndarray) -> np.ndarray:
         """Return the derivative of the missing force with respect to the nodal forces if these nodes touch, (n, 3)."""
         weights = np.zeros(self._weights.shape)
         if nodes.size:
@@ -71,7 +73,8 @@ class MissingComplianceForce:
         return weights
 
 
-def make_missing_force_estimate(reduced: ReducedModel, contact: LayerContact) -> MissingComplianceForce | None:
+def make_missing_force_estimate_unless_bonded(reduced: ReducedModel,
+                                              contact: LayerContact) -> MissingComplianceForce | None:
     """Return the error estimate by missing compliance for the contact of a reduced solid; None for a bonded tool."""
     if reduced.lifting:
         return None
@@ -87,15 +90,15 @@ def compute_contact_compliance(reduced: ReducedModel, solver: SolidSolver, nodes
         nodes: indices of the nodes that may touch the tool, shape (n,).
     """
     axis = np.array(reduced.model.experiment.tool_pose(0.0).rotation)[:, 2]
-    whole = compute_node_compliance(solver, nodes, axis)
+    whole = compute_axial_node_compliance_matrix(solver, nodes, axis)
     free = slice(reduced.lifting, reduced.basis.shape[1] - reduced.watched)
     moved = reduced.basis.reshape(-1, 3, reduced.basis.shape[1])[nodes][:, :, free].transpose(0, 2, 1) @ axis
-    stiffness = _compute_resting_stiffness(reduced)[free, free]
+    stiffness = _compute_resting_modal_stiffness(reduced)[free, free]
     kept = moved @ np.linalg.solve(stiffness, moved.T)
     return ContactCompliance(nodes, axis, whole, whole - 0.5 * (kept + kept.T), np.zeros(1), np.zeros(1))
 
 
-def _compute_resting_stiffness(reduced: ReducedModel) -> np.ndarray:
+def _compute_resting_modal_stiffness(reduced: ReducedModel) -> np.ndarray:
     """Compute the modal stiffness of the sampled elements at rest, without contact, N/m, shape (modes, modes)."""
     experiment = reduced.model.experiment
     elements = SampledElements(reduced.mesh, reduced.basis, reduced.elements, reduced.shares, rest=reduced.rest,
@@ -104,7 +107,7 @@ def _compute_resting_stiffness(reduced: ReducedModel) -> np.ndarray:
     elements.initialise_rest_state()
     rest = np.zeros(reduced.basis.shape[1])
     elements.pressures[:] = elements.rest_pressures
-    elements.invalidate_stiffness(rest)
+    elements.evaluate_forces_and_invalidate_stiffness(rest)
     elements.evaluate_forces_and_stiffness(rest, False, 1)
     return elements.modal_stiffness
 

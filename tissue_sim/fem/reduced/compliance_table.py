@@ -30,11 +30,11 @@ class ContactCompliance:
     accepted: np.ndarray
 
     @property
-    def with_unlimited_acceptance(self) -> ContactCompliance:
+    def unlimited_acceptance_copy(self) -> ContactCompliance:
         """Copy of the table with infinite accepted missing force, so that the error by missing compliance is 0."""
         return replace(self, forces=np.zeros(1), accepted=np.full(1, np.inf))
 
-    def accepted_missing_force_at(self, force: float) -> float:
+    def get_accepted_missing_force_at_tool_force(self, force: float) -> float:
         """Interpolate the accepted missing force, N, for a force on the tool, N; beyond the table in proportion."""
         last = float(self.forces[-1])
         if force > last > 0.0:
@@ -42,8 +42,8 @@ class ContactCompliance:
         return float(np.interp(force, self.forces, self.accepted))
 
 
-def with_accepted_missing_forces(table: ContactCompliance, forces: Sequence[float], missing: Sequence[float],
-                                 errors: Sequence[float]) -> ContactCompliance:
+def calibrate_accepted_missing_forces(table: ContactCompliance, forces: Sequence[float], missing: Sequence[float],
+                                      errors: Sequence[float]) -> ContactCompliance:
     """Return a copy of a table with accepted missing forces from states whose true force error is known.
 
     In each state the accepted missing force is max(0, missing force - true error). The value at a force F is the

@@ -43,7 +43,8 @@ class LayerContact:
         nodes: numbers of the contact nodes, shape (n,).
         forces: contact forces on the tissue, valid for touching nodes, N, shape (n, 3).
         touched: which nodes touched the tool in the last committed step, shape (n,).
-        largest_lateral: largest lateral force, N, see `largest_lateral_force`, of the committed steps, shape (1,).
+        largest_lateral: largest lateral force, N, see `largest_lateral_tool_force_since_touch`, of the committed steps,
+            shape (1,).
     """
 
     def __init__(self, bodies: Sequence[RigidBody], places: np.ndarray, areas: np.ndarray, basis: np.ndarray, *,
@@ -89,7 +90,7 @@ class LayerContact:
         with LOCK:
             self._press = BoundKernel(make_layer_contact_kernel(), self._arrays)
 
-    def set_penalty_stiffness(self, moduli: np.ndarray) -> float:
+    def set_penalty_from_moduli_and_get_smallest(self, moduli: np.ndarray) -> float:
         """Set the penalty stiffness of the contact nodes from the shear moduli at all nodes, Pa, shape (nodes,).
 
         Returns:
@@ -120,7 +121,7 @@ class LayerContact:
         rows = 3 * int(self._report[LayerResult.TOUCHING])
         np.dot(self._met[:rows].T, self._answers[:rows], out=self._products)
 
-    def get_modal_forces(self) -> tuple[np.ndarray, np.ndarray]:
+    def get_modal_forces_and_stiffness(self) -> tuple[np.ndarray, np.ndarray]:
         """Return minus the modal contact forces on the tissue, (modes,), and their derivative, (modes, modes).
 
         The derivative is a view, valid until the next evaluation.
@@ -134,17 +135,17 @@ class LayerContact:
         return -self._pushes[self._modes :]
 
     @property
-    def modal_force_rates(self) -> np.ndarray:
+    def modal_force_derivative_by_pose(self) -> np.ndarray:
         """Derivative of the modal forces with respect to the pose of the tool, at fixed tissue, shape (modes, 6)."""
         modes = self._modes
         return -self._products[:modes, modes:]
 
-    def compute_linear_force_change(self, change: np.ndarray) -> np.ndarray:
+    def compute_force_change_by_amplitudes(self, change: np.ndarray) -> np.ndarray:
         """Return the linearised change of the force on the tool, N, (3,), for a change of the amplitudes, (modes,)."""
         modes = self._modes
         return self._products[modes : modes + 3, :modes] @ change
 
-    def compute_tool_stiffness(self, sensitivity: np.ndarray) -> np.ndarray:
+    def compute_contact_stiffness_at_tool(self, sensitivity: np.ndarray) -> np.ndarray:
         """Compute the stiffness of the contact at the tool: minus d wrench / d pose of the tool, shape (6, 6).
 
         Args:
@@ -159,7 +160,7 @@ class LayerContact:
         return stiffness
 
     @property
-    def largest_lateral_force(self) -> float:
+    def largest_lateral_tool_force_since_touch(self) -> float:
         """Largest force on the tool perpendicular to its axis since the first touch, N, with the last evaluation."""
         if not self.has_touching_nodes:
             return 0.0
@@ -191,9 +192,9 @@ class LayerContact:
         """Make stick anchors, touching nodes and largest lateral force of a converged step the committed ones."""
         self.anchors[:] = self._new_anchors
         self.touched[:] = self._states != NodeState.FREE
-        self.largest_lateral[0] = self.largest_lateral_force
+        self.largest_lateral[0] = self.largest_lateral_tool_force_since_touch
 
-    def clear_contact(self) -> None:
+    def mark_all_nodes_untouched(self) -> None:
         """Mark all nodes as not touching, and set the largest lateral force to zero."""
         self.touched[:], self.largest_lateral[:] = 0, 0.0
 

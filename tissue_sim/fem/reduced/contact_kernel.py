@@ -1,12 +1,12 @@
 """Taichi kernel of penalty contact between nodes and a rigid body of revolution with a thin elastic layer.
 
-The closest point of the body is found as in `tissue_sim.fem.solid.bodies.find_nearest_surface_points`.
+The closest point of the body is found as in `tissue_sim.fem.solid.bodies.find_nearest_surface_geometry`.
 """
 
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
 class NodeState(IntEnum):
@@ -65,16 +65,19 @@ def make_layer_contact_kernel():
     ``pushes`` receives the generalised forces, shape (modes + 6,), and ``twists`` the derivative of the torque through
     the lever arms, shape (3, modes). Forces are in the frame of the mesh, N.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     int1 = ti.types.ndarray(ti.i32, ndim=1)
 
     @ti.func
-    def compute_node_force(n, settings: ti.template(), vertices: ti.template(), shaft: ti.template(),
-                           places: ti.template(),
-                           moved: ti.template(), springs: ti.template(), friction: ti.template(), first: ti.template(),
-                           closed: ti.template(), anchors: ti.template(), touched: ti.template(), forces: ti.template(),
-             rates: ti.template(), gaps: ti.template(), new_anchors: ti.template(), states: ti.template()):
+    def write_node_force_and_derivative(n, settings: ti.template(), vertices: ti.template(), shaft: ti.template(),
+                                        places: ti.template(),
+                                        moved: ti.template(), springs: ti.template(), friction: ti.template(),
+                                        first: ti.template(),
+                                        closed: ti.template(), anchors: ti.template(), touched: ti.template(),
+                                        forces: ti.template(),
+                                        rates: ti.template(), gaps: ti.template(), new_anchors: ti.template(),
+                                        states: ti.template()):
         """Write gap and contact state of node n; if it touches, also its force and minus the derivative by position."""
         turn = ti.Matrix([[settings[LayerSetting.ROTATION + 3 * i + k] for k in ti.static(range(3))]
                           for i in ti.static(range(3))])
@@ -165,10 +168,10 @@ def make_layer_contact_kernel():
                     rates[n, i, k] = rate[i, k]
 
     @ti.func
-    def add_node_force_to_modes(n, at, settings: ti.template(), places: ti.template(), moved: ti.template(),
-                                forces: ti.template(),
-                                rates: ti.template(), rows: ti.template(), met: ti.template(), answers: ti.template(),
-                                pushes: ti.template(), twists: ti.template()):
+    def project_node_force_on_modes(n, at, settings: ti.template(), places: ti.template(), moved: ti.template(),
+                                    forces: ti.template(),
+                                    rates: ti.template(), rows: ti.template(), met: ti.template(),
+                                    answers: ti.template(), pushes: ti.template(), twists: ti.template()):
         """Project force and derivative of touching node n on the modes; its rows of ``met`` begin at `at`."""
         modes = rows.shape[1]
         force = ti.Vector([forces[n, i] for i in ti.static(range(3))])
@@ -198,9 +201,10 @@ def make_layer_contact_kernel():
     @ti.kernel
     def evaluate_layer_contact(settings: real1, vertices: real2, shaft: int1, places: real2, moved: real2,
                                springs: real1,
-              friction: real2, first: int1, closed: int1, anchors: real2, touched: int1, forces: real2, rates: real3,
-              gaps: real1, new_anchors: real2, states: int1, rows: real2, met: real2, answers: real2, pushes: real1,
-                               twists: real2, report: real1):
+                               friction: real2, first: int1, closed: int1, anchors: real2, touched: int1, forces: real2,
+                               rates: real3,
+                               gaps: real1, new_anchors: real2, states: int1, rows: real2, met: real2, answers: real2,
+                               pushes: real1, twists: real2, report: real1):
         """Compute the contact forces of all nodes, their derivatives, and the projections on modes and tool motions."""
         ti.loop_config(serialize=True)
         for _ in range(1):
@@ -211,11 +215,11 @@ def make_layer_contact_kernel():
                     twists[i, m] = 0.0
             touching, slipping, depth = 0, 0, 0.0
             for n in range(places.shape[0]):
-                compute_node_force(n, settings, vertices, shaft, places, moved, springs, friction, first, closed,
-                                   anchors, touched, forces, rates, gaps, new_anchors, states)
+                write_node_force_and_derivative(n, settings, vertices, shaft, places, moved, springs, friction, first,
+                                                closed, anchors, touched, forces, rates, gaps, new_anchors, states)
                 if states[n] != NodeState.FREE:
-                    add_node_force_to_modes(n, 3 * touching, settings, places, moved, forces, rates, rows, met, answers,
-                                            pushes, twists)
+                    project_node_force_on_modes(n, 3 * touching, settings, places, moved, forces, rates, rows, met,
+                                                answers, pushes, twists)
                     touching += 1
                     depth = ti.max(depth, -gaps[n])
                 if states[n] == NodeState.SLIPS:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissue_sim.fem.reduced.elements_kernel import SampledSettingColumn, make_sampled_elements_kernel
-from tissue_sim.fem.reduced.model import RestState
+from tissue_sim.fem.reduced.elements_kernel import AdditionalSampledSettingColumn, make_sampled_elements_kernel
+from tissue_sim.fem.reduced.model import RestDisplacementAndPressures
 from tissue_sim.fem.solid.batches import ElementBatches
-from tissue_sim.fem.solid.element import SettingColumn
+from tissue_sim.fem.solid.element import AssemblySettingColumn
 from tissue_sim.fem.solid.tissue import (
     RegionElements,
     find_finite_bulk_modulus,
+    get_modulus_ratios_of_layer_indices,
     group_elements_by_region,
-    layer_modulus_ratios,
 )
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
@@ -46,7 +46,8 @@ class SampledElements:
     """
 
     def __init__(self, mesh: SolidMesh, basis: np.ndarray, elements: np.ndarray, shares: np.ndarray, *,
-                 layers: np.ndarray, groups: int = 1, contact_radius: float = 1.0, rest: RestState | None = None):
+                 layers: np.ndarray, groups: int = 1, contact_radius: float = 1.0,
+                 rest: RestDisplacementAndPressures | None = None):
         connectivity = mesh.connectivity[elements]
         used, local = np.unique(connectivity, return_inverse=True)
         self._mesh, self._layers = mesh, layers[elements]
@@ -57,10 +58,10 @@ class SampledElements:
         part = SolidMesh(mesh.element, mesh.nodes[used], local.reshape(connectivity.shape))
         self._batches = batches = ElementBatches(part, tuple(chosen.values()), shares)
         points = batches.weights.shape[1]
-        self._regions = tuple(RegionElements(name, each, points, SampledSettingColumn.COUNT)
+        self._regions = tuple(RegionElements(name, each, points, AdditionalSampledSettingColumn.COUNT)
                               for name, each in chosen.items())
         for region in self._regions[1:]:
-            region.settings[SettingColumn.ADDS] = True
+            region.settings[AssemblySettingColumn.ADDS] = True
         self.modes = modes = basis.shape[1]
         self._forces = np.zeros(modes)
         self._contact_radius = contact_radius
@@ -80,7 +81,8 @@ class SampledElements:
         if rest is not None:
             self._at_rest = rest.displacement.reshape(-1, 3)[used].ravel()
             # The batches scale the pressure modes of an element by 1 / sqrt(weight).
-            self.rest_pressures = batches.convert_elements_to_lanes(rest.pressures[elements] * np.sqrt(shares)[:, None])
+            self.rest_pressures = batches.convert_pressures_to_lanes(rest.pressures[elements]
+                                                                     * np.sqrt(shares)[:, None])
         self._x_before[:] = self._at_rest
         self.at = np.zeros(modes)
         # Single precision halves the time; the stiffness is partly that of earlier steps anyway.
@@ -109,13 +111,13 @@ class SampledElements:
         """Modal forces of the last evaluation, N m per m, shape (modes,)."""
         return self._forces
 
-    def _select_rows_of_batches(self, lanes: np.ndarray, part: slice) -> np.ndarray:
+    def _view_rows_of_batch_range(self, lanes: np.ndarray, part: slice) -> np.ndarray:
         """Return the rows of an array in the arrangement of `pressures` that belong to a range of batches, a view."""
         rows = len(lanes) // self._batches.batches
         return lanes[rows * part.start : rows * part.stop]
 
     @property
-    def has_complete_stiffness(self) -> bool:
+    def has_stiffness_of_all_groups(self) -> bool:
         """Whether the stiffness of all groups was computed since the material was set or the stiffness was reset."""
         return self._next >= 0
 
@@ -151,7 +153,7 @@ class SampledElements:
         for region in self._regions:
             region.memory.commit_step()
 
-    def compute_stiffness_age(self, amplitudes: np.ndarray) -> float | None:
+    def compute_outdated_stiffness_age_or_none(self, amplitudes: np.ndarray) -> float | None:
         """Return the time since the oldest outdated stiffness group was computed, at the end of the step, s.
 
         Args:
@@ -181,19 +183,20 @@ class SampledElements:
         materials = [material.regions.get(region.name, material) for region in self._regions]
         wholes = [find_finite_bulk_modulus(each, self._mesh) for each in materials]
         bulks = [min(whole, bulk_ratio * each.mu0) for whole, each in zip(wholes, materials, strict=True)]
-        batches.set_modulus_ratios(layer_modulus_ratios(material, self._layers))
+        batches.set_modulus_ratios(get_modulus_ratios_of_layer_indices(material, self._layers))
         before = self._moduli.copy()
         for region, part, stated, whole, bulk in zip(self._regions, batches.parts, materials, wholes, bulks,
                                                      strict=True):
             blocks = self._blocks[LANES * part.start : LANES * part.stop]
-            named = region.set_material(stated, bulk, self._contact_radius) | batches.get_kernel_arrays(part) | {
+            named = region.set_material(stated, bulk,
+                                        self._contact_radius) | batches.get_kernel_arrays_by_name(part) | {
                 "x": self._x, "motion": self._motion, "groups": self._groups[part], "wanted": self._wanted,
                 "blocks": blocks.reshape(len(blocks) * freedoms**2),
-                "standing": self._select_rows_of_batches(self._standing, part)}
+                "standing": self._view_rows_of_batch_range(self._standing, part)}
             # The pressures at rest belong to the bulk modulus of the full-order solid, not to the limited one.
             per_bulk = (1.0 / whole - 1.0 / bulk) / batches.moduli[part]
-            pressures = self._select_rows_of_batches(self.rest_pressures, part).reshape(len(per_bulk), -1, LANES)
-            self._select_rows_of_batches(self._standing, part)[:] = (per_bulk[:, None] * pressures).reshape(-1, LANES)
+            pressures = self._view_rows_of_batch_range(self.rest_pressures, part).reshape(len(per_bulk), -1, LANES)
+            self._view_rows_of_batch_range(self._standing, part)[:] = (per_bulk[:, None] * pressures).reshape(-1, LANES)
             with LOCK:
                 kernel = make_sampled_elements_kernel(self._mesh.element.name, stated.energy_law.kernel_energy)
                 region.kernel = BoundKernel.bind_by_name(kernel, named)
@@ -225,7 +228,7 @@ class SampledElements:
         self._next = (self._next + groups_to_compute) % groups
         with LOCK:
             for region in self._regions:
-                region.settings[SampledSettingColumn.UPDATES_PRESSURE] = updates_pressure
+                region.settings[AdditionalSampledSettingColumn.UPDATES_PRESSURE] = updates_pressure
                 region.kernel()
         np.dot(self._batches.residual[:-1], self._rows, out=self._forces)
         self._forces -= self._weight_forces
@@ -257,7 +260,7 @@ class SampledElements:
         for number, array in enumerate(self.state_arrays):
             array[:] = self._settled[number] if self._settled else 0.0
 
-    def invalidate_stiffness(self, amplitudes: np.ndarray) -> None:
+    def evaluate_forces_and_invalidate_stiffness(self, amplitudes: np.ndarray) -> None:
         """Evaluate forces and volumes at restored amplitudes, and mark the stiffness of all groups as invalid."""
         self._next = -1
         self.evaluate_forces_and_stiffness(amplitudes, False, 0)

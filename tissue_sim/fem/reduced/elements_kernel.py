@@ -3,15 +3,15 @@
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.solid.element import SettingColumn, make_element_functions
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.solid.element import AssemblySettingColumn, make_element_functions
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 
-class SampledSettingColumn(IntEnum):
-    """Additional columns of the array ``settings`` of the sampled elements, after those of `SettingColumn`."""
+class AdditionalSampledSettingColumn(IntEnum):
+    """Additional columns of the array ``settings`` of the sampled elements, after those of `AssemblySettingColumn`."""
 
     #: Whether the pressures are updated with the linearised volume change of the last motion of the nodes.
     UPDATES_PRESSURE = 4
@@ -28,7 +28,7 @@ def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
     ``wanted`` states for each group whether its stiffness is computed. ``standing`` is the residual of the pressure
     equation at rest under self-weight, which is subtracted.
     """
-    ti = initialise()
+    ti = get_initialised_taichi()
     element = SOLID_ELEMENTS[element_name]
     nodes, pressure_modes = element.node_count, element.pressure_modes
     freedoms = 3 * nodes
@@ -40,8 +40,8 @@ def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
     vector1 = ti.types.ndarray(vec, ndim=1)
 
     @ti.func
-    def update_pressures(b, kappa, motion: ti.template(), dofs: ti.template(), pressures: ti.template(),
-                         moduli: ti.template(), volume_rates: ti.template(), gaps: ti.template()):
+    def update_batch_pressures_linearly(b, kappa, motion: ti.template(), dofs: ti.template(), pressures: ti.template(),
+                                        moduli: ti.template(), volume_rates: ti.template(), gaps: ti.template()):
         """Update the pressures of batch b by the linearised pressure equation and the last nodal ``motion``."""
         bulk = kappa * moduli[b]
         for m in range(pressure_modes):
@@ -54,7 +54,7 @@ def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
             pressures[at] = pressures[at] + bulk * gap
 
     @ti.func
-    def scatter_to_element_matrices(b, stiffness: ti.template(), blocks: ti.template()):
+    def expand_stiffness_to_element_matrices(b, stiffness: ti.template(), blocks: ti.template()):
         """Copy the stiffness blocks of a batch to one full matrix for each element."""
         for c in range(nodes):
             for a in range(c + 1):
@@ -70,28 +70,32 @@ def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
                             blocks[above + freedoms * k + i] = K
 
     @ti.kernel
-    def evaluate_sampled_elements(settings: real1, least: real1, x: real1, motion: real1, residual: real1,
-                                  pressures: vector1,
-                 dofs: int2, equations: int2, gradient_x: vector1, gradient_y: vector1, gradient_z: vector1,
-                 weights: vector1, mode_values: vector1, moduli: vector1, coefficients: real1, elements: int2,
-                                  past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2,
-                 volume_rates: vector1, gaps: vector1, forces: vector1, stiffness: vector1, groups: int1,
-                                  wanted: real1, blocks: single1, standing: vector1):
+    def compute_sampled_nodal_forces_and_matrices(settings: real1, least: real1, x: real1, motion: real1,
+                                                  residual: real1, pressures: vector1,
+                                                  dofs: int2, equations: int2, gradient_x: vector1, gradient_y: vector1,
+                                                  gradient_z: vector1,
+                                                  weights: vector1, mode_values: vector1, moduli: vector1,
+                                                  coefficients: real1, elements: int2,
+                                                  past: real1, inherited: real3, largest: real2, stresses: real3,
+                                                  energies: real2,
+                                                  volume_rates: vector1, gaps: vector1, forces: vector1,
+                                                  stiffness: vector1, groups: int1,
+                                                  wanted: real1, blocks: single1, standing: vector1):
         """Compute nodal forces and the smallest J, and the stiffness matrices of the elements in wanted groups."""
         ti.loop_config(serialize=True)
         for _ in range(1):
-            kappa, remembers = settings[SettingColumn.KAPPA], settings[SettingColumn.REMEMBERS]
+            kappa, remembers = settings[AssemblySettingColumn.KAPPA], settings[AssemblySettingColumn.REMEMBERS]
             least[0] = 1e30
-            if settings[SettingColumn.ADDS] == 0.0:
+            if settings[AssemblySettingColumn.ADDS] == 0.0:
                 for i in range(residual.shape[0]):
                     residual[i] = 0.0
             for b in range(moduli.shape[0]):
                 stiff = wanted[groups[b]]
-                if settings[SampledSettingColumn.UPDATES_PRESSURE] > 0.0:
-                    update_pressures(b, kappa, motion, dofs, pressures, moduli, volume_rates, gaps)
+                if settings[AdditionalSampledSettingColumn.UPDATES_PRESSURE] > 0.0:
+                    update_batch_pressures_linearly(b, kappa, motion, dofs, pressures, moduli, volume_rates, gaps)
                 smallest = integrate_forces(b, kappa, stiff, remembers, x, pressures, dofs, gradient_x, gradient_y,
-                                     gradient_z, weights, mode_values, moduli, coefficients, elements, past, inherited,
-                                            largest, stresses, energies, volume_rates, gaps, forces)
+                                            gradient_z, weights, mode_values, moduli, coefficients, elements, past,
+                                            inherited, largest, stresses, energies, volume_rates, gaps, forces)
                 least[0] = ti.min(least[0], smallest)
                 bulk = kappa * moduli[b]
                 for m in range(pressure_modes):
@@ -106,6 +110,6 @@ def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
                         residual[e] = residual[e] + force[l]
                 if stiff > 0.0:
                     compute_stiffness_blocks(b, kappa, moduli, gradient_x, gradient_y, gradient_z, stiffness)
-                    scatter_to_element_matrices(b, stiffness, blocks)
+                    expand_stiffness_to_element_matrices(b, stiffness, blocks)
 
-    return evaluate_sampled_elements
+    return compute_sampled_nodal_forces_and_matrices

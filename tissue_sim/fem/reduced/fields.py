@@ -12,18 +12,18 @@ from functools import lru_cache
 
 import numpy as np
 
-from tissue_sim.fem.solid.batches import compute_quadrature_data
+from tissue_sim.fem.solid.batches import compute_quadrature_volumes_gradients_modes
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.fem.solid.tissue import layer_modulus_ratios
+from tissue_sim.fem.solid.tissue import get_modulus_ratios_of_layer_indices
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
 #: Quadrature data, cached for two meshes.
-_quadrature = lru_cache(maxsize=2)(compute_quadrature_data)
+_quadrature = lru_cache(maxsize=2)(compute_quadrature_volumes_gradients_modes)
 
 
-def compute_reduced_fields(mesh: SolidMesh, material: Material, displacements: Sequence[np.ndarray],
-                           datum: float, layers: np.ndarray) -> SolidFields | None:
+def compute_pressureless_fields_or_none(mesh: SolidMesh, material: Material, displacements: Sequence[np.ndarray],
+                                        datum: float, layers: np.ndarray) -> SolidFields | None:
     """Return the fields of several states of a reduced solid in all elements of the mesh.
 
     Args:
@@ -41,4 +41,4 @@ def compute_reduced_fields(mesh: SolidMesh, material: Material, displacements: S
         return None
     weights, gradients, modes = _quadrature(mesh)
     return SolidFields(mesh, material, np.array(material.bulk_modulus), np.array(displacements), None, gradients,
-                       modes, weights, layer_modulus_ratios(material, layers), None, datum)
+                       modes, weights, get_modulus_ratios_of_layer_indices(material, layers), None, datum)

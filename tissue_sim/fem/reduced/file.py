@@ -16,19 +16,19 @@ import numpy as np
 
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.bounded import run_in_sandbox
-from tissue_sim.decode import parse_json
-from tissue_sim.errors import InputError, add_location_to_errors
+from tissue_sim.decode import parse_json_without_duplicate_keys
+from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.profile import ProfileTool
 from tissue_sim.experiment.tools.tool import TOOLS, Tool
 from tissue_sim.fem.reduced.compliance_table import ContactCompliance
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, RestState, require_reducible
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, RestDisplacementAndPressures, require_reducible
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.solid.tissue import group_elements_by_region, require_mesh_regions
-from tissue_sim.files import open_file
-from tissue_sim.material.file import MaterialFile, decode_material_file
+from tissue_sim.files import open_input_file
+from tissue_sim.material.file import MaterialFile, make_material_file_from_json_data
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
 from tissue_sim.mesh.stored_file_mesh import file_mesh_from_arrays, file_mesh_to_arrays
 from tissue_sim.model import Model
@@ -72,7 +72,7 @@ def write_reduced(reduced: ReducedModel, path: str | Path) -> None:
     if (table := reduced.compliance) is not None:
         arrays |= {f"{_COMPLIANCE}{name}": getattr(table, name) for name in _TABLES}
     if isinstance(specimen, MeshSpecimen):
-        arrays |= {f"{_OF_FILE}{name}": each for name, each in file_mesh_to_arrays(specimen.mesh_of_file).items()}
+        arrays |= {f"{_OF_FILE}{name}": each for name, each in file_mesh_to_arrays(specimen.loaded_file_mesh).items()}
     stream = io.BytesIO()
     named: dict[str, Any] = {"description": np.array(json.dumps(_describe_reduced_solid(reduced))), **arrays}
     np.savez_compressed(stream, **named)
@@ -103,7 +103,7 @@ def _describe_specimen(specimen: Specimen) -> dict[str, Any]:
     """Return the keys from which `_make_experiment` makes the specimen, without the arrays of its mesh."""
     if not isinstance(specimen, MeshSpecimen):
         return dict(specimen.stated)
-    mesh = specimen.mesh_of_file
+    mesh = specimen.loaded_file_mesh
     return {**specimen.stated, "mesh": Path(specimen.mesh_file).name, "kind": mesh.cells.kind, "digest": mesh.digest}
 
 
@@ -122,19 +122,19 @@ def load_reduced(path: str | Path) -> ReducedModel:
         InputError: the file is damaged, has another format or version, or contains inconsistent arrays.
     """
     path = Path(path)
-    with open_file(path, _EXPECTED):
+    with open_input_file(path, _EXPECTED):
         pass
-    description, arrays = run_in_sandbox(_read_arrays, str(path), file=path)
-    with add_location_to_errors(file=path):
+    description, arrays = run_in_sandbox(_read_unchecked_description_and_arrays, str(path), file=path)
+    with located_and_converted_errors(file=path):
         return _build_checked_model(description, arrays)
 
 
-def _read_arrays(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _read_unchecked_description_and_arrays(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the JSON description and the arrays of a file by their names, unchecked."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
-        return parse_json(str(arrays.pop("description"))), arrays
+        return parse_json_without_duplicate_keys(str(arrays.pop("description"))), arrays
     except (ValueError, KeyError, OSError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error):
         raise InputError(f"must be {_EXPECTED}; the file is damaged or has another format. Make it again with "
                          "`tissue-sim reduce`", file=path) from None
@@ -164,7 +164,7 @@ def _build_checked_model(description: dict[str, Any], arrays: dict[str, np.ndarr
         # Files of older versions have no lateral factor. A tool without friction ignores the factor.
         error_factors = float(changed), float(own), float(lateral[0] if lateral else VERIFICATION.absent_lateral_factor)
         box = PoseBox(**description["box"])
-        material = decode_material_file(description["material"]).material
+        material = make_material_file_from_json_data(description["material"]).material
         experiment = _make_experiment(description["experiment"], box, of_file)
         require_reducible(Model(experiment, material))
         require_mesh_regions(material, SolidMesh(element, nodes, connectivity, regions=regions))
@@ -198,8 +198,8 @@ def _build_checked_model(description: dict[str, Any], arrays: dict[str, np.ndarr
     mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces, regions, depths)
     group_elements_by_region(mesh)
     return ReducedModel(Model(experiment, material), mesh, basis, lifting, elements.astype(np.intp), shares, box,
-                        softness, bulk_ratio, report, watched, error_factors, RestState(*rest) if rest else None,
-                        compliance)
+                        softness, bulk_ratio, report, watched, error_factors,
+                        RestDisplacementAndPressures(*rest) if rest else None, compliance)
 
 
 def _is_consistent_table(table: ContactCompliance, nodes: int) -> bool:

@@ -18,8 +18,9 @@ from tissue_sim.material.material import Material
 from tissue_sim.pose import Pose
 
 
-def calibrate_lateral_factor(reduced: ReducedModel, solver: SolidSolver, paths: Sequence[Sequence[Pose]],
-                             materials: Sequence[Material], *, memory: Sequence[np.ndarray] = ()) -> float:
+def calibrate_lateral_error_to_force_ratio(reduced: ReducedModel, solver: SolidSolver, paths: Sequence[Sequence[Pose]],
+                                           materials: Sequence[Material], *,
+                                           memory: Sequence[np.ndarray] = ()) -> float:
     """Compute the ratio of the lateral force error and the largest lateral force since the first touch.
 
     With friction, the force depends on the path. On paths with a reversal, the lateral error stays about constant while
@@ -36,7 +37,7 @@ def calibrate_lateral_factor(reduced: ReducedModel, solver: SolidSolver, paths: 
         solver: full-order solver.
         paths: poses of the tool on paths with a reversal of the lateral motion.
         materials: materials that are used in turn.
-        memory: material history at rest, see `copy_settled_history`.
+        memory: material history at rest, see `get_copies_of_settled_history`.
 
     Returns:
         The factor; 0 for a bonded tool, without friction, and without a lateral force.

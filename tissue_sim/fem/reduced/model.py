@@ -81,7 +81,7 @@ def require_reducible(model: Model) -> None:
     if experiment.tool.is_plate:
         raise InputError("a reduced solid requires a needle; the tool is a plate. Use the axisymmetric solver, which "
                          "is fast enough for a plate", field="tool")
-    if experiment.base_interface not in ("bonded", "frictionless"):
+    if experiment.resolved_base_interface not in ("bonded", "frictionless"):
         raise InputError("a reduced solid requires a bonded or frictionless base. Use 'bonded' or 'frictionless'",
                          field="friction_base")
     if experiment.acting_laws:
@@ -127,7 +127,7 @@ def require_same_layers_and_regions(material: Material, made_of: Material, mesh:
 
 
 @dataclass(frozen=True, eq=False)
-class RestState:
+class RestDisplacementAndPressures:
     """Equilibrium of a solid under self-weight without contact.
 
     Attributes:
@@ -140,7 +140,7 @@ class RestState:
 
 
 @dataclass(frozen=True, eq=False)
-class TrainingSnapshots:
+class TrainingDisplacementsAndWrenches:
     """Full-order states on a training path.
 
     Attributes:
@@ -193,7 +193,7 @@ class ReducedModel:
     report: dict[str, Any] = field(default_factory=dict)
     watched: int = 0
     error_factors: ErrorFactors = (1.0, 0.0, 0.0)
-    rest: RestState | None = None
+    rest: RestDisplacementAndPressures | None = None
     compliance: ContactCompliance | None = None
 
     @property
@@ -217,7 +217,8 @@ class ReducedModel:
         """Mean downward displacement of the top under self-weight, m."""
         if self.rest is None:
             return 0.0
-        return -float(np.average(self.rest.displacement[2::3], weights=self.mesh.compute_node_areas("top")))
+        return -float(np.average(self.rest.displacement[2::3],
+                                 weights=self.mesh.compute_node_areas_of_named_faces("top")))
 
     def require_material(self, material: Material) -> None:
         """Check that the reduced solid supports a material.

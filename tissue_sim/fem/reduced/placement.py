@@ -11,18 +11,18 @@ from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.prediction import AmplitudePredictor
-from tissue_sim.fem.reduced.settings import BondedPlacementSettings
+from tissue_sim.fem.reduced.settings import BondedPlacementLimits
 from tissue_sim.fem.reduced.tool_motion import ToolMotionBasis
 from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.frame import ToolFrame
-from tissue_sim.fem.solid.placement import FirstTouchPlacement
+from tissue_sim.fem.solid.placement import FirstTouchHeightAndSolverMaker
 from tissue_sim.fem.solid.touch import find_first_touch
 from tissue_sim.fem.solver import Solver
 from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.pose import Pose, motion
 
 #: Settings of every reduced solid.
-PLACEMENT = BondedPlacementSettings()
+PLACEMENT = BondedPlacementLimits()
 
 
 class ReducedSolverBase(KernelOwner, Solver):
@@ -40,13 +40,13 @@ class ReducedSolverBase(KernelOwner, Solver):
     _tool_motion: ToolMotionBasis
     _prediction: AmplitudePredictor
     amplitudes: np.ndarray
-    _placement: FirstTouchPlacement
+    _placement: FirstTouchHeightAndSolverMaker
 
-    def _make_placement(self, bodies: list[RigidBody]) -> None:
+    def _set_first_touch_placement(self, bodies: list[RigidBody]) -> None:
         """Set `_placement`, which computes the height of first contact of the tool, a list of rigid bodies."""
         reduced = self.reduced
         mesh, places, specimen = reduced.mesh, reduced.rest_positions, reduced.model.experiment.specimen
-        self._placement = FirstTouchPlacement(
+        self._placement = FirstTouchHeightAndSolverMaker(
             places[mesh.sets["top"]], bodies, self.datum, is_level=specimen.is_flat and reduced.rest is None,
             margin=specimen.margin, touch_height=lambda pose: find_first_touch(mesh, places, bodies, pose).height,
             remake=None)
@@ -80,10 +80,10 @@ class ReducedSolverBase(KernelOwner, Solver):
     @property
     def is_time_dependent(self) -> bool:
         """See `FreeTool.is_time_dependent`. True also while the stiffness at rest is not computed completely."""
-        return self.elements.has_history or not self.is_at_rest
+        return self.elements.has_history or not self.is_undeformed_with_complete_stiffness
 
     @property
-    def is_at_rest(self) -> bool:
+    def is_undeformed_with_complete_stiffness(self) -> bool:
         """Whether the tissue is undeformed and its stiffness at rest is computed completely."""
         raise NotImplementedError
 

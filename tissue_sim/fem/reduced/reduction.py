@@ -14,15 +14,15 @@ from typing import Protocol
 import numpy as np
 
 from tissue_sim.atomic_write import write_bytes
-from tissue_sim.errors import InputError, add_location_to_errors
+from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.acceptance import add_calibrated_compliance
-from tissue_sim.fem.reduced.lateral import calibrate_lateral_factor
+from tissue_sim.fem.reduced.lateral import calibrate_lateral_error_to_force_ratio
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible, require_same_layers_and_regions
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training_paths import make_boundary_training_paths, make_reversing_paths, make_training_path
-from tissue_sim.fem.reduced.verification import verify_and_calibrate
+from tissue_sim.fem.reduced.verification import verify_and_get_report_and_factors
 from tissue_sim.files import read_text
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
@@ -91,13 +91,13 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     require_reducible(model)
     mesh = training.build_training_mesh(model, box, resolution)
     solver = training.make_full_order_solver(model, mesh)
-    memory = training.copy_settled_history(solver)
+    memory = training.get_copies_of_settled_history(solver)
     if also and experiment.specimen.specific_weight:
         raise InputError("must be empty for a solid with self-weight, which has one material only. Leave the further "
                          "materials or gravity out", field="also")
     materials = (model.material, *also)
     for number, each in enumerate(also):
-        with add_location_to_errors(field=f"also[{number}]"):
+        with located_and_converted_errors(field=f"also[{number}]"):
             require_same_layers_and_regions(each, model.material, mesh)
             solver.set_material(each)
     solver.set_material(model.material)
@@ -125,7 +125,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     of_stroke = [materials[number % len(materials)] for number in numbers]
     tell("strokes", 0, count)
     for number, path, material in zip(numbers, poses, of_stroke, strict=True):
-        done = store.read_snapshots(number)
+        done = store.read_snapshots_or_none(number)
         if done is None or len(done.wrenches) != len(path):
             solver.set_material(material)
             done = training.simulate_snapshots(solver, path, memory=memory)
@@ -145,11 +145,12 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     along = make_boundary_training_paths(box, start, holds=holds, reach=reach, images=images,
                                          fraction=VERIFICATION.boundary_fraction)
     unseen += along[:: max(1, len(along) // 2)]  # a corner and an edge
-    report, factors = verify_and_calibrate(reduced, solver, unseen, lambda done, of: tell("trial", done, of),
-                                                    materials=materials, memory=memory)
+    report, factors = verify_and_get_report_and_factors(reduced, solver, unseen, lambda done,
+                                                        of: tell("trial", done, of), materials=materials, memory=memory)
     back = make_reversing_paths(box, start, reach=reach, images=images,
                                 fraction=VERIFICATION.boundary_fraction)
-    lateral = calibrate_lateral_factor(reduced, solver, back[:: max(1, len(back) // 2)], materials, memory=memory)
+    lateral = calibrate_lateral_error_to_force_ratio(reduced, solver, back[:: max(1, len(back) // 2)], materials,
+                                                     memory=memory)
     return training.with_report_and_error_factors(reduced, (*factors, lateral), strokes=strokes,
                                                   boundary_strokes=count - strokes, materials=len(materials),
                                                   tried=tried, **report)
@@ -176,26 +177,26 @@ class _TrainingPathStore:
                              file=folder)
         write_bytes(label, model.encode())
 
-    def read_snapshots(self, number: int) -> training.TrainingSnapshots | None:
+    def read_snapshots_or_none(self, number: int) -> training.TrainingDisplacementsAndWrenches | None:
         """Return the snapshots of a path; None if they are not stored or the file is damaged."""
-        path = self._make_file_path(number)
+        path = self._make_snapshot_file_path_or_none(number)
         if path is None or not path.exists():
             return None
         try:
             with np.load(path, allow_pickle=False) as stored:
-                return training.TrainingSnapshots(stored["displacements"], stored["wrenches"])
+                return training.TrainingDisplacementsAndWrenches(stored["displacements"], stored["wrenches"])
         except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error):
             return None  # an unreadable file is computed again
 
-    def write_snapshots(self, number: int, snapshots: training.TrainingSnapshots) -> None:
+    def write_snapshots(self, number: int, snapshots: training.TrainingDisplacementsAndWrenches) -> None:
         """Write the snapshots of a path to its file, if there is a folder."""
-        path = self._make_file_path(number)
+        path = self._make_snapshot_file_path_or_none(number)
         if path is not None:
             stream = io.BytesIO()
             np.savez(stream, displacements=snapshots.displacements, wrenches=snapshots.wrenches)
             write_bytes(path, stream.getvalue())
 
-    def _make_file_path(self, number: int) -> Path | None:
+    def _make_snapshot_file_path_or_none(self, number: int) -> Path | None:
         """Return the path of the file of a training path; None without a folder."""
         return None if self._folder is None else self._folder / f"stroke_{number:04d}.npz"
 

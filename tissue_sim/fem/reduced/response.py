@@ -6,7 +6,7 @@ import numpy as np
 
 from tissue_sim.fem.reduced.compliance import MissingComplianceForce
 from tissue_sim.fem.reduced.contact import LayerContact
-from tissue_sim.fem.reduced.linear import euclidean_norm, solve_dense_system
+from tissue_sim.fem.reduced.linear import euclidean_norm, solve_nonsingular_dense_system
 from tissue_sim.fem.reduced.model import ErrorFactors, PoseBox
 
 
@@ -36,27 +36,26 @@ class ToolResponse:
         modes, held = len(residual), free.start
         error_modes = slice(free.stop, modes)
         right = np.empty((free.stop - held, 7 + modes - free.stop), order="F")
-        right[:, :6] = contact.modal_force_rates[free]
+        right[:, :6] = contact.modal_force_derivative_by_pose[free]
         if held:
             right[:, :6] += tangent[free, :held] @ prescribed_rates
         right[:, 6] = residual[free]
         right[:, 7:] = tangent[free, error_modes]
-        found = solve_dense_system(tangent[free, free], right)
+        found = solve_nonsingular_dense_system(tangent[free, free], right)
         changes = np.zeros((modes, 7))
         changes[:held, :6] = prescribed_rates
         changes[free] = -found[:, :7]
         self.sensitivity, self.correction = changes[:, :6], changes[:, 6]
         self._static_modes = found[:, 7:]
 
-    def estimate_force_error(self, factors: ErrorFactors, force: np.ndarray, missing: MissingComplianceForce
-                             | None = None
-                    ) -> float | None:
+    def estimate_total_force_error_or_none(self, factors: ErrorFactors, force: np.ndarray,
+                                           missing: MissingComplianceForce | None = None ) -> float | None:
         """Estimate the error of a force on the tool, N: missing modes, missing compliance, and lateral error.
 
         The error by missing modes is c_1 |dF| + c_2 |F|. dF is the change of the force F if the error modes were
         unknowns, too (hierarchical error estimate: Bank and Weiser, Math. Comp. 44 (1985) 283).
-        `verification.verify_and_calibrate` calibrates the factors. The lateral error is c_3 times the largest lateral
-        force, see `calibrate_lateral_factor`.
+        `verification.verify_and_get_report_and_factors` calibrates the factors. The lateral error is c_3 times the
+        largest lateral force, see `calibrate_lateral_error_to_force_ratio`.
 
         Args:
             factors: c_1, c_2 and c_3, see `ReducedModel.error_factors`.
@@ -68,9 +67,9 @@ class ToolResponse:
         """
         known = self._estimate_missing_mode_error(factors, force) if self._free.stop < len(self._residual) else None
         if missing is not None:
-            known = (known or 0.0) + missing.estimate_force_error(euclidean_norm(force))
+            known = (known or 0.0) + missing.estimate_missing_compliance_error(euclidean_norm(force))
         if known is not None and self._contact.has_friction:
-            known += factors[2] * self._contact.largest_lateral_force
+            known += factors[2] * self._contact.largest_lateral_tool_force_since_touch
         return known
 
     def _estimate_missing_mode_error(self, factors: ErrorFactors, force: np.ndarray) -> float:
@@ -79,26 +78,26 @@ class ToolResponse:
         tangent = self._tangent
         # The residual of the unknown modes is an iteration error; only the residual of the error modes counts.
         change = np.zeros(len(self._residual))
-        change[free.stop :] = moved = solve_dense_system(
+        change[free.stop :] = moved = solve_nonsingular_dense_system(
             tangent[free.stop :, free.stop :] - tangent[free.stop :, free] @ self._static_modes,
             -self._residual[free.stop :])
         change[free] = -self._static_modes @ moved
-        added = self._contact.compute_linear_force_change(change)
+        added = self._contact.compute_force_change_by_amplitudes(change)
         if held:
             added = added - (self._prescribed_rates.T @ (tangent[:held] @ change))[:3]
         changed, own, _ = factors
         return changed * euclidean_norm(added) + own * euclidean_norm(force)
 
-    def compute_tool_stiffness(self, box: PoseBox) -> np.ndarray:
+    def compute_tissue_and_contact_stiffness(self, box: PoseBox) -> np.ndarray:
         """Compute the stiffness of tissue and contact at the tool: minus d wrench / d pose, shape (6, 6).
 
         The entries of directions in which the box has no size are 0.
         """
         held, contact, sensitivity = self._free.start, self._contact, self.sensitivity
-        stiffness = contact.compute_tool_stiffness(sensitivity)
+        stiffness = contact.compute_contact_stiffness_at_tool(sensitivity)
         if held:
             # The prescribed modes move nodes outside the bonded face, whose contact forces are part of the residual.
-            forces = self._tangent[:held] @ sensitivity + contact.modal_force_rates[:held]
+            forces = self._tangent[:held] @ sensitivity + contact.modal_force_derivative_by_pose[:held]
             return stiffness + sensitivity[:held].T @ forces
         # In directions without training data the modes have no response; the result would be the layer stiffness.
         known = np.array([box.sideways > 0.0] * 2 + [True] + [box.turn > 0.0] * 3)

@@ -42,7 +42,7 @@ class ReducedNewtonSettings:
 
 
 @dataclass(frozen=True)
-class BondedPlacementSettings:
+class BondedPlacementLimits:
     """Poses of first contact that a reduced solid with a bonded tool accepts.
 
     Attributes:
@@ -55,7 +55,7 @@ class BondedPlacementSettings:
 
 
 @dataclass(frozen=True)
-class TrainingPathSettings:
+class TrainingPathDepthAndStepSettings:
     """Settings of the training and test paths.
 
     Attributes:
@@ -120,9 +120,9 @@ class VerificationSettings:
         negligible_error: error of the force over the rms force that the estimate need not cover.
         substantial_error: error of the force over the largest force with the same material; the estimate must cover
             all test states with a larger error. A larger value makes the estimate smaller and less safe.
-        absent_lateral_factor: lateral factor (`calibrate_lateral_factor`) that is used for files of older versions,
-            which do not contain the factor. A ball of friction 0.3 has the factor 0.60 with 12 modes and 0.24 with 24
-            modes.
+        absent_lateral_factor: lateral factor (`calibrate_lateral_error_to_force_ratio`) that is used for files of older
+            versions, which do not contain the factor. A ball of friction 0.3 has the factor 0.60 with 12 modes and 0.24
+            with 24 modes.
     """
 
     test_paths: int = 3

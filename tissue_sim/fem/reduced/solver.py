@@ -8,11 +8,11 @@ from typing import Any, cast
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.reduced.compliance import make_missing_force_estimate
+from tissue_sim.fem.reduced.compliance import make_missing_force_estimate_unless_bonded
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
-from tissue_sim.fem.reduced.fields import compute_reduced_fields
-from tissue_sim.fem.reduced.linear import estimate_nonlinear_residual, euclidean_norm, solve_dense_system
+from tissue_sim.fem.reduced.fields import compute_pressureless_fields_or_none
+from tissue_sim.fem.reduced.linear import estimate_nonlinear_residual, euclidean_norm, solve_nonsingular_dense_system
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.placement import ReducedSolverBase
 from tissue_sim.fem.reduced.prediction import AmplitudePredictor
@@ -42,31 +42,28 @@ class ReducedSolver(ReducedSolverBase):
         reduced: the reduced solid.
         material: law, parameters and bulk response; may differ from the material of the training.
 
-    Attributes:
-        least_tolerance: smallest tolerance of a step; smaller requested values are raised to it.
-
     Raises:
         InputError: the reduced solid does not support the material.
         MissingBackendError: Taichi is not installed.
     """
 
     highest_order = 1
+    #: Smallest tolerance of a step; smaller requested values are raised to it.
     least_tolerance = TOLERANCE
 
     def __init__(self, reduced: ReducedModel, material: Material):
         experiment, mesh = reduced.model.experiment, reduced.mesh
-        self.mesh, self.reduced = mesh, reduced
+        self.mesh, self.reduced, self._reach = mesh, reduced, experiment.contact_radius
         self._start = self._pose = self._landed = experiment.tool_pose(0.0)
         bonded = mesh.sets["face"] if reduced.lifting else np.zeros(0, dtype=np.intp)
         bodies, self.datum = make_tool_bodies_and_datum(experiment, mesh, bonded, reduced.rest_positions)
-        self._make_placement(bodies)
+        self._set_first_touch_placement(bodies)
         self.elements = SampledElements(
             mesh, reduced.basis, reduced.elements, reduced.shares, groups=SETTINGS.stiffness_groups, rest=reduced.rest,
-            layers=reduced.element_layers, contact_radius=experiment.contact_radius)
-        self._reach = experiment.contact_radius
-        self.contact = LayerContact(bodies, reduced.rest_positions, mesh.node_areas, reduced.basis, reach=self._reach,
-                                    softness=reduced.softness)
-        self.missing_force = make_missing_force_estimate(reduced, self.contact)
+            layers=reduced.element_layers, contact_radius=self._reach)
+        self.contact = LayerContact(bodies, reduced.rest_positions, mesh.surface_node_areas, reduced.basis,
+                                    reach=self._reach, softness=reduced.softness)
+        self.missing_force = make_missing_force_estimate_unless_bonded(reduced, self.contact)
         self._tool_motion = ToolMotionBasis(reduced.lifting, ToolFrame(self._start, self.datum))
         modes = reduced.basis.shape[1]
         self._lifting, self._free = reduced.lifting, slice(reduced.lifting, modes - reduced.watched)
@@ -74,12 +71,9 @@ class ReducedSolver(ReducedSolverBase):
         self._committed = self.amplitudes.copy(), self.elements.rest_pressures.copy()
         #: Last evaluated state: amplitudes, and modal forces of the elements.
         self._evaluated_at, self._forces = self.amplitudes, np.zeros(modes)
-        self._groups_at_rest = 0
-        #: Largest modal force since the last change of the material.
-        self._largest_force = 0.0
-        #: Number of groups whose stiffness may belong to a failed step.
-        self._suspect_groups = 0
-        self._returns_stiffness = False
+        self._groups_at_rest, self._returns_stiffness = 0, False
+        self._largest_force = 0.0  # largest modal force since the last change of the material
+        self._suspect_groups = 0  # number of groups whose stiffness may belong to a failed step
         reduced.require_material(material)
         self.elements.set_material(material, reduced.bulk_ratio)
         self.elements.initialise_rest_state()
@@ -92,10 +86,11 @@ class ReducedSolver(ReducedSolverBase):
         self.material = material
         for pressures in (self._committed[1], self.elements.pressures):
             pressures *= stiffer
-        least = self.contact.set_penalty_stiffness(node_shear_moduli(material, self.mesh, self.reduced.element_layers))
+        moduli = node_shear_moduli(material, self.mesh, self.reduced.element_layers)
+        least = self.contact.set_penalty_from_moduli_and_get_smallest(moduli)
         self._prediction.clear_corrections()
         self._floor, self._largest_force = 1e-3 * least * self._reach**2, 0.0
-        self._invalidate_stiffness()
+        self._reevaluate_and_invalidate_stiffness()
 
     @property
     def pose(self) -> Pose:
@@ -112,10 +107,10 @@ class ReducedSolver(ReducedSolverBase):
         """Move the tool to a pose and solve for static equilibrium; see `Solver.step`. Inertia is neglected."""
         elements, contact = self.elements, self.contact
         if not resumes:
-            self._restore_committed_state()
+            self._restore_committed_amplitudes()
         frame = ToolFrame(pose, self.datum)
         pressed_in = bool(frame.origin[2] <= self._tool_motion.first.origin[2])
-        inside, clear = self._classify_pose_in_box(pose, frame)
+        inside, clear = self._get_inside_and_clear_flags(pose, frame)
         if not (inside or clear):
             return Step(StepStatus.OUTSIDE, 0, 0.0, (0.0,) * 6)
         if not inside:  # without contact the tissue is close to rest
@@ -127,9 +122,9 @@ class ReducedSolver(ReducedSolverBase):
         # The initial guess is the linear response with unchanged contact, or the end of the last step.
         predicts = predictor_order and inside and not resumes
         tool_step = np.array(motion(self._pose, pose)) if predicts else np.zeros(6)
-        # For a tool that can lift off, `_solve_contact` removes the remaining residual without corrections.
-        here = self.amplitudes + (self._prediction.predict_amplitude_change(tool_step) if held and predicts else
-                                  self._prediction.sensitivity @ tool_step)
+        # A tool that can lift off needs no corrections: `_solve_contact_on_linear_tissue` removes the residual.
+        here = self.amplitudes + (self._prediction.predict_amplitude_change(tool_step) if held and predicts
+                                  else self._prediction.sensitivity @ tool_step)
         here[:held] = self._tool_motion.compute_amplitudes(frame)
         iterations, ratio, last, halvings, status = 0, 0.0, np.inf, 0, None
         groups_to_compute = SETTINGS.groups_per_update if self._suspect_groups else 1
@@ -137,23 +132,23 @@ class ReducedSolver(ReducedSolverBase):
         base, forces = (self._evaluated_at, elements.pressures.copy()), self._forces
         if resumes:
             base, forces = (self.amplitudes.copy(), base[1]), elements.modal_forces.copy()
-        if elements.has_complete_stiffness and inside and not (held or resumes):
+        if elements.has_stiffness_of_all_groups and inside and not (held or resumes):
             # Solve the contact on linear tissue first: most of a step is a change of contact and friction.
-            here, contact_forces, contact_rates = self._solve_contact(here, base[0], forces, frame, pressed_in,
-                                                                      tolerance)
+            here, contact_forces, contact_rates = self._solve_contact_on_linear_tissue(
+                here, base[0], forces, frame, pressed_in, tolerance)
         else:
-            contact_forces, contact_rates = self._evaluate_contact(here, frame, pressed_in)
+            contact_forces, contact_rates = self._compute_modal_contact_forces_and_rates(here, frame, pressed_in)
         updates_pressure = inside and np.array_equal(elements.at, base[0])
         while status is None:
             change = here - base[0]
             linear_change = elements.modal_stiffness @ change
             previous_work, linear_forces = float(change @ linear_change), forces + linear_change
-            has_linear_forces = elements.has_complete_stiffness and updates_pressure
+            has_linear_forces = elements.has_stiffness_of_all_groups and updates_pressure
             elements.evaluate_forces_and_stiffness(here, updates_pressure, groups_to_compute)
             forces, evaluated_at = elements.modal_forces.copy(), here
             residual = forces + contact_forces
             residual_norm = euclidean_norm(residual[free])
-            force_norm = self._compute_force_norm(contact_forces, forces)
+            force_norm = self._compute_contact_and_held_force_norm(contact_forces, forces)
             ratio = residual_norm / self._compute_reference_force(force_norm)
             is_invalid = not (elements.smallest_volume_ratio > SETTINGS.min_volume_ratio and np.isfinite(ratio))
             if ratio <= max(tolerance, self.least_tolerance) and not is_invalid:
@@ -166,7 +161,7 @@ class ReducedSolver(ReducedSolverBase):
                 here[:held] = self._tool_motion.compute_amplitudes(frame)
                 elements.pressures[:] = 0.5 * (elements.pressures + base[1])
                 updates_pressure = False
-                contact_forces, contact_rates = self._evaluate_contact(here, frame, pressed_in)
+                contact_forces, contact_rates = self._compute_modal_contact_forces_and_rates(here, frame, pressed_in)
                 continue
             if is_invalid:
                 status = StepStatus.INVERTED
@@ -180,15 +175,15 @@ class ReducedSolver(ReducedSolverBase):
                 groups = SETTINGS.stiffness_groups if updates_all else SETTINGS.groups_per_update
                 elements.evaluate_forces_and_stiffness(here, False, groups)
             last, halvings, base = residual_norm, 0, (here, elements.pressures.copy())
-            here, contact_forces, contact_rates = self._solve_contact(here, here, forces, frame, pressed_in, tolerance)
-            updates_pressure, groups_to_compute = True, 0
-            iterations += 1
+            here, contact_forces, contact_rates = self._solve_contact_on_linear_tissue(
+                here, here, forces, frame, pressed_in, tolerance)
+            updates_pressure, groups_to_compute, iterations = True, 0, iterations + 1
             if has_linear_forces and iterations == 1 and not (self._suspect_groups or elements.has_history):
                 # Estimate the residual of this linear step from the nonlinearity of the previous one; if small, accept.
                 change = here - base[0]
                 added = elements.modal_stiffness @ change
                 residual = forces + added + contact_forces
-                force_norm = self._compute_force_norm(contact_forces, forces + added)
+                force_norm = self._compute_contact_and_held_force_norm(contact_forces, forces + added)
                 remainder = SETTINGS.residual_safety * estimate_nonlinear_residual(
                     (forces - linear_forces)[free], previous_work, float(change @ added))
                 ratio = (euclidean_norm(residual[free]) + remainder) / self._compute_reference_force(force_norm)
@@ -203,25 +198,25 @@ class ReducedSolver(ReducedSolverBase):
             wrench = contact.wrench - rates.T @ residual[:held]
             if self._returns_stiffness and contact.has_friction and pose == self._pose:
                 # Slipping nodes continue to slip, as in the step that led to this pose.
-                _, contact_rates = self._evaluate_contact(here, frame, pressed_in, slips_on=True)
+                _, contact_rates = self._compute_modal_contact_forces_and_rates(here, frame, pressed_in, slips_on=True)
             response = ToolResponse(elements.modal_stiffness + contact_rates, contact, rates, free, residual)
             self._prediction.record_step(np.array(motion(self._pose, pose)), here - self._committed[0],
                                          response.sensitivity, response.correction)
-            error = response.estimate_force_error(self.reduced.error_factors, wrench[:3], self.missing_force)
+            error = response.estimate_total_force_error_or_none(
+                self.reduced.error_factors, wrench[:3], self.missing_force)
             if self._returns_stiffness:
-                age = elements.compute_stiffness_age(here)
+                age = elements.compute_outdated_stiffness_age_or_none(here)
                 if age == 0.0:
                     # Without elapsed time the age would not reveal an outdated stiffness, so compute the stiffness now.
                     elements.evaluate_forces_and_stiffness(here, not np.array_equal(here, evaluated_at),
                                                            SETTINGS.stiffness_groups)
                     evaluated_at, forces = here, elements.modal_forces.copy()
                     response = ToolResponse(elements.modal_stiffness + contact_rates, contact, rates, free, residual)
-                stiffness, stiffness_age = response.compute_tool_stiffness(self.reduced.box), age or 0.0
+                stiffness, stiffness_age = response.compute_tissue_and_contact_stiffness(self.reduced.box), age or 0.0
             contact.commit_step()
             elements.commit_step()
             self._committed = here.copy(), elements.pressures.copy()
-            self._evaluated_at, self._forces = evaluated_at, forces
-            self._pose = pose
+            self._evaluated_at, self._forces, self._pose = evaluated_at, forces, pose
             self._largest_force = max(self._largest_force, force_norm)
         return Step(status, iterations, ratio, cast("Screw", tuple(wrench.tolist())),
                     None if stiffness is None else cast("Matrix", tuple(map(tuple, stiffness.tolist()))),
@@ -237,22 +232,22 @@ class ReducedSolver(ReducedSolverBase):
         self._committed, self._forces = (self.amplitudes.copy(), self.elements.pressures.copy()), 0.0 * self._forces
         self._evaluated_at, self._pose = self.amplitudes.copy(), pose
         self._prediction.reset_predictions()
-        self.contact.clear_contact()
+        self.contact.mark_all_nodes_untouched()
         stiffness = ((0.0,) * 6,) * 6 if self._returns_stiffness else None
         return Step(StepStatus.CONVERGED, 0, 0.0, (0.0,) * 6, stiffness)
 
     @property
-    def is_at_rest(self) -> bool:
+    def is_undeformed_with_complete_stiffness(self) -> bool:
         """Whether the solid is at rest without a touching tool, and all groups of its stiffness are up to date."""
         return self._groups_at_rest >= SETTINGS.stiffness_groups and not self._committed[0].any()
 
-    def _evaluate_contact(self, amplitudes: np.ndarray, frame: ToolFrame, pressed_in: bool, *,
-                          slips_on: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    def _compute_modal_contact_forces_and_rates(self, amplitudes: np.ndarray, frame: ToolFrame, pressed_in: bool, *,
+                                                slips_on: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the contact; return the modal contact forces, (modes,), and derivatives, (modes, modes)."""
         self.contact.evaluate_contact(amplitudes, frame, pressed_in, slips_on=slips_on)
-        return self.contact.get_modal_forces()
+        return self.contact.get_modal_forces_and_stiffness()
 
-    def _compute_force_norm(self, contact_forces: np.ndarray, forces: np.ndarray) -> float:
+    def _compute_contact_and_held_force_norm(self, contact_forces: np.ndarray, forces: np.ndarray) -> float:
         """Return the norm of the modal contact forces plus the norm of the forces on the bonded face."""
         return euclidean_norm(contact_forces) + euclidean_norm(forces[: self._lifting])
 
@@ -260,8 +255,9 @@ class ReducedSolver(ReducedSolverBase):
         """Return the force by which the residual norm is divided for the relative residual."""
         return max(force_norm, self._floor, SETTINGS.min_reference_force * self._largest_force)
 
-    def _solve_contact(self, guess: np.ndarray, reference: np.ndarray, forces: np.ndarray, frame: ToolFrame,
-                       pressed_in: bool, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _solve_contact_on_linear_tissue(self, guess: np.ndarray, reference: np.ndarray, forces: np.ndarray,
+                                        frame: ToolFrame, pressed_in: bool, tolerance: float
+                                        ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Solve the contact on linear tissue, f(a) = f_0 + K (a - a_0), by Newton's method with step halving.
 
         Args:
@@ -269,7 +265,7 @@ class ReducedSolver(ReducedSolverBase):
             reference: amplitudes a_0 of the linearisation, shape (modes,).
             forces: modal forces f_0 of the elements, shape (modes,).
             frame: frame of the tool.
-            pressed_in: see `LayerContact.evaluate`.
+            pressed_in: see `LayerContact.evaluate_contact`.
             tolerance: largest relative residual of the step.
 
         Returns:
@@ -279,26 +275,26 @@ class ReducedSolver(ReducedSolverBase):
         goal = SETTINGS.contact_tolerance * max(tolerance, self.least_tolerance)
         at, before, last, halvings, solves = guess, guess, np.inf, 0, 0
         while True:
-            contact_forces, contact_rates = self._evaluate_contact(at, frame, pressed_in)
+            contact_forces, contact_rates = self._compute_modal_contact_forces_and_rates(at, frame, pressed_in)
             tissue_forces = forces + tangent @ (at - reference)
             residual = (tissue_forces + contact_forces)[free]
             residual_norm = euclidean_norm(residual)
-            reference_force = self._compute_reference_force(self._compute_force_norm(contact_forces, tissue_forces))
+            force_norm = self._compute_contact_and_held_force_norm(contact_forces, tissue_forces)
+            reference_force = self._compute_reference_force(force_norm)
             if residual_norm <= goal * reference_force or solves >= SETTINGS.max_contact_solves:
                 return at, contact_forces, contact_rates
             if residual_norm > (1.0 - SETTINGS.sufficient_decrease) * last and halvings < SETTINGS.max_halvings:
                 at, halvings = 0.5 * (at + before), halvings + 1
                 continue
-            before, last, halvings = at, residual_norm, 0
-            at = at.copy()
-            at[free] -= solve_dense_system((tangent + contact_rates)[free, free], residual)
+            before, at, last, halvings = at, at.copy(), residual_norm, 0
+            at[free] -= solve_nonsingular_dense_system((tangent + contact_rates)[free, free], residual)
             solves += 1
 
     def accepts_pose(self, pose: Pose) -> bool:
         """See `Solver.accepts_pose`. Accepted are poses inside the box and poses without contact."""
-        return any(self._classify_pose_in_box(pose, ToolFrame(pose, self.datum)))
+        return any(self._get_inside_and_clear_flags(pose, ToolFrame(pose, self.datum)))
 
-    def _classify_pose_in_box(self, pose: Pose, frame: ToolFrame) -> tuple[bool, bool]:
+    def _get_inside_and_clear_flags(self, pose: Pose, frame: ToolFrame) -> tuple[bool, bool]:
         """Return whether a pose counts as inside the box, and whether it is outside and without contact."""
         box, start = self.reduced.box, self._start
         inside = box.contains_pose(pose, start)
@@ -306,14 +302,14 @@ class ReducedSolver(ReducedSolverBase):
         # A tool that leaves the box upwards may still touch within the thickness of the layer.
         return inside or (not (clear or self._lifting) and box.has_pose_above(pose, start)), clear
 
-    def _invalidate_stiffness(self) -> None:
+    def _reevaluate_and_invalidate_stiffness(self) -> None:
         """Evaluate the committed state and mark all stiffness as invalid, after a change of state or material."""
         self._groups_at_rest = self._suspect_groups = 0
-        self._restore_committed_state()
-        self.elements.invalidate_stiffness(self.amplitudes)
+        self._restore_committed_amplitudes()
+        self.elements.evaluate_forces_and_invalidate_stiffness(self.amplitudes)
         self._evaluated_at, self._forces = self.amplitudes.copy(), self.elements.modal_forces.copy()
 
-    def _restore_committed_state(self) -> None:
+    def _restore_committed_amplitudes(self) -> None:
         """Set amplitudes and pressures to those of the last committed state."""
         self.amplitudes[:], self.elements.pressures[:] = self._committed
 
@@ -321,9 +317,9 @@ class ReducedSolver(ReducedSolverBase):
         """Remove the tool and unload the tissue; see `Solver.lift_off`."""
         self._committed[0][:], self._committed[1][:] = 0.0, self.elements.rest_pressures
         self._prediction.reset_predictions()
-        self.contact.clear_contact()
+        self.contact.mark_all_nodes_untouched()
         self._pose, self._largest_force = self._start, 0.0
-        self._invalidate_stiffness()
+        self._reevaluate_and_invalidate_stiffness()
 
     def reset_to_rest(self) -> None:
         """Remove the tool, and set tissue and material history to rest without loading."""
@@ -340,7 +336,7 @@ class ReducedSolver(ReducedSolverBase):
         for array, before in zip(self._state_arrays, saved.arrays, strict=True):
             array[:] = before
         self._pose, self._largest_force = saved.pose, saved.largest_force
-        self._invalidate_stiffness()
+        self._reevaluate_and_invalidate_stiffness()
 
     @property
     def _state_arrays(self) -> tuple[np.ndarray, ...]:
@@ -354,8 +350,9 @@ class ReducedSolver(ReducedSolverBase):
     field_sample = displacement
 
     def fields(self, samples: Sequence[Any]) -> Fields | None:
-        """See `compute_reduced_fields`."""
-        return compute_reduced_fields(self.mesh, self.material, samples, self.datum, self.reduced.element_layers)
+        """See `compute_pressureless_fields_or_none`."""
+        return compute_pressureless_fields_or_none(self.mesh, self.material, samples, self.datum,
+                                                   self.reduced.element_layers)
 
     def deformed_surface(self) -> SolidSurface:
         """Return the surface of the tissue in the last committed state."""

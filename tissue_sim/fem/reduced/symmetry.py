@@ -13,10 +13,10 @@ from itertools import product
 
 import numpy as np
 
-from tissue_sim.fem.solid.elastic import held_freedom_mask
+from tissue_sim.fem.solid.elastic import get_held_component_mask_by_node
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.pose import Pose, Screw, motion, rotate_pose
+from tissue_sim.pose import Pose, Screw, motion, rotate_pose_about_its_position
 
 #: Relative tolerance for equal positions (times the size of the mesh) and equal directions.
 _TOLERANCE = 1e-9
@@ -54,7 +54,7 @@ class Symmetry:
         rotation = np.linalg.det(self.matrix) * self.matrix @ turn
         x0, y0, z0 = start.position
         position = (x0 + offset[0], y0 + offset[1], z0 + offset[2])
-        return rotate_pose(Pose(position, start.orientation), tuple(rotation.tolist()))
+        return rotate_pose_about_its_position(Pose(position, start.orientation), tuple(rotation.tolist()))
 
     def map_wrench(self, wrench: Screw | np.ndarray) -> np.ndarray:
         """Return the image of a wrench (force, N, and torque, N m), shape (6,)."""
@@ -79,14 +79,14 @@ def find_symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:
         if nodes is None or not _maps_mesh_onto_itself(solver.mesh, nodes):
             continue
         # A support along an axis must have an image that is a support along the image of the axis.
-        held, image = held_freedom_mask(solver), np.empty((nodes.size, 3), dtype=bool)
+        held, image = get_held_component_mask_by_node(solver), np.empty((nodes.size, 3), dtype=bool)
         image[nodes] = held @ (np.abs(matrix.T) > 0.5)
         if (image == held).all():
             found.append(Symmetry(matrix, nodes))
     return found
 
 
-def split_symmetry_group(group: Sequence[Symmetry]) -> tuple[list[Symmetry], list[Symmetry]]:
+def split_into_involutions_and_cosets(group: Sequence[Symmetry]) -> tuple[list[Symmetry], list[Symmetry]]:
     """Split a symmetry group into an abelian subgroup of involutions and representatives of its cosets.
 
     Returns:

@@ -24,7 +24,7 @@ class ToolMotionBasis:
 
     def compute_amplitudes(self, frame: ToolFrame) -> np.ndarray:
         """Return the amplitudes of the prescribed modes for a frame of the tool, shape (count,)."""
-        return frame.compute_motion_from(self.first)[: self.count]
+        return frame.compute_origin_and_matrix_change_from(self.first)[: self.count]
 
     def compute_amplitude_rates(self, frame: ToolFrame) -> np.ndarray:
         """Return the derivative of the amplitudes with respect to position and rotation of the tool.

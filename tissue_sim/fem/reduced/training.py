@@ -16,10 +16,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.fem.reduced.model import ErrorFactors, PoseBox, ReducedModel, RestState, TrainingSnapshots
+from tissue_sim.fem.reduced.model import (
+    ErrorFactors,
+    PoseBox,
+    ReducedModel,
+    RestDisplacementAndPressures,
+    TrainingDisplacementsAndWrenches,
+)
 from tissue_sim.fem.reduced.sampling import compute_sparse_weights
 from tissue_sim.fem.reduced.settings import TRAINING
-from tissue_sim.fem.reduced.symmetry import Symmetry, find_symmetries, split_symmetry_group
+from tissue_sim.fem.reduced.symmetry import Symmetry, find_symmetries, split_into_involutions_and_cosets
 from tissue_sim.fem.solid import elastic
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -38,19 +44,19 @@ def make_full_order_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
     return make_solver(model, mesh=mesh)
 
 
-def copy_settled_history(solver: SolidSolver) -> tuple[np.ndarray, ...]:
+def get_copies_of_settled_history(solver: SolidSolver) -> tuple[np.ndarray, ...]:
     """Return copies of the material history at rest under self-weight; empty without self-weight."""
     return tuple(array.copy() for array in solver.tissue.state_arrays) if solver.tissue.specific_weight else ()
 
 
 def simulate_snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np.ndarray] = (),
-              tolerance: float = 1e-7) -> TrainingSnapshots:
+                       tolerance: float = 1e-7) -> TrainingDisplacementsAndWrenches:
     """Simulate the full-order solid along poses of the tool, from rest without loading history.
 
     Args:
         solver: full-order solver.
         poses: poses of the tool.
-        memory: material history at rest, see `copy_settled_history`.
+        memory: material history at rest, see `get_copies_of_settled_history`.
         tolerance: relative residual of a step.
 
     Raises:
@@ -69,7 +75,7 @@ def simulate_snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Se
         wrenches.append(step.wrench)
         if (size := math.hypot(*step.wrench[:3])) > largest:
             largest, doubts = size, solver.warnings()
-    return TrainingSnapshots(np.array(displacements), np.array(wrenches), doubts)
+    return TrainingDisplacementsAndWrenches(np.array(displacements), np.array(wrenches), doubts)
 
 
 def _step_with_subdivision(solver: SolidSolver, here: Pose, goal: Pose, tolerance: float) -> Step:
@@ -94,7 +100,7 @@ def compute_lifting_modes(solver: SolidSolver) -> np.ndarray:
     Returns:
         Displacements per amplitude, shape (freedoms, 12); (freedoms, 0) for a tool that can lift off.
     """
-    held = elastic.held_node_positions(solver)
+    held = elastic.get_held_positions_in_tool_frame(solver)
     if not held.size:
         return np.zeros((solver.x.size, 0))
     motions = np.zeros((*held.shape, LIFTING))
@@ -102,27 +108,28 @@ def compute_lifting_modes(solver: SolidSolver) -> np.ndarray:
     for i in range(3):
         for k in range(3):
             motions[:, i, 3 + 3 * i + k] = held[:, k]
-    return elastic.solve_linear_response(solver, motions.reshape(-1, LIFTING))
+    return elastic.reset_and_solve_linear_response(solver, motions.reshape(-1, LIFTING))
 
 
-def compute_modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np.ndarray, np.ndarray]:
+def compute_modes_and_singular_values(states: np.ndarray, group: Sequence[Symmetry],
+                                      count: int) -> tuple[np.ndarray, np.ndarray]:
     """Compute the leading modes of displacements and their symmetric images (proper orthogonal decomposition).
 
     Args:
         states: displacements, m, shape (states, freedoms).
         group: symmetry group; each mode is even or odd under the involutions of its abelian subgroup
-            (`split_symmetry_group`).
+            (`split_into_involutions_and_cosets`).
         count: maximum number of modes.
 
     Returns:
         Modes above the noise, shape (freedoms, at most count), and all singular values, m, descending.
     """
-    commuting, cosets = split_symmetry_group(group)
+    commuting, cosets = split_into_involutions_and_cosets(group)
     states = np.concatenate([states if one.is_identity else one.map_displacements(states) for one in cosets])
     parts = [states]
     for each in commuting:
         parts = [0.5 * (part + sign * each.map_displacements(part)) for part in parts for sign in (1.0, -1.0)]
-    found = [_compute_singular_vectors(part, count) for part in parts]
+    found = [_compute_singular_values_and_right_vectors(part, count) for part in parts]
     # The images of a state under the subgroup have equal norms, which scales the singular values.
     singular = np.sqrt(len(parts)) * np.concatenate([values for values, _ in found])
     vectors = np.concatenate([vectors for _, vectors in found])
@@ -133,7 +140,7 @@ def compute_modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> 
     return vectors[best[is_signal]].T, np.sort(singular)[::-1]
 
 
-def _compute_singular_vectors(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _compute_singular_values_and_right_vectors(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return all singular values, descending, and at most `count` right singular vectors as rows, of values above 0."""
     # Method of snapshots: the Gram matrix of the states is much smaller than the covariance of the freedoms.
     values, vectors = np.linalg.eigh(states @ states.T)
@@ -147,7 +154,7 @@ def _compute_singular_vectors(states: np.ndarray, count: int) -> tuple[np.ndarra
     return singular, (vectors / singular[:count]).T @ states
 
 
-class SamplingState(NamedTuple):
+class SamplingDisplacementPoseForce(NamedTuple):
     """Full-order state that is used to choose the sampled elements.
 
     Attributes:
@@ -163,9 +170,10 @@ class SamplingState(NamedTuple):
     material: Material
 
 
-def iterate_sampling_states(taken: Sequence[TrainingSnapshots], poses: Sequence[Sequence[Pose]],
-                            materials: Sequence[Material],
-                            group: Sequence[Symmetry], start: Pose) -> Iterator[SamplingState]:
+def iterate_symmetric_sampling_states(taken: Sequence[TrainingDisplacementsAndWrenches],
+                                      poses: Sequence[Sequence[Pose]], materials: Sequence[Material],
+                                      group: Sequence[Symmetry],
+                                      start: Pose) -> Iterator[SamplingDisplacementPoseForce]:
     """Yield evenly spaced training states, each mapped by the next symmetry in turn, to choose sampled elements.
 
     Args:
@@ -188,12 +196,13 @@ def iterate_sampling_states(taken: Sequence[TrainingSnapshots], poses: Sequence[
     count = min(TRAINING.sampling_states, strong.size * len(group))
     for place, state in enumerate(strong[np.linspace(0, strong.size - 1, count).astype(int)]):
         image = group[place % len(group)]
-        yield SamplingState(image.map_displacements(states[state : state + 1])[0], image.map_pose(ways[state], start),
-                            float(forces[state]), materials[of_stroke[state]])
+        yield SamplingDisplacementPoseForce(image.map_displacements(states[state : state + 1])[0],
+                                            image.map_pose(ways[state], start),
+                                            float(forces[state]), materials[of_stroke[state]])
 
 
 def choose_sampled_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watched: int,
-                            looked_at: Iterable[SamplingState], tolerance: float, bulk_ratio: float,
+                            looked_at: Iterable[SamplingDisplacementPoseForce], tolerance: float, bulk_ratio: float,
                             progress: Callable[[int, float], None] | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Choose elements and weights that reproduce the modal forces at the given states (`compute_sparse_weights`).
 
@@ -202,7 +211,8 @@ def choose_sampled_elements(solver: SolidSolver, basis: np.ndarray, lifting: int
         basis: displacements of all modes, shape (freedoms, modes).
         lifting: number of prescribed modes, the first ones.
         watched: number of error modes, the last ones.
-        looked_at: states of `iterate_sampling_states`; they are projected on the modes other than the error modes.
+        looked_at: states of `iterate_symmetric_sampling_states`; they are projected on the modes other than the error
+            modes.
         tolerance: relative error of the modal forces.
         bulk_ratio: upper limit of the bulk modulus over the shear modulus.
         progress: called with the number of elements and their relative error so far.
@@ -223,7 +233,7 @@ def choose_sampled_elements(solver: SolidSolver, basis: np.ndarray, lifting: int
     for state, pose, force, material in looked_at:
         if material is not solver.material:
             solver.set_material(material)
-        moved = lifted @ elastic.tool_motion_amplitudes(solver, pose)[:lifting]
+        moved = lifted @ elastic.compute_tool_displacement_and_matrix_change(solver, pose)[:lifting]
         on_nodes = elastic.element_forces_at_displacement(solver, moved + rest @ (rest.T @ (state - moved)), bulk_ratio)
         contributions.append(np.einsum("eir,ei->re", rows, on_nodes - borne) / force)
     solver.set_material(before)
@@ -232,7 +242,7 @@ def choose_sampled_elements(solver: SolidSolver, basis: np.ndarray, lifting: int
     return elements, weights[elements]
 
 
-def build_reduced_model(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[TrainingSnapshots],
+def build_reduced_model(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[TrainingDisplacementsAndWrenches],
                         poses: Sequence[Sequence[Pose]], *, count: int, tolerance: float, softness: float,
                         bulk_ratio: float, materials: Sequence[Material] = (), group: Sequence[Symmetry] = (),
                         progress: Callable[[int, float], None] | None = None) -> ReducedModel:
@@ -258,12 +268,15 @@ def build_reduced_model(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequ
     ways = [pose for each in poses for pose in each]
     lifted = compute_lifting_modes(solver)
     lifting = lifted.shape[1]
-    amplitudes = np.array([elastic.tool_motion_amplitudes(solver, pose) for pose in ways])[:, :lifting]
+    amplitudes = np.array([elastic.compute_tool_displacement_and_matrix_change(solver, pose)
+                           for pose in ways])[:, :lifting]
     # The prescribed part commutes with the symmetries, so the images of the remainder need no new subtraction.
-    found, singular = compute_modes(states - amplitudes @ lifted.T, group, count + TRAINING.error_modes)
+    found, singular = compute_modes_and_singular_values(states - amplitudes @ lifted.T, group,
+                                                        count + TRAINING.error_modes)
     basis = np.hstack([lifted, found])
     watched = max(0, found.shape[1] - count)
-    looked_at = iterate_sampling_states(taken, poses, materials or [model.material] * len(taken), group, start)
+    looked_at = iterate_symmetric_sampling_states(taken, poses, materials or [model.material] * len(taken), group,
+                                                  start)
     elements, shares = choose_sampled_elements(solver, basis, lifting, watched, looked_at, tolerance,
                                                max(bulk_ratio, TRAINING.min_sampling_bulk_ratio), progress)
     kept = found.shape[1] - watched
@@ -272,16 +285,16 @@ def build_reduced_model(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequ
               "symmetries": len(group),
               "energy_left_out": float((singular[kept:] ** 2).sum() / (singular**2).sum())}
     return ReducedModel(model, solver.mesh, basis, lifting, elements, shares, box, softness, bulk_ratio, report,
-                        watched, rest=_make_rest_state(solver))
+                        watched, rest=_make_rest_state_or_none(solver))
 
 
-def _make_rest_state(solver: SolidSolver) -> RestState | None:
+def _make_rest_state_or_none(solver: SolidSolver) -> RestDisplacementAndPressures | None:
     """Return the equilibrium under self-weight; None without self-weight."""
     if not solver.tissue.specific_weight:
         return None
     solver.lift_off()
     standing = solver.field_sample()
-    return RestState(standing.displacement.ravel(), standing.pressures)
+    return RestDisplacementAndPressures(standing.displacement.ravel(), standing.pressures)
 
 
 def with_report_and_error_factors(reduced: ReducedModel, factors: ErrorFactors, **more: Any) -> ReducedModel:

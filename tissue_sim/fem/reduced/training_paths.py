@@ -17,12 +17,12 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.fem.reduced.model import PoseBox
-from tissue_sim.fem.reduced.settings import TrainingPathSettings
-from tissue_sim.pose import Pose, between, motion, rotate_pose
+from tissue_sim.fem.reduced.settings import TrainingPathDepthAndStepSettings
+from tissue_sim.pose import Pose, between, motion, rotate_pose_about_its_position
 
 #: Dimension of the Sobol sequence: two poses, each of position (3) and rotation (3).
 _DIMENSION = 12
-_PATHS = TrainingPathSettings()
+_PATHS = TrainingPathDepthAndStepSettings()
 
 
 def make_training_path(number: int, box: PoseBox, start: Pose, *, holds: bool, reach: float) -> list[Pose]:
@@ -43,9 +43,9 @@ def make_training_path(number: int, box: PoseBox, start: Pose, *, holds: bool, r
     if holds:
         corners = [start, first, second, start]
     else:
-        above = _move_to_depth(first, start, 0.0)
-        corners = [_move_to_depth(first, start, -0.1 * box.depth), above, first, second,
-                   _move_to_depth(second, start, 0.0)]
+        above = _move_vertically_to_depth(first, start, 0.0)
+        corners = [_move_vertically_to_depth(first, start, -0.1 * box.depth), above, first, second,
+                   _move_vertically_to_depth(second, start, 0.0)]
     return _interpolate_path(corners, reach)
 
 
@@ -66,14 +66,15 @@ def make_boundary_training_paths(box: PoseBox, start: Pose, *, holds: bool, reac
     """
     small = PoseBox(fraction * box.sideways, fraction * box.depth, fraction * box.turn)
     paths = []
-    for corner, goal in _iterate_boundary_points(box.sideways + box.turn > 0.0, images):
+    for corner, goal in _iterate_boundary_points_and_goals(box.sideways + box.turn > 0.0, images):
         lean = (-small.turn * corner[1] / math.hypot(*corner), small.turn * corner[0] / math.hypot(*corner), 0.0) \
             if any(corner) else (0.0, 0.0, 0.0)
         upright, end = (_make_deepest_pose(small, start, point) for point in (corner, goal))
-        leaning = rotate_pose(upright, lean)
+        leaning = rotate_pose_about_its_position(upright, lean)
         corners = [start, upright, leaning, end, start] if holds else [
-            _move_to_depth(upright, start, -0.1 * box.depth), _move_to_depth(upright, start, 0.0), upright, leaning,
-            end, _move_to_depth(end, start, 0.0)]
+            _move_vertically_to_depth(upright, start, -0.1 * box.depth), _move_vertically_to_depth(upright, start, 0.0),
+            upright, leaning,
+            end, _move_vertically_to_depth(end, start, 0.0)]
         paths.append(_interpolate_path(corners, reach))
     return paths
 
@@ -86,13 +87,13 @@ def make_reversing_paths(box: PoseBox, start: Pose, *, reach: float, images: Seq
     depth at each corner and at the midpoint of each edge; the arguments are those of `make_boundary_training_paths`.
     """
     small = PoseBox(fraction * box.sideways, fraction * box.depth)
-    return [_interpolate_path([_move_to_depth(start, start, -0.1 * box.depth), start,
+    return [_interpolate_path([_move_vertically_to_depth(start, start, -0.1 * box.depth), start,
                                _make_deepest_pose(small, start, point), start], reach)
-            for point, _ in _iterate_boundary_points(box.sideways > 0.0, images)]
+            for point, _ in _iterate_boundary_points_and_goals(box.sideways > 0.0, images)]
 
 
-def _iterate_boundary_points(is_wide: bool, images: Sequence[np.ndarray]
-                             ) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+def _iterate_boundary_points_and_goals(is_wide: bool, images: Sequence[np.ndarray]
+                                       ) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
     """Yield pairs of an indentation point, a corner or edge midpoint of a square, and the goal of the drag there.
 
     Coordinates are -1, 0 or 1. A box without width has only its centre.
@@ -114,7 +115,10 @@ def _make_deepest_pose(box: PoseBox, start: Pose, point: tuple[int, int]) -> Pos
 
 
 def _interpolate_path(corners: Sequence[Pose], reach: float) -> list[Pose]:
-    """Return poses along straight motions between corner poses, at most `TrainingPathSettings.step` apart."""
+    """Return poses along straight motions between corner poses.
+
+    The largest distance of two poses is `TrainingPathDepthAndStepSettings.step`.
+    """
     poses = [corners[0]]
     for one, other in pairwise(corners):
         x, y, z, *turn = motion(one, other)
@@ -135,10 +139,10 @@ def _map_coordinates_to_box_pose(coordinates: np.ndarray, box: PoseBox, start: P
     flat = math.sqrt(max(0.0, 1.0 - height * height))
     size = box.turn * angle
     vector = (size * flat * math.cos(around), size * flat * math.sin(around), size * height)
-    return rotate_pose(Pose(position, start.orientation), vector)
+    return rotate_pose_about_its_position(Pose(position, start.orientation), vector)
 
 
-def _move_to_depth(pose: Pose, start: Pose, depth: float) -> Pose:
+def _move_vertically_to_depth(pose: Pose, start: Pose, depth: float) -> Pose:
     """Return a copy of a pose moved vertically to another depth below `start`, m."""
     x, y, _ = pose.position
     return Pose((x, y, start.position[2] - depth), pose.orientation)

@@ -18,9 +18,10 @@ from tissue_sim.material.material import Material
 from tissue_sim.pose import Pose, between
 
 
-def verify_and_calibrate(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequence[Pose]],
-                         progress: Callable[[int, int], None] | None = None, *, materials: Sequence[Material] = (),
-                         memory: Sequence[np.ndarray] = ()) -> tuple[dict[str, Any], tuple[float, float]]:
+def verify_and_get_report_and_factors(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequence[Pose]],
+                                      progress: Callable[[int, int], None] | None = None, *,
+                                      materials: Sequence[Material] = (),
+                                      memory: Sequence[np.ndarray] = ()) -> tuple[dict[str, Any], tuple[float, float]]:
     """Compare the reduced with the full-order solid on test paths, and calibrate the error estimate.
 
     Non-negative least squares fit the error factors to the error beyond the estimate by missing compliance. The factors
@@ -32,7 +33,7 @@ def verify_and_calibrate(reduced: ReducedModel, solver: SolidSolver, strokes: Se
         strokes: poses of each test path.
         progress: called with the number of finished paths and the number of all paths.
         materials: materials that are used in turn; none: the present material.
-        memory: material history at rest, see `copy_settled_history`.
+        memory: material history at rest, see `get_copies_of_settled_history`.
 
     Returns:
         The report and the first two error factors of `ReducedModel`. The report contains ``force_rms_error`` and
@@ -45,7 +46,7 @@ def verify_and_calibrate(reduced: ReducedModel, solver: SolidSolver, strokes: Se
     more = (reduced.basis.shape[1] - reduced.lifting - reduced.watched) // VERIFICATION.modes_per_omitted_mode
     table = reduced.compliance
     plain = replace(reduced, error_factors=(1.0, 0.0, 0.0),
-                    compliance=None if table is None else table.with_unlimited_acceptance)
+                    compliance=None if table is None else table.unlimited_acceptance_copy)
     small, fewer = (ReducedSolver(replace(plain, watched=reduced.watched + each), reduced.model.material)
                     for each in (0, more if reduced.watched else 0))
     missed, forces, estimates, explained, kinds, lost, steps = [], [], [], [], [], 0, 0
@@ -72,8 +73,8 @@ def verify_and_calibrate(reduced: ReducedModel, solver: SolidSolver, strokes: Se
             kinds.append(done % max(1, len(materials)))
             estimates.append(step.force_error or 0.0)
             explained.append(0.0 if table is None or small.missing_force is None else max(
-                0.0, small.missing_force.compute_missing_force()
-                - table.accepted_missing_force_at(float(np.linalg.norm(step.wrench[:3])))))
+                0.0, small.missing_force.compute_missing_axial_force()
+                - table.get_accepted_missing_force_at_tool_force(float(np.linalg.norm(step.wrench[:3])))))
             others.append((coarse.force_error or 0.0, float(np.linalg.norm(wrench[:3])),
                            float(np.linalg.norm(np.subtract(coarse.wrench[:3], wrench[:3])))))
         if progress:

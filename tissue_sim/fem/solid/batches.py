@@ -12,7 +12,7 @@ from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.mesh.solid import SolidMesh
 
 
-def compute_quadrature_data(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def compute_quadrature_volumes_gradients_modes(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute quadrature data of all undeformed elements.
 
     Returns:
@@ -68,7 +68,7 @@ class ElementBatches:
                  shares: np.ndarray | None = None):
         count, nodes = mesh.connectivity.shape
         self._modes = mesh.element.pressure_modes
-        self.weights, gradients, modes = compute_quadrature_data(mesh)
+        self.weights, gradients, modes = compute_quadrature_volumes_gradients_modes(mesh)
         if shares is not None:
             self.weights *= shares[:, None]
             modes = modes / np.sqrt(shares)[:, None, None]
@@ -98,7 +98,7 @@ class ElementBatches:
         self._equations = np.ascontiguousarray(np.moveaxis(equations, 1, -1).reshape(-1, LANES), dtype=np.int32)
         self._gradients = [self._arrange_in_lanes(gradients[..., i]) for i in range(3)]
         self._weights, self._mode_values = self._arrange_in_lanes(self.weights), self._arrange_in_lanes(modes)
-        self._build_sparsity_pattern(mesh.connectivity, len(mesh.nodes))
+        self._set_matrix_and_entry_indices(mesh.connectivity, len(mesh.nodes))
 
     def _arrange_in_lanes(self, values: np.ndarray) -> np.ndarray:
         """Rearrange values of the elements, shape (elements, ...), to lanes, shape (batches times the rest, LANES)."""
@@ -124,7 +124,7 @@ class ElementBatches:
         """Ratio of the moduli of each element to those of the material, shape (elements,)."""
         return self._arrange_by_element(self.moduli)
 
-    def _build_sparsity_pattern(self, connectivity: np.ndarray, nodes: int) -> None:
+    def _set_matrix_and_entry_indices(self, connectivity: np.ndarray, nodes: int) -> None:
         """Set `matrix`, and the indices in its data of the stiffness entries of each pair of nodes of an element."""
         from scipy import sparse
 
@@ -167,7 +167,7 @@ class ElementBatches:
         lanes = np.where(self._real[..., None], places[self._elements], unused)
         return np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
 
-    def get_kernel_arrays(self, part: slice) -> dict[str, np.ndarray]:
+    def get_kernel_arrays_by_name(self, part: slice) -> dict[str, np.ndarray]:
         """Return argument name of the assembly kernel -> array, for the batches of one group of elements.
 
         Args:
@@ -187,11 +187,11 @@ class ElementBatches:
             "data": self._data}
 
     @property
-    def element_forces(self) -> np.ndarray:
+    def last_assembled_element_forces(self) -> np.ndarray:
         """Forces of each element on its degrees of freedom after the last assembly, N, shape (elements, freedoms)."""
         return self._arrange_by_element(self._forces, 3 * self._dofs.shape[1])
 
-    def compute_pressure_forces(self, pressures: np.ndarray) -> np.ndarray:
+    def compute_pressure_forces_by_element(self, pressures: np.ndarray) -> np.ndarray:
         """Compute the nodal forces of pressures on each element, at the last assembled displacements.
 
         Args:
@@ -201,10 +201,10 @@ class ElementBatches:
             Forces, N, shape (elements, freedoms of an element).
         """
         rates = self._arrange_by_element(self.volume_rates, self._modes, 3 * self._dofs.shape[1])
-        return np.einsum("em,emi->ei", self.convert_lanes_to_elements(pressures), rates)
+        return np.einsum("em,emi->ei", self.convert_pressures_to_element_order(pressures), rates)
 
     @property
-    def arrays_with_height_derivatives(self) -> list[tuple[np.ndarray, np.ndarray]]:
+    def array_pairs_with_log_height_derivatives(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Pairs of a kernel array and its derivative with respect to the logarithm of the undeformed mesh's height."""
         return [(self._gradients[2], -self._gradients[2]), (self._weights, self._weights.copy()),
                 (self._mode_values, -0.5 * self._mode_values)]
@@ -213,15 +213,15 @@ class ElementBatches:
         """Set the factor of each element on the moduli of its material, 1, shape (elements,)."""
         self.moduli[:] = ratios[self._elements]
 
-    def convert_lanes_to_elements(self, amplitudes: np.ndarray) -> np.ndarray:
+    def convert_pressures_to_element_order(self, amplitudes: np.ndarray) -> np.ndarray:
         """Convert amplitudes of the pressure modes from the arrangement in lanes to shape (elements, modes)."""
         return self._arrange_by_element(amplitudes, self._modes)
 
-    def convert_elements_to_lanes(self, amplitudes: np.ndarray) -> np.ndarray:
+    def convert_pressures_to_lanes(self, amplitudes: np.ndarray) -> np.ndarray:
         """Convert amplitudes of the pressure modes, shape (elements, modes), to the arrangement in lanes."""
         return self._arrange_in_lanes(amplitudes)
 
-    def update_pressures(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
+    def update_pressures_linearly(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
         """Update `pressures` by the linearised pressure equation after the displacements of a linear solution.
 
         Args:
@@ -229,7 +229,7 @@ class ElementBatches:
             kappa: bulk modulus of all batches, or of each batch, Pa.
         """
         nodes = self._dofs.shape[1]
-        moved = motion[self._equations_in_lanes].reshape(self.batches, 1, 3 * nodes, LANES)
+        moved = motion[self._dof_numbers_in_lanes].reshape(self.batches, 1, 3 * nodes, LANES)
         rates = self.known_rates.reshape(self.batches, self._modes, 3 * nodes, LANES)
         change = self.gaps.reshape(self.batches, self._modes, LANES) + (rates * moved).sum(axis=2)
         self.pressures += ((np.reshape(kappa, (-1, 1)) * self.moduli)[:, None] * change).reshape(-1, LANES)
@@ -252,7 +252,7 @@ class ElementBatches:
         forces += np.bincount(self._equations.ravel(), more.ravel(), minlength=forces.size + 1)[:-1]
 
     @cached_property
-    def _equations_in_lanes(self) -> np.ndarray:
+    def _dof_numbers_in_lanes(self) -> np.ndarray:
         """Indices of the degrees of freedom of each element, fixed ones included, shape (batches, freedoms, LANES)."""
         # Unused lanes have the equations of the last element, so that they remain copies of it.
         own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(self.count, -1)

@@ -36,7 +36,7 @@ class RigidBody:
 
 
 @dataclass(frozen=True)
-class NearestSurfacePoints:
+class NearestSurfaceGeometry:
     """Nearest points of a body's surface to given points, in the frame of the body.
 
     Attributes:
@@ -54,7 +54,7 @@ class NearestSurfacePoints:
     meridian: np.ndarray
 
 
-def find_nearest_surface_points(body: RigidBody, points: np.ndarray, pressed_in: bool) -> NearestSurfacePoints:
+def find_nearest_surface_geometry(body: RigidBody, points: np.ndarray, pressed_in: bool) -> NearestSurfaceGeometry:
     """Find the nearest points of a body's surface.
 
     Args:
@@ -95,5 +95,5 @@ def find_nearest_surface_points(body: RigidBody, points: np.ndarray, pressed_in:
     curvature = (bent[:, None, None] * meridian[:, :, None] * meridian[:, None]
                  + hoop[:, None, None] * around[:, :, None] * around[:, None])
     rounded = beyond & (profile.rounding > 0.0)
-    return NearestSurfacePoints(sign * distance - profile.rounding, normal, curvature,
-                                (best + first >= profile.shaft) & ~rounded, meridian)
+    return NearestSurfaceGeometry(sign * distance - profile.rounding, normal, curvature,
+                                  (best + first >= profile.shaft) & ~rounded, meridian)

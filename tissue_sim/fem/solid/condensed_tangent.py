@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim.fem.condensed.model import Executor
 from tissue_sim.fem.linear.sparse import CondensedFactor, SparseSolver
-from tissue_sim.fem.solid.free_dofs import FreeDofSystem
+from tissue_sim.fem.solid.free_dofs import FreeDofSubmatrix
 from tissue_sim.pose import Pose
 
 
@@ -41,7 +41,7 @@ class CondensedTangent:
     tool_coupling: np.ndarray
     stiffness: np.ndarray
 
-    def __init__(self, free: FreeDofSystem, held: np.ndarray):
+    def __init__(self, free: FreeDofSubmatrix, held: np.ndarray):
         from scipy import sparse
 
         pattern = free.free
@@ -52,7 +52,7 @@ class CondensedTangent:
         self.volume_rates, self.held = np.zeros(0), free.all[:, held]
         self.factor: CondensedFactor | None = None
 
-    def start_condensation(self, free: FreeDofSystem, interface: np.ndarray, equations: np.ndarray,
+    def start_condensation(self, free: FreeDofSubmatrix, interface: np.ndarray, equations: np.ndarray,
                            volume_rates: np.ndarray, executor: Executor) -> None:
         """Copy the present tangent, and start its factorisation and condensation in an executor.
 
@@ -71,14 +71,14 @@ class CondensedTangent:
 
     def _condense(self) -> None:
         """Set `factor`; it stays None if the matrix is singular."""
-        self.factor = self._sparse.factorise_condensed(self._matrix, self._sorted)
+        self.factor = self._sparse.factorise_condensed_or_none(self._matrix, self._sorted)
 
     @property
     def is_done(self) -> bool:
         """Whether the factorisation has ended, with or without a factor."""
         return self._is_done()
 
-    def select_published_nodes(self, nodes: np.ndarray, equations: np.ndarray) -> None:
+    def set_published_nodes_and_compliance(self, nodes: np.ndarray, equations: np.ndarray) -> None:
         """Set the published nodes and their compliance.
 
         Args:
@@ -96,11 +96,11 @@ class CondensedTangent:
         return self.factor.solve(right)
 
     @property
-    def interface_rows(self) -> np.ndarray:
+    def sorted_free_interface_equations(self) -> np.ndarray:
         """Indices of the interface equations among the free degrees of freedom, sorted, shape (3 m,)."""
         return self._sorted
 
-    def begin_solution(self, right: np.ndarray) -> np.ndarray:
+    def begin_solution_with_interface_rows(self, right: np.ndarray) -> np.ndarray:
         """Do the first half of `solve`, after which the rows of the interface already contain displacements, m.
 
         Args:
@@ -112,10 +112,10 @@ class CondensedTangent:
         assert self.factor is not None
         return self.factor.solve_interface(right)
 
-    def begin_solution_for_interface(self, forces: np.ndarray) -> np.ndarray:
+    def begin_solution_for_interface_forces(self, forces: np.ndarray) -> np.ndarray:
         """Do the first half of a solution for forces on the interface nodes only, N, shape (m, 3)."""
         assert self.factor is not None
-        return self.factor.solve_interface_force(forces.ravel()[self._order])
+        return self.factor.solve_up_to_interface_for_force(forces.ravel()[self._order])
 
     def finish_solution(self, begun: np.ndarray) -> np.ndarray:
         """Do the second half of a solution; return the displacements of all free degrees of freedom, m."""

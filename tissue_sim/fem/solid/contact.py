@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.contact_settings import ALL_POINTS, SOLID_PENALTY, ActiveSetSettings, ContactBond
-from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_points
+from tissue_sim.fem.contact_settings import ALL_POINTS, SOLID_PENALTY, ActiveSetSettings, ContactBondState
+from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_geometry
 from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.contact_state import ContactState
 from tissue_sim.fem.solid.frame import ToolFrame
@@ -28,7 +28,7 @@ ACTIVE_SET = ActiveSetSettings(augmentation_factor=1e-5)
 
 
 @dataclass(frozen=True)
-class ContactEvaluation:
+class ContactViolationAndCounts:
     """Result of an evaluation of the contact, summed over all nodes.
 
     Attributes:
@@ -59,7 +59,7 @@ class ContactNodes:
         nodes: indices in the mesh, shape (n,).
         moves, stays: `RigidBody.moves` and `RigidBody.stays` of each node, shape (n,).
         parts: bodies, and indices of their nodes in these arrays.
-        bound: committed bond of each node to its body, a `ContactBond`, shape (n,).
+        bound: committed bond of each node to its body, a `ContactBondState`, shape (n,).
         anchors: displacements at which nodes are held or stick, in the frame of the body, m, shape (n, 3).
         pressed, slips: active sets of the present step: nodes in contact, and nodes that slip, shape (n,).
         slipped: nodes that slipped at the last equilibrium, shape (n,).
@@ -103,7 +103,7 @@ class ContactNodes:
         self.laws = laws or NodalContactLaws()
 
     @property
-    def total_forces(self) -> np.ndarray:
+    def contact_and_law_forces_by_node(self) -> np.ndarray:
         """Force of each node on its body at the last evaluation, `forces` plus the law forces, N, shape (n, 3)."""
         return self.forces + self._law_forces if self.laws else self.forces
 
@@ -117,8 +117,8 @@ class ContactNodes:
         areas = np.maximum(self.areas, 1e-3 * self.areas.max(initial=0.0))
         self.springs[:] = SOLID_PENALTY.normal * modulus * np.sqrt(areas)
 
-    def place_at_first_touch(self, start: Pose, datum: float, displacement: np.ndarray,
-                             settled: ContactNodes | None = None) -> None:
+    def bind_nodes_at_first_touch(self, start: Pose, datum: float, displacement: np.ndarray,
+                                  settled: ContactNodes | None = None) -> None:
         """Set the frame of the first touch, and bind the nodes that touch a body there, with stick or friction.
 
         Args:
@@ -132,8 +132,8 @@ class ContactNodes:
             places, moved = self.places[own], self.places[own] + displacement[self.nodes[own]]
             if body.moves:
                 places, moved = self._first.transform_to_tool(places), self._first.transform_to_tool(moved)
-            touches = find_nearest_surface_points(body, moved, pressed_in=True).gap <= self._slack
-            self.bound[own[touches]] = ContactBond.HELD if body.tied else ContactBond.TOUCHED
+            touches = find_nearest_surface_geometry(body, moved, pressed_in=True).gap <= self._slack
+            self.bound[own[touches]] = ContactBondState.HELD if body.tied else ContactBondState.TOUCHED
             self.anchors[own[touches]] = (moved - places)[touches]
         if settled is not None:
             _, here, there = np.intersect1d(np.where(self.moves, -1, self.nodes), settled.nodes, return_indices=True)
@@ -141,12 +141,12 @@ class ContactNodes:
                 array[here] = left[there]
         self._first_bonds = tuple(array.copy() for array in self.state_arrays)
 
-    def reset_to_first_touch(self) -> None:
+    def restore_first_touch_contact_state(self) -> None:
         """Restore bonds, anchors, slip and forces of the first touch."""
         for array, first in zip(self.state_arrays, self._first_bonds, strict=True):
             array[:] = first
 
-    def begin_step(self) -> None:
+    def copy_committed_bonds_to_step(self) -> None:
         """Copy bonds, anchors and slip states of the last committed equilibrium to the step that begins."""
         self.held[:], self.held_at[:] = self.bound, self.anchors
         self.pressed[:], self.slips[:], self._ways[:], self._about[:] = False, self.slipped, self.ways_before, 0.0
@@ -169,7 +169,7 @@ class ContactNodes:
             moved = places + displacement[own]
             at = frame.transform_to_tool(moved) if body.moves else moved
             travel[own] = at - (self._first.transform_to_tool(places) if body.moves else places)
-            found = find_nearest_surface_points(body, at, pressed_in)
+            found = find_nearest_surface_geometry(body, at, pressed_in)
             gap[own], shaft[own] = found.gap, found.on_shaft
             rotation = frame.rotation if body.moves else np.eye(3)
             turn[own] = rotation
@@ -178,7 +178,8 @@ class ContactNodes:
         return travel, gap, curved, shaft, turn, meridians
 
     def evaluate_and_update_active_set(self, displacement: np.ndarray, frame: ToolFrame, changeable: int, slack: float,
-                                       bending: float, negligible: float, tolerance: float) -> ContactEvaluation:
+                                       bending: float, negligible: float,
+                                       tolerance: float) -> ContactViolationAndCounts:
         """Compute forces, derivatives and constraint residuals at a state, and update the active sets.
 
         Args:
@@ -196,7 +197,7 @@ class ContactNodes:
         normals, forces, springs = self.normals, self.forces, self.springs
         augmentation, stick = ACTIVE_SET.augmentation_factor, SOLID_PENALTY.stick_factor
         mu = np.where(shaft, self._friction[:, 1], self._friction[:, 0])
-        held = self.held == ContactBond.HELD
+        held = self.held == ContactBondState.HELD
         normal = np.einsum("ni,ni->n", forces, normals)
         normal = np.where(self.stays, normal, np.minimum(normal, 0.0))
         tangential = forces - np.einsum("ni,ni->n", forces, normals)[:, None] * normals
@@ -228,7 +229,8 @@ class ContactNodes:
         rates = springs[:, None, None] * nn + bending * normal[:, None, None] * curved
         missed = gap[:, None] * normals
         pushed = normal[:, None] * normals
-        rubs = pressed & (mu > 0.0) & (self.held == ContactBond.TOUCHED) & (mu * np.maximum(-trial, 0.0) > negligible)
+        is_bearing = mu * np.maximum(-trial, 0.0) > negligible
+        rubs = pressed & (mu > 0.0) & (self.held == ContactBondState.TOUCHED) & is_bearing
         limit = mu * np.maximum(-normal, 0.0)
         length, rubbing = np.linalg.norm(along, axis=1), np.linalg.norm(tangential, axis=1)
         tried = tangential + (augmentation * stick * springs)[:, None] * along
@@ -269,27 +271,27 @@ class ContactNodes:
         for noted, found in ((self.rates, rates), (self.missed, missed), (found_forces, pushed)):
             noted[pressed] = found[pressed]
         forces[:] = found_forces
-        near = self.moves & (self.held == ContactBond.TOUCHED) & (gap < self.laws.reach) & bool(self.laws)
+        near = self.moves & (self.held == ContactBondState.TOUCHED) & (gap < self.laws.reach) & bool(self.laws)
         if self.laws:
             self._law_forces[:], self.law_rates[:] = 0.0, 0.0
-            self._law_forces[near], self.law_rates[near] = self.laws.compute_forces(
+            self._law_forces[near], self.law_rates[near] = self.laws.compute_law_forces_and_derivatives(
                 self.nodes[near], gap[near], normal[near], along[near], normals[near], meridians[near], curved[near],
                 bending)
             self.rates += self.law_rates
         # State of the nodes if this were an equilibrium.
         surface = travel - np.einsum("nji,nj->ni", turn, gap[:, None] * normals)
         touches = pressed | ((mu > 0.0) & (gap <= 1e-3 * tolerance))
-        self._met[:] = np.where(touches & (mu < 0.0) & pressed, ContactBond.HELD,
-                                np.where(touches & (mu > 0.0), ContactBond.TOUCHED, ContactBond.FREE))
-        keeps = sticks | (touches & ~pressed & (self.held == ContactBond.TOUCHED))
+        self._met[:] = np.where(touches & (mu < 0.0) & pressed, ContactBondState.HELD,
+                                np.where(touches & (mu > 0.0), ContactBondState.TOUCHED, ContactBondState.FREE))
+        keeps = sticks | (touches & ~pressed & (self.held == ContactBondState.TOUCHED))
         if self.laws:  # nodes that have touched the tool keep their anchors up to the reach of the laws
-            others = self.moves & ~held & (self._met == ContactBond.FREE) & (pressed | near)
-            self._met[others] = ContactBond.TOUCHED
-            keeps = keeps | (others & (mu == 0.0) & (self.held == ContactBond.TOUCHED))
+            others = self.moves & ~held & (self._met == ContactBondState.FREE) & (pressed | near)
+            self._met[others] = ContactBondState.TOUCHED
+            keeps = keeps | (others & (mu == 0.0) & (self.held == ContactBondState.TOUCHED))
         self._met_at[:] = np.where(keeps[:, None], self.held_at, surface)
-        self.state = ContactState(held, pressed, sticks, sliding, goes, keeps, self._met != ContactBond.FREE, near, gap,
-                                  normal, limit, mu, springs, stick * springs, normals, slip, ways, curved, turn)
-        return ContactEvaluation(float(violation), int(sliding.sum()), switched, wanting)
+        self.state = ContactState(held, pressed, sticks, sliding, goes, keeps, self._met != ContactBondState.FREE, near,
+                                  gap, normal, limit, mu, springs, stick * springs, normals, slip, ways, curved, turn)
+        return ContactViolationAndCounts(float(violation), int(sliding.sum()), switched, wanting)
 
     def store_assembled_contact_rates(self) -> None:
         """Copy `rates` without those of the laws to `known_rates`, because the factorised matrix contains them."""
@@ -304,17 +306,18 @@ class ContactNodes:
         self.forces += np.einsum("nij,nj->ni", self.known_rates, self.missed + motion)
         self._about[:] = 0.0
 
-    def release_pulled_nodes(self) -> int:
+    def release_pulled_nodes_and_count(self) -> int:
         """Release held nodes whose tension at an equilibrium exceeds the adhesion of the laws; return their number."""
-        bears = np.where(self.moves, self.laws.compute_largest_adhesive_pull(self.nodes), 0.0)
-        pulls = (self.held == ContactBond.HELD) & ~self.stays & (np.einsum("ni,ni->n", self.forces,
-                                                                           self.normals) > bears)
-        self.held[pulls] = np.where(self.moves[pulls] & (self.laws.reach > 0.0), ContactBond.TOUCHED, ContactBond.FREE)
+        bears = np.where(self.moves, self.laws.compute_adhesive_pull_of_nodes_at_touch(self.nodes), 0.0)
+        tension = np.einsum("ni,ni->n", self.forces, self.normals)
+        pulls = (self.held == ContactBondState.HELD) & ~self.stays & (tension > bears)
+        self.held[pulls] = np.where(self.moves[pulls] & (self.laws.reach > 0.0), ContactBondState.TOUCHED,
+                                    ContactBondState.FREE)
         return int(pulls.sum())
 
     def bind_touching_nodes(self) -> None:
         """Bind the nodes to the bodies that they touch at this equilibrium, with their new anchors."""
-        loose = self.held != ContactBond.HELD
+        loose = self.held != ContactBondState.HELD
         self.held[loose], self.held_at[loose] = self._met[loose], self._met_at[loose]
 
     def commit_step(self) -> None:

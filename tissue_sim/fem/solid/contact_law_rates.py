@@ -30,7 +30,7 @@ class LawDifferenceSettings:
 _DIFFERENCES = LawDifferenceSettings()
 
 
-class ContactLawDerivatives(NamedTuple):
+class LawDerivativesByPositionSlipForce(NamedTuple):
     """Derivatives of the nodal forces on the tool, zero where no law acts.
 
     Attributes:
@@ -46,8 +46,8 @@ class ContactLawDerivatives(NamedTuple):
     normals: np.ndarray
 
     @classmethod
-    def differentiate_at_equilibrium(cls, contact: ContactNodes, displacement: np.ndarray,
-                                     frame: ToolFrame) -> ContactLawDerivatives | None:
+    def make_from_differences_or_none(cls, contact: ContactNodes, displacement: np.ndarray,
+                                      frame: ToolFrame) -> LawDerivativesByPositionSlipForce | None:
         """Compute the derivatives by differences at the last evaluated equilibrium; None if no law acts.
 
         Args:
@@ -65,8 +65,8 @@ class ContactLawDerivatives(NamedTuple):
             _, gap, curved, _, _, meridians = contact.compute_contact_kinematics(displacement + moved, frame)
             out = contact.normals[near]
             along = slip[near] - np.einsum("ni,ni->n", slip[near], out)[:, None] * out
-            return laws.compute_forces(nodes, gap[near], normal[near], along, out, meridians[near], curved[near],
-                                       0.0)[0]
+            return laws.compute_law_forces_and_derivatives(nodes, gap[near], normal[near], along, out, meridians[near],
+                                                           curved[near], 0.0)[0]
 
         n, step, still, slip, normal = near.size, _DIFFERENCES.step * laws.reach, np.zeros(3), state.slip, state.normal
         by_place, by_slip = np.zeros((2, n, 3, 3))
@@ -83,7 +83,8 @@ class ContactLawDerivatives(NamedTuple):
         contact.normals[:] = normals
         return cls(by_place, by_slip, by_force, normals)
 
-    def differentiate_forces(self, motion: np.ndarray, slipped: np.ndarray, contact_forces: np.ndarray) -> np.ndarray:
+    def differentiate_law_forces_by_parameters(self, motion: np.ndarray, slipped: np.ndarray,
+                                               contact_forces: np.ndarray) -> np.ndarray:
         """Return the derivatives of the law forces with respect to m parameters, shape (n, 3, m), by the chain rule.
 
         Args:
@@ -94,7 +95,7 @@ class ContactLawDerivatives(NamedTuple):
         normal = np.einsum("ni,nik->nk", self.normals, contact_forces)
         return self.by_place @ motion + self.by_slip @ slipped + self.by_force[:, :, None] * normal[:, None]
 
-    def differentiate_by_motion(self, rates: np.ndarray) -> np.ndarray:
+    def differentiate_law_forces_by_displacement(self, rates: np.ndarray) -> np.ndarray:
         """Return the derivatives of the law forces with respect to nodal displacements, N/m, shape (n, 3, 3).
 
         Args:

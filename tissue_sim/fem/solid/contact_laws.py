@@ -31,13 +31,14 @@ class NodalContactLaws:
     def __bool__(self) -> bool:
         return bool(self._laws)
 
-    def compute_largest_adhesive_pull(self, nodes: np.ndarray) -> np.ndarray:
+    def compute_adhesive_pull_of_nodes_at_touch(self, nodes: np.ndarray) -> np.ndarray:
         """Return the adhesive force on nodes at zero gap and zero pressure, N, shape (n,)."""
         return np.zeros(nodes.size) if self._areas is None else self.strength * self._areas[nodes]
 
-    def compute_forces(self, nodes: np.ndarray, gap: np.ndarray, normal: np.ndarray, slip: np.ndarray,
-                       normals: np.ndarray, meridians: np.ndarray, curved: np.ndarray, bending: float
-                       ) -> tuple[np.ndarray, np.ndarray]:
+    def compute_law_forces_and_derivatives(self, nodes: np.ndarray, gap: np.ndarray, normal: np.ndarray,
+                                           slip: np.ndarray,
+                                           normals: np.ndarray, meridians: np.ndarray, curved: np.ndarray,
+                                           bending: float ) -> tuple[np.ndarray, np.ndarray]:
         """Compute the forces on the tool, N, shape (n, 3), and their derivatives, N/m, shape (n, 3, 3).
 
         Args:

@@ -52,8 +52,8 @@ class ContactState(NamedTuple):
     curved: np.ndarray
     turn: np.ndarray
 
-    def differentiate_forces(self, motion: np.ndarray, anchors: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray,
-                                                                                                         np.ndarray]:
+    def differentiate_forces_and_residuals(self, motion: np.ndarray, anchors: np.ndarray,
+                                           forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Differentiate the contact forces and the constraint residuals with respect to m parameters.
 
         Args:
@@ -66,42 +66,45 @@ class ContactState(NamedTuple):
             N per parameter, shape (n, 3, m) each.
         """
         n, way, springs = self.normals[:, :, None], self.ways[:, :, None], self.springs[:, None, None]
-        gap = _project_on(n, motion)
+        gap = _compute_components_along(n, motion)
         slipped = motion - self.turn @ anchors
         tilt = self.curved @ motion
         # Derivative of the tangential part of the slip.
         slip = self.slip[:, :, None]
-        along = slipped - (_project_on(n, slipped) + _project_on(slip, tilt)) * n - _project_on(slip, n) * tilt
+        along = slipped - (_compute_components_along(n, slipped)
+                           + _compute_components_along(slip, tilt)) * n - _compute_components_along(slip, n) * tilt
         flat = self.slip - np.einsum("ni,ni->n", self.slip, self.normals)[:, None] * self.normals
         length = np.where(self.goes, np.linalg.norm(flat, axis=1), np.inf)
-        steered = (along - _project_on(way, along) * way) / length[:, None, None]
+        steered = (along - _compute_components_along(way, along) * way) / length[:, None, None]
         limit, mu = self.limit[:, None, None], self.friction[:, None, None]
-        free_normal = _project_on(n, forces)
-        normal = free_normal - np.where(_expand_mask(self.slides), limit * _project_on(n, steered), 0.0)
+        free_normal = _compute_components_along(n, forces)
+        normal = free_normal - np.where(_reshape_mask_for_broadcast(self.slides),
+                                        limit * _compute_components_along(n, steered), 0.0)
         smooth = normal * n + self.normal[:, None, None] * tilt
         sliding = smooth - mu * normal * way + limit * steered
-        stuck = _expand_mask(self.held | self.sticks)
-        found = np.where(stuck, forces, np.where(_expand_mask(self.slides), sliding, smooth))
-        acts = _expand_mask(self.held | self.pressed)
-        missing = springs * gap * (n - np.where(_expand_mask(self.slides), mu * way, 0.0))
+        stuck = _reshape_mask_for_broadcast(self.held | self.sticks)
+        found = np.where(stuck, forces, np.where(_reshape_mask_for_broadcast(self.slides), sliding, smooth))
+        acts = _reshape_mask_for_broadcast(self.held | self.pressed)
+        missing = springs * gap * (n - np.where(_reshape_mask_for_broadcast(self.slides), mu * way, 0.0))
         holds = self.holds[:, None, None]
-        missing = np.where(_expand_mask(self.sticks), missing + holds * (slipped - _project_on(n, slipped) * n),
-                           missing)
-        missing = np.where(_expand_mask(self.held), holds * slipped, missing)
+        missing = np.where(_reshape_mask_for_broadcast(self.sticks),
+                           missing + holds * (slipped - _compute_components_along(n, slipped) * n), missing)
+        missing = np.where(_reshape_mask_for_broadcast(self.held), holds * slipped, missing)
         return np.where(acts, found, 0.0), np.where(acts, missing, 0.0)
 
     def differentiate_anchors(self, motion: np.ndarray, anchors: np.ndarray) -> np.ndarray:
         """Return the derivatives of the anchors that follow from this equilibrium, m per parameter, shape (n, 3, m).
 
-        The arguments are those of `differentiate_forces`.
+        The arguments are those of `differentiate_forces_and_residuals`.
         """
         n = self.normals[:, :, None]
         curvature = self.gap[:, None, None] * (self.curved @ motion)
-        surface = self.turn.swapaxes(1, 2) @ (motion - _project_on(n, motion) * n - curvature)
-        return np.where(_expand_mask(self.held | self.keeps), anchors, np.where(_expand_mask(self.met), surface, 0.0))
+        surface = self.turn.swapaxes(1, 2) @ (motion - _compute_components_along(n, motion) * n - curvature)
+        return np.where(_reshape_mask_for_broadcast(self.held | self.keeps), anchors,
+                        np.where(_reshape_mask_for_broadcast(self.met), surface, 0.0))
 
     @property
-    def kink_flags(self) -> np.ndarray:
+    def discrete_contact_flags(self) -> np.ndarray:
         """Flags held, pressed, sticks, slides and near of each node, shape (5, n).
 
         If a flag changes between two equilibria, the force has a kink as a function of the parameters.
@@ -109,11 +112,11 @@ class ContactState(NamedTuple):
         return np.stack([self.held, self.pressed, self.sticks, self.slides, self.near])
 
 
-def _project_on(direction: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def _compute_components_along(direction: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Return the components of vectors, shape (n, 3, m), along unit vectors, (n, 3, 1); shape (n, 1, m)."""
     return (direction * vectors).sum(axis=1, keepdims=True)
 
 
-def _expand_mask(mask: np.ndarray) -> np.ndarray:
+def _reshape_mask_for_broadcast(mask: np.ndarray) -> np.ndarray:
     """Reshape a mask of the nodes from (n,) to (n, 1, 1)."""
     return mask[:, None, None]

@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.errors import ConvergenceError, InputError, suggest_known_word
+from tissue_sim.errors import ConvergenceError, InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
 from tissue_sim.fem.contact_settings import STICK, TOLERANCES
 from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.contact_laws import NodalContactLaws
-from tissue_sim.fem.solid.placement import PLACEMENT, FirstTouchPlacement
+from tissue_sim.fem.solid.placement import PLACEMENT, FirstTouchHeightAndSolverMaker
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives
-from tissue_sim.fem.solid.settling import SelfWeightLoadSteps, solve_self_weight_equilibrium
+from tissue_sim.fem.solid.settling import SelfWeightLoadStepRecord, settle_and_get_solver_and_load_steps
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solid.tissue import element_layers
 from tissue_sim.fem.solid.touch import FirstTouch, find_first_touch
@@ -81,7 +81,7 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     if mesh is None:
         mesh = build_mesh(origin.experiment, resolution, origin.material.layers)
     if topology is not None:
-        mesh = _move_mesh(mesh, topology, experiment)
+        mesh = _adapt_mesh_to_geometry(mesh, topology, experiment)
     return _make_solver_on_mesh(model, mesh, None, None, can_move=not own and experiment.specimen.is_flat)
 
 
@@ -93,16 +93,14 @@ def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datu
         model: experiment and material.
         mesh: undeformed mesh, made for the position of the first touch.
         start: pose of the first touch; None: that of the experiment's approach.
-        datum: height of the scene's origin in the frame of the mesh, m; None: that at which the tool at `start`
-            touches.
+        datum: height of the scene's origin in the frame of the mesh, m; None: that of the first touch at `start`.
         can_move: whether the mesh can be moved to another position of the first touch.
     """
-    experiment = model.experiment
+    experiment, undeformed = model.experiment, mesh
     layers, weight = element_layers(mesh, model.material.layers), experiment.specimen.specific_weight
     settled = settling = None
-    undeformed = mesh
     if weight:
-        settled, settling = solve_self_weight_equilibrium(
+        settled, settling = settle_and_get_solver_and_load_steps(
             lambda moulded: _make_solver_without_tool(model, moulded, layers), mesh, experiment.specimen)
         mesh = settled.mesh
     tool = experiment.tool
@@ -121,23 +119,21 @@ def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datu
         start = shift_pose_along_z(start, first.height - datum - start.position[2])
     laws = NodalContactLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2,
                             _compute_law_areas(experiment, mesh))
-    solver = SolidSolver(mesh, model.material, _get_fixed_node_sets(experiment), bonded, bodies=bodies, laws=laws,
-                         tolerance=tolerance, start=start, datum=datum, contact_radius=experiment.contact_radius,
-                         pins=_choose_rigid_motion_pins(experiment, mesh), element_layers=layers, settled=settled,
-                         specific_weight=weight,
-                         lift=_compute_ignored_heights(mesh, top[:, 2] - datum) if weight and tool.is_plate else None,
-                         start_rates=None if placed else settling and partial(_differentiate_first_touch, settling,
-                                                                              experiment, first))
-    solver.placement = FirstTouchPlacement(
-        top, bodies, datum, is_level=experiment.specimen.is_flat and settled is None,
-        margin=experiment.specimen.margin,
+    lift = _get_height_of_nearest_top_node(mesh, top[:, 2] - datum) if weight and tool.is_plate else None
+    rates = None if placed else settling and partial(_differentiate_first_touch_or_none, settling, experiment, first)
+    solver = SolidSolver(mesh, model.material, _map_fixed_node_set_to_axes(experiment), bonded, bodies=bodies,
+                         laws=laws, tolerance=tolerance, start=start, datum=datum,
+                         contact_radius=experiment.contact_radius, pins=_choose_rigid_motion_pins(experiment, mesh),
+                         element_layers=layers, settled=settled, specific_weight=weight, lift=lift, start_rates=rates)
+    solver.placement = FirstTouchHeightAndSolverMaker(
+        top, bodies, datum, is_level=experiment.specimen.is_flat and settled is None, margin=experiment.specimen.margin,
         touch_height=lambda pose: find_first_touch(mesh, places, bodies, pose).height,
-        remake=partial(_make_solver_at_pose, model, undeformed, start, datum, can_move))
+        remake=partial(_make_solver_at_pose_or_none, model, undeformed, start, datum, can_move))
     return solver
 
 
-def _make_solver_at_pose(model: Model, mesh: SolidMesh, start: Pose, datum: float, can_move: bool, pose: Pose,
-                         solver: SolidSolver) -> SolidSolver | None:
+def _make_solver_at_pose_or_none(model: Model, mesh: SolidMesh, start: Pose, datum: float, can_move: bool, pose: Pose,
+                                 solver: SolidSolver) -> SolidSolver | None:
     """Make the solver of a first touch at another pose, with the mesh moved there.
 
     Args:
@@ -172,7 +168,7 @@ def _make_solver_at_pose(model: Model, mesh: SolidMesh, start: Pose, datum: floa
     return other
 
 
-def _compute_ignored_heights(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
+def _get_height_of_nearest_top_node(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
     """Return the height of the nearest node of the top above the plate, for all nodes, m, shape (nodes, ...).
 
     A plate touches an unevenly settled top at all nodes at once, as if the top had been cut flat in its settled state.
@@ -187,8 +183,8 @@ def _compute_ignored_heights(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray
     return heights[nearest_top]
 
 
-def _differentiate_first_touch(settling: SelfWeightLoadSteps, experiment: Experiment, first: FirstTouch,
-                               neighbours: Neighbours) -> FirstTouchDerivatives | None:
+def _differentiate_first_touch_or_none(settling: SelfWeightLoadStepRecord, experiment: Experiment,
+                                       first: FirstTouch, neighbours: Neighbours) -> FirstTouchDerivatives | None:
     """Differentiate the state of the first touch with respect to parameters; None if no derivatives are available."""
     mesh = settling.mesh
     specimen, over_sides = experiment.specimen, experiment.tool.is_plate or not experiment.specimen.is_flat
@@ -196,31 +192,32 @@ def _differentiate_first_touch(settling: SelfWeightLoadSteps, experiment: Experi
         return None  # the areas for tractions would depend on the height as well
     if first.place is None:
         return None
-    found = settling.differentiate_settled_state(neighbours)
+    found = settling.differentiate_settled_state_or_none(neighbours)
     if found is None:
         return None
     ways = found.settled[0].reshape(len(neighbours), -1, 3).copy()
     ways[:, :, 2] += np.multiply.outer(found.stretch, mesh.nodes[:, 2])
-    datum = np.array([first.differentiate_height(mesh, way) for way in ways])
-    lift = _compute_ignored_heights(mesh, ways[:, mesh.sets["top"], 2].T - datum) if experiment.tool.is_plate else None
+    datum = np.array([first.differentiate_height_by_mesh_parameter(mesh, way) for way in ways])
+    top = ways[:, mesh.sets["top"], 2].T
+    lift = _get_height_of_nearest_top_node(mesh, top - datum) if experiment.tool.is_plate else None
     return FirstTouchDerivatives(found.stretch, found.settled, found.resting, datum, lift)
 
 
-def _get_fixed_node_sets(experiment: Experiment) -> dict[str, str]:
-    return {"base": _FIXED[experiment.base_interface]} if experiment.base_interface in _FIXED else {}
+def _map_fixed_node_set_to_axes(experiment: Experiment) -> dict[str, str]:
+    return {"base": _FIXED[experiment.resolved_base_interface]} if experiment.resolved_base_interface in _FIXED else {}
 
 
 def _make_solver_without_tool(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
     """Make the solver of the specimen on its base without tool and weight, to which the weight is applied."""
     experiment, pins = model.experiment, []
-    if experiment.base_interface not in ("bonded", "stick"):
+    if experiment.resolved_base_interface not in ("bonded", "stick"):
         # Three pins without reaction forces, because the weight has no component along the base.
         base = mesh.sets["base"]
         place = mesh.nodes[base, :2] - mesh.nodes[base, :2].mean(axis=0)
         middle = int(np.argmin(np.hypot(*place.T)))
         second = int(np.argmax(place[:, 0] - np.abs(place[:, 1] - place[middle, 1])))
         pins = [(int(base[middle]), "xy"), (int(base[second]), "y")]
-    return SolidSolver(mesh, model.material, _get_fixed_node_sets(experiment), np.zeros(0, int),
+    return SolidSolver(mesh, model.material, _map_fixed_node_set_to_axes(experiment), np.zeros(0, int),
                        bodies=_make_resting_bodies(experiment, mesh), start=experiment.tool_pose(0.0), pins=pins,
                        tolerance=TOLERANCES.plate * experiment.specimen.margin(),
                        contact_radius=experiment.contact_radius, element_layers=layers)
@@ -235,7 +232,7 @@ def _choose_rigid_motion_pins(experiment: Experiment, mesh: SolidMesh) -> list[t
     Raises:
         InputError: the tool or the middle node is off the axis, so that the pins would carry a lateral force.
     """
-    faces = experiment.base_interface, experiment.friction
+    faces = experiment.resolved_base_interface, experiment.friction
     without, rubbed = (all(loose(face) for face in faces) for loose in (_is_frictionless, _may_slip))
     if not (without or (rubbed and experiment.tool.is_plate)):
         return []
@@ -260,8 +257,9 @@ def _require_possible_interfaces(experiment: Experiment) -> None:
     """Raise InputError if a specimen with curved faces has a base that is not bonded, or a bonded plate."""
     if not experiment.specimen.is_flat:
         shape = add_article(experiment.specimen.shape)
-        if experiment.base_interface != "bonded":
-            raise InputError(f"must be 'bonded' below {shape}; got {experiment.base_interface}", field="friction_base")
+        if experiment.resolved_base_interface != "bonded":
+            raise InputError(f"must be 'bonded' below {shape}; got {experiment.resolved_base_interface}",
+                             field="friction_base")
         if experiment.tool.is_plate and experiment.friction == "bonded":
             raise InputError(f"must not be 'bonded' for a plate on the curved top of {shape}. Use 'stick', "
                              "'frictionless' or a coefficient of friction", field="friction")
@@ -281,14 +279,13 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[L
         InputError: unknown resolution, or layers thicker than the specimen.
     """
     if (chosen := RESOLUTIONS.get(resolution)) is None:
-        raise InputError(f"unknown resolution {resolution!r}{suggest_known_word(resolution, RESOLUTIONS)}",
-                         field="resolution")
+        hint = make_hint_with_similar_or_known_words(resolution, RESOLUTIONS)
+        raise InputError(f"unknown resolution {resolution!r}{hint}", field="resolution")
     specimen, tool = experiment.specimen, experiment.tool
     size, interfaces = specimen.margin(), tuple(np.cumsum([layer.thickness for layer in layers]).tolist())
     if tool.is_plate:
-        return specimen.solid_mesh(Grading(chosen.element, chosen.smallest * size, chosen.growth,
-                                           chosen.largest * size, chosen.around, interfaces=interfaces,
-                                           least=chosen.layer_elements))
+        return specimen.solid_mesh(Grading(chosen.element, chosen.smallest * size, chosen.growth, chosen.largest * size,
+                                           chosen.around, interfaces=interfaces, least=chosen.layer_elements))
     radius = (tool.face_radius or experiment.contact_radius) + distance
     least = _LEAST_LARGEST * max(size, specimen.height)
     offset = 0.0 if experiment.approach is None else experiment.approach.offset
@@ -297,7 +294,7 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[L
                                        centre=(offset, 0.0), interfaces=interfaces, least=chosen.layer_elements))
 
 
-def _move_mesh(mesh: SolidMesh, topology: Model, experiment: Experiment) -> SolidMesh:
+def _adapt_mesh_to_geometry(mesh: SolidMesh, topology: Model, experiment: Experiment) -> SolidMesh:
     """Move the mesh of a model to the geometry of an experiment, if that differs.
 
     Raises:
@@ -322,7 +319,7 @@ def _find_mesh_ring_circle(experiment: Experiment) -> Circle:
     return Circle(tool.face_radius or experiment.contact_radius, (offset, 0.0))
 
 
-def _get_friction_coefficient(interface: str | float) -> float:
+def _get_friction_coefficient_or_stick_code(interface: str | float) -> float:
     """Return the coefficient of friction of an interface, 1; `STICK` for 'bonded' and 'stick'."""
     if not isinstance(interface, str):
         return interface
@@ -333,23 +330,23 @@ def _make_resting_bodies(experiment: Experiment, mesh: SolidMesh) -> list[RigidB
     """Return the bodies at rest: the base, which nodes of the base and of the lower half of the side may touch."""
     bottom = float(mesh.nodes[:, 2].min())
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
-    mu = _get_friction_coefficient(experiment.base_interface)
+    mu = _get_friction_coefficient_or_stick_code(experiment.resolved_base_interface)
     side = _select_side_nodes(mesh)
     bodies = [RigidBody(plane, side[mesh.nodes[side, 2] < 0.5 * bottom], (mu, mu), moves=False)]
-    if experiment.base_interface not in _FIXED:
+    if experiment.resolved_base_interface not in _FIXED:
         bodies.insert(0, RigidBody(plane, mesh.sets["base"], (mu, mu), moves=False, tied=mu == STICK, stays=True))
     return bodies
 
 
 def _make_moving_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> list[RigidBody]:
     """Return the parts of the tool, each with the nodes that may touch it; `start`: pose at first touch."""
-    tool, mu = experiment.tool, _get_friction_coefficient(experiment.friction)
+    tool, mu = experiment.tool, _get_friction_coefficient_or_stick_code(experiment.friction)
     free = np.setdiff1d(mesh.sets["top"], bonded)
     if tool.is_plate:
         side = _select_side_nodes(mesh)
         high = side[mesh.nodes[side, 2] >= 0.5 * float(mesh.nodes[:, 2].min())]
         return [RigidBody(tool.profile, np.concatenate([free, high]), (mu, mu))]
-    wall = _get_friction_coefficient(experiment.friction_wall)
+    wall = _get_friction_coefficient_or_stick_code(experiment.friction_wall)
     if tool.face_radius == 0:
         return [RigidBody(tool.profile, free, (mu, wall))]
     upright = not any(start.orientation[1:3])
@@ -364,7 +361,7 @@ def _make_moving_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndar
 
 
 def make_tool_bodies_and_datum(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, places: np.ndarray
-                 ) -> tuple[list[RigidBody], float]:
+                               ) -> tuple[list[RigidBody], float]:
     """Make the bodies of the tool, and find its first touch.
 
     Args:
@@ -386,12 +383,12 @@ def _compute_law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
 
     At the rim of the top only the area of the top counts, at the edge of a flat face only that of the face.
     """
-    areas, top = mesh.compute_node_areas("side"), mesh.sets["top"]
-    areas[top] = mesh.compute_node_areas("top")[top]
+    areas, top = mesh.compute_node_areas_of_named_faces("side"), mesh.sets["top"]
+    areas[top] = mesh.compute_node_areas_of_named_faces("top")[top]
     if experiment.tool.face_radius:
         face = mesh.sets["face"]
         under = mesh.faces["top"][np.isin(mesh.faces["top"], face).all(axis=1)]
-        areas[face] = replace(mesh, faces={"face": under}).compute_node_areas("face")[face]
+        areas[face] = replace(mesh, faces={"face": under}).compute_node_areas_of_named_faces("face")[face]
     return areas
 
 

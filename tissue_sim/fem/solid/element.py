@@ -10,15 +10,15 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
-from tissue_sim.fem.history import MemoryCoefficient
+from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.solid import energy as point
-from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.scratch import LANES, LargestElementSize, get_scratch_field
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
+from tissue_sim.fem.taichi.scratch import LANES, ScratchElementSizeLimit, get_shared_scratch_field
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 
-class SettingColumn(IntEnum):
+class AssemblySettingColumn(IntEnum):
     """Columns of the array ``settings`` of the assembly kernels."""
 
     #: Bulk modulus, Pa.
@@ -32,7 +32,7 @@ class SettingColumn(IntEnum):
 
 
 #: Size of the largest element.
-_LARGEST = LargestElementSize(nodes=27, points=27, modes=4)
+_LARGEST = ScratchElementSizeLimit(nodes=27, points=27, modes=4)
 #: Sections of the scratch field for one batch, with their sizes: displacements and forces of the nodes, pressure
 #: amplitudes, residuals of the pressure equations, derivatives of the volume, tangents at the points; for one node the
 #: derivatives of the stress at one point, and the stiffness with all other nodes.
@@ -59,10 +59,10 @@ class ElementFunctions(NamedTuple):
 @cache
 def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctions:
     """Return the Taichi functions of an element type, a key of `SOLID_ELEMENTS`, and a strain energy."""
-    ti = initialise()
+    ti = get_initialised_taichi()
     element = SOLID_ELEMENTS[element_name]
     nodes, modes, points = element.node_count, element.pressure_modes, element.quadrature[1].size
-    s = get_scratch_field(LANES, SCRATCH)
+    s = get_shared_scratch_field(LANES, SCRATCH)
     compute_stress_and_tangent = point.make_stress_function(energy)
     inverse_cube_root, compute_cofactor = make_inverse_cube_root_function(), point.make_cofactor_function()
     apply_softening, apply_relaxation = make_softening_function(9), point.make_relax_function()
@@ -75,31 +75,33 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
     # points are kept in the scratch field, not in variables: with stores in a loop LLVM uses vector instructions.
 
     @ti.func
-    def evaluate_stress_at_point(b, q, tangent: ti.template(), remembers, H, J, p, weights: ti.template(),
-                                 moduli: ti.template(),
-                 coefficients: ti.template(), elements: ti.template(), past: ti.template(), inherited: ti.template(),
-                                 largest: ti.template(), stresses: ti.template(), energies: ti.template()):
+    def get_weighted_stress_and_store_tangent(b, q, tangent: ti.template(), remembers, H, J, p, weights: ti.template(),
+                                              moduli: ti.template(),
+                                              coefficients: ti.template(), elements: ti.template(), past: ti.template(),
+                                              inherited: ti.template(),
+                                              largest: ti.template(), stresses: ti.template(), energies: ti.template()):
         """Return dW/dF and dJ/dF of quadrature point q times its weight, and store its tangent in the scratch field."""
         F = [H[m] + ti.static(float(m % 4 == 0)) for m in ti.static(range(9))]
         W, P, T = compute_stress_and_tangent(F, J, inverse_cube_root(ti.max(J, 1e-6)), coefficients, tangent)
         cof = compute_cofactor(F)
         if remembers > 0.0:
-            f = past[MemoryCoefficient.FACTOR]
+            f = past[RelaxationSofteningCoefficient.FACTOR]
             W = f * W
             for l in ti.static(range(LANES)):
                 energies[elements[b, l], q] = W[l]
             P1, T1 = [f * P[m] for m in ti.static(range(9))], [f * T[n] for n in ti.static(range(45))]
-            if past[MemoryCoefficient.LOSS] != 0.0:
+            if past[RelaxationSofteningCoefficient.LOSS] != 0.0:
                 most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
-                P2, T2 = apply_softening(W, most, past[MemoryCoefficient.LOSS], past[MemoryCoefficient.LOSS_MODULUS],
-                                         past[MemoryCoefficient.LOSS_SHARE], P1, T1)
+                P2, T2 = apply_softening(W, most, past[RelaxationSofteningCoefficient.LOSS],
+                                         past[RelaxationSofteningCoefficient.LOSS_MODULUS],
+                                         past[RelaxationSofteningCoefficient.LOSS_SHARE], P1, T1)
                 for m in ti.static(range(9)):
                     P1[m] = P2[m]
                 for n in ti.static(range(45)):
                     T1[n] = T2[n]
             h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
                  for i in ti.static(range(6))]
-            S, P3, T3 = apply_relaxation(F, cof, J, past[MemoryCoefficient.INSTANT], h, P1, T1)
+            S, P3, T3 = apply_relaxation(F, cof, J, past[RelaxationSofteningCoefficient.INSTANT], h, P1, T1)
             for i in ti.static(range(6)):
                 for l in ti.static(range(LANES)):
                     stresses[elements[b, l], q, i] = S[i][l]
@@ -122,8 +124,8 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
                          gx: ti.template(), gy: ti.template(), gz: ti.template(), weights: ti.template(),
                          mode_values: ti.template(), moduli: ti.template(), coefficients: ti.template(),
                          elements: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
-                  stresses: ti.template(), energies: ti.template(), volume_rates: ti.template(), gaps: ti.template(),
-                         forces: ti.template()):
+                         stresses: ti.template(), energies: ti.template(), volume_rates: ti.template(),
+                         gaps: ti.template(), forces: ti.template()):
         """Integrate the nodal forces of a batch, with the eliminated pressure increments; return the smallest J.
 
         The material history is that of `tissue_sim.fem.history`.
@@ -164,15 +166,15 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
             P, cof = [vec(0.0) for _m in ti.static(range(9))], [vec(0.0) for _m in ti.static(range(9))]
             # Compiled twice, because forces alone take three quarters of the time.
             if tangent > 0.0:
-                P1, cof1 = evaluate_stress_at_point(b, q, True, remembers, H, 1.0 + dilation, p, weights, moduli,
-                                                    coefficients,
-                                                    elements, past, inherited, largest, stresses, energies)
+                P1, cof1 = get_weighted_stress_and_store_tangent(b, q, True, remembers, H, 1.0 + dilation, p, weights,
+                                                                 moduli, coefficients,
+                                                                 elements, past, inherited, largest, stresses, energies)
                 for m in ti.static(range(9)):
                     P[m], cof[m] = P1[m], cof1[m]
             else:
-                P1, cof1 = evaluate_stress_at_point(b, q, False, remembers, H, 1.0 + dilation, p, weights, moduli,
-                                                    coefficients,
-                                                    elements, past, inherited, largest, stresses, energies)
+                P1, cof1 = get_weighted_stress_and_store_tangent(b, q, False, remembers, H, 1.0 + dilation, p, weights,
+                                                                 moduli, coefficients,
+                                                                 elements, past, inherited, largest, stresses, energies)
                 for m in ti.static(range(9)):
                     P[m], cof[m] = P1[m], cof1[m]
             for a in range(nodes):

@@ -11,12 +11,12 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from tissue_sim.fem.energy import (
-    make_expression_function,
+    list_lower_triangle_index_pairs,
     make_invariant_derivatives,
     make_stretch_derivatives,
-    packed_symmetric_indices,
+    make_taichi_expression_builder,
 )
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.public_names import LazyModule
 
@@ -26,7 +26,7 @@ else:
     sp = LazyModule("sympy")
 
 #: Row and column of every entry of a symmetric 9 x 9 tangent in packed storage.
-PACKED = packed_symmetric_indices(9)
+PACKED = list_lower_triangle_index_pairs(9)
 #: Index of entry (m, n) in packed storage.
 PLACE = tuple(tuple(PACKED.index((max(m, n), min(m, n))) for n in range(9)) for m in range(9))
 #: Rows and columns of the components of a symmetric tensor.
@@ -39,44 +39,44 @@ _SWEEPS = 5
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
-def _permutation_sign(i: int, k: int, m: int) -> int:
+def _levi_civita_symbol(i: int, k: int, m: int) -> int:
     """Return the Levi-Civita symbol of three indices from 0 to 2: 1, -1 or 0."""
     return (i - k) * (k - m) * (m - i) // 2
 
 
 #: Second derivatives of the determinant: entry (m, n) -> (component of F, sign).
 COFACTOR = {(m, n): (3 * (3 - m // 3 - n // 3) + 3 - m % 3 - n % 3,
-                     float(_permutation_sign(m // 3, n // 3, 3 - m // 3 - n // 3)
-                           * _permutation_sign(m % 3, n % 3, 3 - m % 3 - n % 3)))
+                     float(_levi_civita_symbol(m // 3, n // 3, 3 - m // 3 - n // 3)
+                           * _levi_civita_symbol(m % 3, n % 3, 3 - m % 3 - n % 3)))
             for m, n in PACKED if m // 3 != n // 3 and m % 3 != n % 3}
 
 
 @cache
-def _make_isochoric_chain():
+def _make_isochoric_chain_rule_function():
     """Return the Python function (I1, I2, J, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
 
     The derivatives are with respect to the invariants of F; s = J^(-2/3) is an argument, so that no power is computed.
     """
-    return make_expression_function(_derive_isochoric_chain, ("solid chain",), __file__)
+    return make_taichi_expression_builder(_derive_solid_isochoric_chain_rule, ("solid chain",), __file__)
 
 
-def _derive_isochoric_chain():
-    """Return arguments and symbolic expressions of `_make_isochoric_chain`, by the chain rule."""
+def _derive_solid_isochoric_chain_rule():
+    """Return arguments and symbolic expressions of `_make_isochoric_chain_rule_function`, by the chain rule."""
     I1, I2, J = v = sp.symbols("I1 I2 J", positive=True)
     s = sp.Symbol("s", positive=True)
     first = sp.symbols("W1 W2", real=True)
     second = sp.symbols("W11 W12 W22", real=True)
     hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
 
-    def differentiate_with_scale(expression, x):
+    def differentiate_with_dependent_scale(expression, x):
         """Differentiate an expression with respect to x, where s = J^(-2/3) depends on J."""
         inner = -sp.Rational(2, 3) * s / x if x is J else 0
         return sp.diff(expression, x) + sp.diff(expression, s) * inner
 
     bars = (s * I1, s**2 * I2)
-    slopes = [[differentiate_with_scale(bar, x) for x in v] for bar in bars]
+    slopes = [[differentiate_with_dependent_scale(bar, x) for x in v] for bar in bars]
     gradient = [sum(first[m] * slopes[m][i] for m in range(2)) for i in range(3)]
-    curvature = [sum(first[m] * differentiate_with_scale(slopes[m][i], v[k]) for m in range(2))
+    curvature = [sum(first[m] * differentiate_with_dependent_scale(slopes[m][i], v[k]) for m in range(2))
                  + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
                  for i in range(3) for k in range(i + 1)]
     return (*v, s, *first, *second), [*gradient, *curvature]
@@ -85,7 +85,7 @@ def _derive_isochoric_chain():
 @cache
 def make_cofactor_function():
     """Return the Taichi function ``compute_cofactor(F)``: dJ/dF, 9 components."""
-    ti = initialise()
+    ti = get_initialised_taichi()
 
     @ti.func
     def compute_cofactor(F):
@@ -99,8 +99,8 @@ def make_cofactor_function():
 
 @cache
 def make_relax_function():
-    """Return the Taichi function ``apply_relaxation(F, cof, J, instant, h, P, A) -> (S, P, A)``."""
-    ti = initialise()
+    """Return the Taichi function ``compute_relaxed_stress_and_tangent(F, cof, J, instant, h, P, A) -> (S, P, A)``."""
+    ti = get_initialised_taichi()
 
     @ti.func
     def apply_relaxation(F, cof, J, instant, h, P, A):
@@ -146,11 +146,11 @@ def make_stress_function(energy: KernelEnergy):
 
 def _make_invariant_function(energy: KernelEnergy):
     """Return the function of `make_stress_function` for an energy of the invariants I1 and I2."""
-    ti = initialise()
+    ti = get_initialised_taichi()
     count = energy.count
 
     derivatives = make_invariant_derivatives(energy)
-    chain = _make_isochoric_chain()
+    chain = _make_isochoric_chain_rule_function()
     compute_cofactor = make_cofactor_function()
 
     @ti.func
@@ -201,7 +201,7 @@ def _make_invariant_function(energy: KernelEnergy):
 
 def _make_stretch_function(energy: KernelEnergy):
     """Return the function of `make_stress_function` for an energy of the principal stretches."""
-    ti = initialise()
+    ti = get_initialised_taichi()
     count = energy.count
 
     derivatives = make_stretch_derivatives(energy)

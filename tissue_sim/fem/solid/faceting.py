@@ -33,7 +33,7 @@ _SETTINGS = FacetingSettings()
 
 
 @dataclass(frozen=True)
-class FacetingGeometry:
+class FacetInsetGeometry:
     """Geometry of the flat sides of elements under a round tool, means weighted by the contact forces.
 
     Attributes:
@@ -47,13 +47,13 @@ class FacetingGeometry:
     size: float
 
     @property
-    def missing_fraction(self) -> float:
+    def missing_force_fraction(self) -> float:
         """Fraction of the force that is missing, 1.5 inside / depth (Hertz: F ~ depth^1.5); infinite without depth."""
         return _HERTZ_EXPONENT * self.inside / self.depth if self.depth else math.inf
 
 
-def estimate_faceting_geometry(contact: ContactNodes, mesh: SolidMesh,
-                               displacement: np.ndarray) -> FacetingGeometry | None:
+def estimate_facet_inset_geometry_or_none(contact: ContactNodes, mesh: SolidMesh,
+                                          displacement: np.ndarray) -> FacetInsetGeometry | None:
     """Estimate how far flat sides of elements lie inside the outline of a round tool that presses on nodes only.
 
     A flat side between nodes at distance h is inside of a surface with principal curvatures k1 and k2 by
@@ -67,7 +67,7 @@ def estimate_faceting_geometry(contact: ContactNodes, mesh: SolidMesh,
     Returns:
         The geometry; None for elements with curved sides, and if no round face of the tool carries most of the force.
     """
-    if len(mesh.element.corner_nodes) < mesh.element.node_count or not (contact.pressed & contact.moves).any():
+    if len(mesh.element.local_corner_indices) < mesh.element.node_count or not (contact.pressed & contact.moves).any():
         return None
     state, areas = contact.state, contact.areas
     curvature = np.trace(state.curved, axis1=1, axis2=2)
@@ -78,12 +78,12 @@ def estimate_faceting_geometry(contact: ContactNodes, mesh: SolidMesh,
         return None
     inside = float(np.average(areas * curvature, weights=round_ones)) / 12.0
     indentation = np.abs(np.einsum("ni,ni->n", displacement[contact.nodes], state.normals))
-    return FacetingGeometry(inside, float(indentation[carried > 0.0].max()),
-                            math.sqrt(float(np.average(areas, weights=round_ones))))
+    return FacetInsetGeometry(inside, float(indentation[carried > 0.0].max()),
+                              math.sqrt(float(np.average(areas, weights=round_ones))))
 
 
-def estimate_faceting_force_error(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray,
-                                  force: float) -> float | None:
+def estimate_faceting_force_error_or_none(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray,
+                                          force: float) -> float | None:
     """Estimate the force that is missing because of flat sides under a round tool, N.
 
     Args:
@@ -93,13 +93,13 @@ def estimate_faceting_force_error(contact: ContactNodes, mesh: SolidMesh, displa
         force: magnitude of the force on the tool, N.
 
     Returns:
-        Missing force, N, positive; None if `estimate_faceting_geometry` returns None.
+        Missing force, N, positive; None if `estimate_facet_inset_geometry_or_none` returns None.
     """
-    found = estimate_faceting_geometry(contact, mesh, displacement)
+    found = estimate_facet_inset_geometry_or_none(contact, mesh, displacement)
     if found is None:
         return None
     # The estimate holds for small fractions; beyond one half it is at least the whole force.
-    fraction = found.missing_fraction
+    fraction = found.missing_force_fraction
     return force * fraction / (1.0 - fraction) if fraction < _SETTINGS.largest_fraction else force
 
 
@@ -116,10 +116,10 @@ def faceting_warnings(contact: ContactNodes, mesh: SolidMesh, displacement: np.n
     Returns:
         One message; an empty list if the error is small or the elements have curved sides.
     """
-    found = estimate_faceting_geometry(contact, mesh, displacement)
-    if found is None or not found.depth or found.missing_fraction <= _SETTINGS.warning_fraction:
+    found = estimate_facet_inset_geometry_or_none(contact, mesh, displacement)
+    if found is None or not found.depth or found.missing_force_fraction <= _SETTINGS.warning_fraction:
         return []
-    share, size = found.missing_fraction, 1e3 * found.size
+    share, size = found.missing_force_fraction, 1e3 * found.size
     smaller = size * math.sqrt(_SETTINGS.warning_fraction / share)
     missing = "most of the force" if share > _SETTINGS.largest_fraction else f"about {100.0 * share:.2g} % of the force"
     return [f"faceting error: the flat sides of the elements under the tool, {size:.2g} mm wide, are inside of its "

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, suggest_known_word
-from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate_to_nodes, volume_quantile
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
+from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate_to_nodes_and_average, volume_quantile
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
@@ -86,7 +86,7 @@ class SolidFields:
         """Return the same fields with other values of `material_data`."""
         return replace(self, **changed)
 
-    def select_elements(self, elements: np.ndarray) -> SolidFields:
+    def with_selected_elements(self, elements: np.ndarray) -> SolidFields:
         """Return a copy with some of the elements only; all nodes remain, with their indices.
 
         Args:
@@ -99,7 +99,7 @@ class SolidFields:
                        weights=self.weights[elements], moduli=self.moduli[elements],
                        stresses=None if self.stresses is None else self.stresses[:, elements])
 
-    def average_over_elements(self) -> SolidFields:
+    def with_one_mean_point_per_element(self) -> SolidFields:
         """Return a copy with one quadrature point in each element, with the mean deformation of the element."""
         volumes = self.weights.sum(axis=1, keepdims=True)
         shares = self.weights / volumes
@@ -131,35 +131,36 @@ class SolidFields:
             InputError: an unknown field, or one that the solver does not compute.
         """
         if name not in SOLID_UNITS:
-            raise InputError(f"unknown field {name!r}{suggest_known_word(name, SOLID_UNITS)}", field="field")
+            raise InputError(f"unknown field {name!r}{make_hint_with_similar_or_known_words(name, SOLID_UNITS)}",
+                             field="field")
         if name not in self.names:
             raise InputError(f"this solver does not compute pressure and therefore no {name!r}; use one of "
                              f"{', '.join(self.names)}", field="field")
         if name == "displacement":
             return np.linalg.norm(self._interpolate_at_points(self.displacement(sample)), axis=-1)
         if self.material.regions and self.mesh.regions:
-            return self._evaluate_by_region(name, sample)
+            return self._evaluate_field_by_region(name, sample)
         F = self.deformation_gradient(sample)
         J = _compute_determinant(F)
         if name == "J":
             return J
         left = F @ F.swapaxes(-1, -2)
         if name == "stretch":
-            return compute_principal_stretches(left)[..., 0]
+            return compute_stretches_of_cauchy_green_tensors(left)[..., 0]
         modulus = self.moduli[:, None]
         p = 0.0 if self.pressures is None else np.einsum("eqm,em->eq", self.pressure_modes, self.pressures[sample])
         if name == "energy":
-            energy, _ = self._evaluate_principal_response(compute_principal_stretches(left))
-            own = modulus * self.material.instantaneous_factor * energy
+            energy, _ = self._compute_energy_and_principal_stresses(compute_stretches_of_cauchy_green_tensors(left))
+            own = modulus * self.material.instantaneous_over_law_modulus_ratio * energy
             return own + p**2 / (2.0 * self.bulk_modulus[:, None] * modulus)
         scale = modulus / J
         if self.stresses is None and name in ("pressure", "von_mises"):
             # From principal stresses, without their directions.
-            _, tau = self._evaluate_principal_response(compute_principal_stretches(left))
+            _, tau = self._compute_energy_and_principal_stresses(compute_stretches_of_cauchy_green_tensors(left))
             if name == "pressure":
                 return -(scale * tau.mean(axis=-1) + p)
             return scale * np.sqrt(1.5 * ((tau - tau.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1))
-        tensor = scale[..., None, None] * self._compute_isochoric_stress(F, left, sample)
+        tensor = scale[..., None, None] * self._compute_relative_isochoric_kirchhoff(F, left, sample)
         mean = np.trace(tensor, axis1=-2, axis2=-1) / 3.0
         if name == "pressure":
             return -(mean + p)
@@ -169,7 +170,7 @@ class SolidFields:
         across = 0.0 if name in ("cauchy_rz", "cauchy_xy", "cauchy_yz", "cauchy_xz") else p
         return np.einsum("eqi,eqik,eqk->eq", first, tensor, second) + across
 
-    def _evaluate_by_region(self, name: str, sample: int) -> np.ndarray:
+    def _evaluate_field_by_region(self, name: str, sample: int) -> np.ndarray:
         """Return a field at the quadrature points, each region evaluated with its own material, (elements, q)."""
         count, materials = len(self.mesh.connectivity), self.material.regions
         base = replace(self.material, regions={})
@@ -178,19 +179,19 @@ class SolidFields:
         parts = [(np.setdiff1d(np.arange(count), taken), base)]
         parts += [(each, materials.get(region, base)) for region, each in self.mesh.regions.items()]
         for elements, material in parts:
-            found[elements] = replace(self.select_elements(elements), material=material).at_points(name, sample)
+            found[elements] = replace(self.with_selected_elements(elements), material=material).at_points(name, sample)
         return found
 
-    def _evaluate_principal_response(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _compute_energy_and_principal_stresses(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return energy density, J/m3, and principal Kirchhoff stresses, Pa, for principal stretches, (..., 3)."""
-        return self.material.energy_law.principal_response(stretches, self.material.parameters)
+        return self.material.energy_law.compute_energy_and_kirchhoff_stresses(stretches, self.material.parameters)
 
-    def _compute_isochoric_stress(self, F: np.ndarray, left: np.ndarray, sample: int) -> np.ndarray:
+    def _compute_relative_isochoric_kirchhoff(self, F: np.ndarray, left: np.ndarray, sample: int) -> np.ndarray:
         """Return the isochoric Kirchhoff stress over the ratio `moduli`, Pa, shape (elements, q, 3, 3)."""
         if self.stresses is not None:
             return F @ self.stresses[sample][..., _SYMMETRIC] @ F.swapaxes(-1, -2)
         squares, ways = np.linalg.eigh(left)
-        _, tau = self._evaluate_principal_response(np.sqrt(squares))
+        _, tau = self._compute_energy_and_principal_stresses(np.sqrt(squares))
         return (ways * tau[..., None, :]) @ ways.swapaxes(-1, -2)
 
     def _interpolate_at_points(self, nodal: np.ndarray) -> np.ndarray:
@@ -218,7 +219,7 @@ class SolidFields:
     def stretch_range(self, sample: int = -1) -> tuple[float, float]:
         """Return smallest and largest principal stretch, without the fraction `TAIL` of the volume at each end."""
         F = self.deformation_gradient(sample)
-        stretches = compute_principal_stretches(F @ F.swapaxes(-1, -2))
+        stretches = compute_stretches_of_cauchy_green_tensors(F @ F.swapaxes(-1, -2))
         return (volume_quantile(stretches[..., 2], self.weights, TAIL),
                 volume_quantile(stretches[..., 0], self.weights, 1 - TAIL))
 
@@ -230,7 +231,7 @@ class SolidFields:
         """
         if name == "displacement":
             return np.linalg.norm(self.displacement(sample), axis=1)
-        return extrapolate_to_nodes(self.mesh, self.at_points(name, sample))
+        return extrapolate_to_nodes_and_average(self.mesh, self.at_points(name, sample))
 
 
 def _compute_determinant(F: np.ndarray) -> np.ndarray:
@@ -239,7 +240,7 @@ def _compute_determinant(F: np.ndarray) -> np.ndarray:
     return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
 
 
-def compute_principal_stretches(left: np.ndarray) -> np.ndarray:
+def compute_stretches_of_cauchy_green_tensors(left: np.ndarray) -> np.ndarray:
     """Return principal stretches, largest first, (..., 3), of left or right Cauchy-Green tensors, (..., 3, 3).
 
     Trigonometric roots of the characteristic polynomial, a few times faster than eigenvectors; the error is 1e-8 of the

@@ -28,7 +28,7 @@ class ToolFrame:
         x0, y0, z0 = pose.position
         self.origin = np.array([x0, y0, z0 + datum])
 
-    def compute_motion_from(self, first: ToolFrame) -> np.ndarray:
+    def compute_origin_and_matrix_change_from(self, first: ToolFrame) -> np.ndarray:
         """Return displacement, m, and change of the rotation matrix, row by row, from another frame, shape (12,)."""
         return np.concatenate([self.origin - first.origin, (self.rotation - first.rotation).ravel()])
 

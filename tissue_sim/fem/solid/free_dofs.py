@@ -10,7 +10,8 @@ import numpy as np
 from tissue_sim.mesh.solid import SolidMesh
 
 
-def fixed_freedom_mask(mesh: SolidMesh, fixed: Mapping[str, str], pins: Sequence[tuple[int, str]]) -> np.ndarray:
+def make_fixed_component_mask_by_node(mesh: SolidMesh, fixed: Mapping[str, str],
+                                      pins: Sequence[tuple[int, str]]) -> np.ndarray:
     """Return whether each node is fixed along x, y and z, shape (nodes, 3).
 
     Args:
@@ -26,7 +27,7 @@ def fixed_freedom_mask(mesh: SolidMesh, fixed: Mapping[str, str], pins: Sequence
     return stays
 
 
-class FreeDofSystem:
+class FreeDofSubmatrix:
     """Submatrix of the stiffness matrix for the free degrees of freedom, with the stiffness of the contact.
 
     Args:

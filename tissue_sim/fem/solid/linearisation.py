@@ -3,9 +3,8 @@
 Each call takes the contact forces that were found with the last linearisation, makes the step of the bulk for these
 forces, and linearises there: one iteration for each model of the loop, as in the real-time iteration of optimal
 control (Diehl, Bock and Schlöder, SIAM J. Control Optim. 43 (2005) 1714). With the tool at rest a few iterations
-converge to an equilibrium. The condensation of a tangent takes ten times as long as the assembly of forces. If the
-condensation runs in parallel, iterates continue with the previous tangent: forces are exact, and only their derivatives
-are older.
+converge to an equilibrium. The condensation of a tangent takes ten times as long as the assembly of forces. If it runs
+in parallel, iterates continue with the previous tangent: forces are exact, and only their derivatives are older.
 """
 
 from __future__ import annotations
@@ -16,10 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface, Executor, run_synchronously
+from tissue_sim.fem.condensed.model import (
+    CondensedBulk,
+    ContactState,
+    ContactSurface,
+    Executor,
+    run_now_and_get_completion_check,
+)
 from tissue_sim.fem.contact_settings import SOLID_PENALTY
-from tissue_sim.fem.linear.sparse import sparse_library_name
-from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_points
+from tissue_sim.fem.linear.sparse import get_pardiso_or_scipy_name
+from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_geometry
 from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.frame import ToolFrame
@@ -36,7 +41,7 @@ _SETTINGS = LinearisationSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class _NewtonIncrement:
+class _NewtonIncrementContributions:
     """Increment of the displacements in a Newton step, in the rows of `SolidLinearisation._select_rows_for_norm`, m.
 
     Attributes:
@@ -97,7 +102,8 @@ class SolidLinearisation:
         self._equations = equation[self._freedoms]
         self._meets = np.flatnonzero((self._equations >= 0).all(axis=1))
         self._count = min(candidates, self._meets.size)
-        self._most = min(self._count * (_SETTINGS.more if sparse_library_name() == "pardiso" else 1), self._meets.size)
+        self._most = min(self._count * (_SETTINGS.more if get_pardiso_or_scipy_name() == "pardiso" else 1),
+                         self._meets.size)
         self.surface = self._make_contact_surface(self._count)
         self._untouched = solver.save()
         self._epoch, self._number, self._time = 0, 0, 0.0
@@ -107,10 +113,10 @@ class SolidLinearisation:
         # Tangent in use, tangent that is being factorised, and increment that balances the tissue without contact.
         self._tangent: CondensedTangent | None = None
         self._coming: CondensedTangent | None = None
-        # Whether the tangent in use belongs to an earlier iterate.
-        self._stale = False
-        self._settles = np.zeros(solver._free.size)  # first half of a solution, see `CondensedTangent.begin_solution`
-        self.executor: Executor = run_synchronously
+        self._stale = False  # whether the tangent in use belongs to an earlier iterate
+        # First half of a solution, see `CondensedTangent.begin_solution_with_interface_rows`.
+        self._settles = np.zeros(solver._free.size)
+        self.executor: Executor = run_now_and_get_completion_check
         self.residual = 0.0
 
     def _make_contact_surface(self, candidates: int) -> ContactSurface:
@@ -121,7 +127,7 @@ class SolidLinearisation:
         chains, shapes = np.zeros((max(1, len(bodies)), lines, 5)), np.zeros((max(1, len(bodies)), 5))
         outlines, friction = np.zeros(mine.size, dtype=np.int32), np.zeros((mine.size, 2))
         for number, body in enumerate(bodies):
-            chain, shapes[number] = _pack_outline(body)
+            chain, shapes[number] = _pack_outline_segments_and_constants(body)
             chains[number, :len(chain)] = chain
             own = np.isin(self.nodes, body.nodes)
             outlines[own], friction[own] = number, body.friction
@@ -143,28 +149,28 @@ class SolidLinearisation:
         """Solver of the solid; its committed state is the last iterate."""
         return self._solver
 
-    def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedBulk | None:
-        """See `BulkLinearisation.linearise`."""
+    def iterate_and_linearise_or_none(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedBulk | None:
+        """See `BulkLinearisation.iterate_and_linearise_or_none`."""
         solver = self._solver
         if state.epoch != self._epoch:
             self._restore_untouched_state()
             self._epoch, self._tangent, self._time = state.epoch, None, state.time
         if self._tangent is None:
-            return self._relinearise_from_committed(state, ahead)
+            return self._linearise_from_committed_or_none(state, ahead)
         if state.model != self._number:
             return None
         due = self._coming is None or self._coming.is_done
         if due and self._adopt_finished_tangent(state, state.pose, ahead):
             self._store_contact_free_increment()
         before, here = tuple(array.copy() for array in solver._iterate_arrays), solver.pose
-        step = self._apply_newton_increment(state)
+        step = self._add_and_get_newton_increment(state)
         after = tuple(array.copy() for array in solver._iterate_arrays)
         solver.tissue.prepare_step(max(0.0, state.time - self._time))
         settles, old = self._settles, self._stale
         for share in _SETTINGS.old_fractions if old else _SETTINGS.fractions:
             for array, one, other in zip(solver._iterate_arrays, before, after, strict=True):
                 array[:] = one + share * (other - one)
-            if not self._assemble_forces(due):
+            if not self._assemble_and_check_volume_ratios(due):
                 continue
             pose, self._stale = between(here, state.pose, share), True
             if old:
@@ -172,7 +178,7 @@ class SolidLinearisation:
                 measured = self._select_rows_for_norm(self._settles)
                 if not step.reduces_next_step(measured, share, _SETTINGS.rounding * self._displacement_norm):
                     continue
-            begun = self._start_condensation(state, pose, ahead, self.executor) if due else None
+            begun = self._start_condensation_or_none(state, pose, ahead, self.executor) if due else None
             if begun is not None and begun.is_done:
                 if not self._adopt_finished_tangent(state, pose, ahead):
                     continue  # without parallel factorisation an iterate with a singular tangent is not accepted
@@ -182,11 +188,11 @@ class SolidLinearisation:
             self._store_relative_residual(state)
             self._commit_iterate(pose)
             self._time = state.time
-            return self._make_condensed_model(state, pose)
+            return self._make_and_number_condensed_model(state, pose)
         for array, old_one in zip(solver._iterate_arrays, before, strict=True):
             array[:] = old_one
         self._settles, self._stale = settles, old
-        if self._coming is None or not self._assemble_forces(False):
+        if self._coming is None or not self._assemble_and_check_volume_ratios(False):
             self._tangent = None
         return None
 
@@ -199,74 +205,76 @@ class SolidLinearisation:
         solver.tissue.prepare_step(0.0)
         solver._restore_committed_state()
 
-    def _relinearise_from_committed(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedBulk | None:
+    def _linearise_from_committed_or_none(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedBulk | None:
         """Linearise with a new tangent at the committed state, or at rest if that tangent is singular; else None."""
         solver, self._coming = self._solver, None
         for go_back in (solver._restore_committed_state, self._restore_untouched_state):
             go_back()
             pose = solver.pose if self._holds else state.pose
-            if not self._assemble_forces(True):
+            if not self._assemble_and_check_volume_ratios(True):
                 continue
-            self._start_condensation(state, pose, ahead, run_synchronously)
+            self._start_condensation_or_none(state, pose, ahead, run_now_and_get_completion_check)
             if self._adopt_finished_tangent(state, pose, ahead):
                 self._stale = False
                 self._store_contact_free_increment()
                 self._store_relative_residual(state)
-                return self._make_condensed_model(state, pose)
+                return self._make_and_number_condensed_model(state, pose)
         return None
 
-    def _apply_newton_increment(self, state: ContactState) -> _NewtonIncrement:
+    def _add_and_get_newton_increment(self, state: ContactState) -> _NewtonIncrementContributions:
         """Add the Newton increment for the pose and the contact forces of a state to displacements and pressures."""
         solver, tangent = self._solver, self._tangent
         assert tangent is not None
         motion, carried = np.zeros_like(solver.x), np.zeros(solver._free.size)
         if self._holds:
-            motion[solver._moved] = solver.compute_held_displacement(ToolFrame(state.pose,
-                                                                               solver.datum)) - solver.x[solver._moved]
-            carried = -tangent.begin_solution((tangent.held @ motion[solver._moved])[solver._free])
+            goal = solver.compute_flat_held_displacements(ToolFrame(state.pose, solver.datum))
+            motion[solver._moved] = goal - solver.x[solver._moved]
+            carried = -tangent.begin_solution_with_interface_rows((tangent.held @ motion[solver._moved])[solver._free])
         loaded = np.flatnonzero(state.forces.any(axis=1))
         if np.isin(loaded, tangent.interface).all():
-            pushed = -tangent.begin_solution_for_interface(state.forces[tangent.interface])
+            pushed = -tangent.begin_solution_for_interface_forces(state.forces[tangent.interface])
         else:
             right = np.zeros_like(solver.x)
             right[self._freedoms[loaded]] = state.forces[loaded]
-            pushed = -tangent.begin_solution(right[solver._free])
+            pushed = -tangent.begin_solution_with_interface_rows(right[solver._free])
         begun = self._settles + pushed + carried
         motion[solver._free] = tangent.finish_solution(begun)
         solver.x += motion
         solver.tissue.update_pressures(motion)
-        return _NewtonIncrement(*(self._select_rows_for_norm(each) for each in (begun, pushed, carried)))
+        return _NewtonIncrementContributions(*(self._select_rows_for_norm(each) for each in (begun, pushed, carried)))
 
     def _select_rows_for_norm(self, begun: np.ndarray) -> np.ndarray:
         """Return the displacements of a begun solution that the norms of the step control use, m.
 
         These are the interface, where the contact acts, or all free degrees of freedom if the tool holds tissue.
         """
-        assert self._tangent is not None
-        return self._tangent.finish_solution(begun) if self._holds else begun[self._tangent.interface_rows]
+        tangent = self._tangent
+        assert tangent is not None
+        return tangent.finish_solution(begun) if self._holds else begun[tangent.sorted_free_interface_equations]
 
     @property
     def _displacement_norm(self) -> float:
         """Norm of the displacement in the rows of `_select_rows_for_norm`, m."""
         assert self._tangent is not None
         displacement = self._solver.x[self._solver._free]
-        return float(np.linalg.norm(displacement if self._holds else displacement[self._tangent.interface_rows]))
+        rows = displacement if self._holds else displacement[self._tangent.sorted_free_interface_equations]
+        return float(np.linalg.norm(rows))
 
     def _store_contact_free_increment(self) -> None:
         """Store the Newton increment without contact forces for the residual that was assembled last."""
         solver, tangent, right = self._solver, self._tangent, self._solver.batches.residual[:-1].copy()
         assert tangent is not None
         if self._stale:
-            solver.tissue.correct_forces_for_old_volume_rates(right)
-        self._settles = -tangent.begin_solution(right[solver._free])
+            solver.tissue.correct_forces_for_reused_matrix(right)
+        self._settles = -tangent.begin_solution_with_interface_rows(right[solver._free])
         if self._holds:
             motion = tangent.finish_solution(self._settles)
             self._reactions = right[solver._moved] + tangent.held[solver._free].T @ motion
 
-    def _assemble_forces(self, tangent: bool) -> bool:
+    def _assemble_and_check_volume_ratios(self, tangent: bool) -> bool:
         """Assemble forces, and optionally the tangent, without contact; return False if an element is inside out."""
         solver = self._solver
-        solver._least = solver.tissue.assemble_forces_and_tangent(tangent)
+        solver._least = solver.tissue.assemble_and_get_least_volume_ratio(tangent)
         if tangent:
             solver._matrix.add_contact_stiffness(self._none)
         return 0.0 < solver._least < 1e30
@@ -285,14 +293,14 @@ class SolidLinearisation:
         held = float(np.linalg.norm(unbalanced[solver._reacting]))
         self.residual = float(np.linalg.norm(unbalanced[solver._free])) / max(held, solver._floor)
 
-    def _start_condensation(self, state: ContactState, pose: Pose, ahead: Sequence[Pose],
-                            executor: Executor) -> CondensedTangent | None:
+    def _start_condensation_or_none(self, state: ContactState, pose: Pose, ahead: Sequence[Pose],
+                                    executor: Executor) -> CondensedTangent | None:
         """Start the condensation of the tangent assembled last and return it; None while another one is in progress."""
         # A finished tangent that is not in use may be overwritten.
         spare = next((each for each in self._tangents if each is not self._tangent and each.is_done), None)
         if spare is None or self._coming is not None:
             return None
-        solver, order, loaded = self._solver, *self._order_contact_candidates(state, pose, ahead)
+        solver, order, loaded = self._solver, *self._order_contact_candidates_and_count_loaded(state, pose, ahead)
         if not np.isin(order[:max(int(_SETTINGS.needed * self._most), loaded)], self._interface).all():
             self._interface = np.sort(order[:self._most])
         spare.time, spare.pose = state.time, pose
@@ -306,15 +314,15 @@ class SolidLinearisation:
         coming, self._coming = self._coming, None
         if coming is None or coming.factor is None:
             return False
-        order, _ = self._order_contact_candidates(state, pose, ahead)
+        order, _ = self._order_contact_candidates_and_count_loaded(state, pose, ahead)
         nodes = order[np.isin(order, coming.interface)][:self._count]
-        coming.select_published_nodes(nodes, self._equations[nodes])
+        coming.set_published_nodes_and_compliance(nodes, self._equations[nodes])
         self._tangent, self._base = coming, self._number + 1
         self._solver.batches.known_rates[:] = coming.volume_rates
         return True
 
-    def _order_contact_candidates(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> tuple[np.ndarray,
-                                                                                                         int]:
+    def _order_contact_candidates_and_count_loaded(self, state: ContactState, pose: Pose,
+                                                   ahead: Sequence[Pose]) -> tuple[np.ndarray, int]:
         """Order the nodes that the tool may touch: loaded nodes first, then by gap.
 
         Returns:
@@ -332,10 +340,10 @@ class SolidLinearisation:
         for body in contact.bodies:
             if body.moves:
                 own = np.isin(self.nodes, body.nodes)
-                gaps[own] = find_nearest_surface_points(body, at[own], pressed_in=True).gap
+                gaps[own] = find_nearest_surface_geometry(body, at[own], pressed_in=True).gap
         return gaps
 
-    def _make_condensed_model(self, state: ContactState, pose: Pose) -> CondensedBulk:
+    def _make_and_number_condensed_model(self, state: ContactState, pose: Pose) -> CondensedBulk:
         """Return the linearisation at the last iterate, condensed onto the published nodes."""
         solver, tangent = self._solver, self._tangent
         assert tangent is not None
@@ -380,12 +388,11 @@ def make_linearisation(model: Model, *, resolution: str = "realtime", mesh: Soli
     return SolidLinearisation(make_solver(model, resolution=resolution, mesh=mesh), candidates)
 
 
-def _pack_outline(body: RigidBody) -> tuple[np.ndarray, tuple[float, ...]]:
+def _pack_outline_segments_and_constants(body: RigidBody) -> tuple[np.ndarray, tuple[float, ...]]:
     """Return the segments of a body's outline, shape (lines, 5), and its row of `ContactSurface.shapes`."""
     profile, first = body.profile, body.first_line
     start, segment = profile.vertices[first:-1], np.diff(profile.vertices[first:], axis=0)
     length = np.linalg.norm(segment, axis=1)
-    closed = body.closed and first == profile.shaft and profile.rounding == 0.0
+    closed = float(body.closed and first == profile.shaft and profile.rounding == 0.0)
     return np.column_stack([start, segment / length[:, None], length]), (
-        profile.rounding, profile.shaft - first, float(closed), len(length),
-        _SETTINGS.on_axis * length.max(initial=1.0))
+        profile.rounding, profile.shaft - first, closed, len(length), _SETTINGS.on_axis * length.max(initial=1.0))

@@ -62,6 +62,7 @@ class LumpedMass:
             if matrix is not None:
                 matrix.data[self._diagonal] += self.rate * self._masses
 
-    def predict_force_change(self, x: np.ndarray, dt: float, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def predict_force_and_stiffness_change(self, x: np.ndarray, dt: float,
+                                           along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predict the change of the inertial forces in a next step without motion of the tool; see `InertialMotion`."""
-        return self.motion.predict_inertial_force_change(x, dt, self._masses, along)
+        return self.motion.predict_inertial_force_and_stiffness_change(x, dt, self._masses, along)

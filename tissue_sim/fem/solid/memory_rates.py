@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.history import MaterialMemory, MemoryCoefficient
+from tissue_sim.fem.history import MaterialMemory, RelaxationSofteningCoefficient
 from tissue_sim.material.viscoelasticity import Prony
 
 
 @dataclass(frozen=True)
-class KinkSettings:
+class SofteningKinkSettings:
     """Distances from the kink of a softening law, where the energy density of a point reaches its largest value so far.
 
     Attributes:
@@ -26,7 +26,7 @@ class KinkSettings:
     beyond: float = 1e-4
 
 
-_KINK = KinkSettings()
+_KINK = SofteningKinkSettings()
 
 
 class HistoryDerivatives:
@@ -46,7 +46,7 @@ class HistoryDerivatives:
                  relaxations: Sequence[tuple[Prony | None, Prony | None]], widths: np.ndarray):
         self.memory, self._past_rates, self._relaxations, self._widths = memory, past_rates, relaxations, widths
         m = widths.size
-        self._past_rates[:, MemoryCoefficient.INSTANT] = 0.0
+        self._past_rates[:, RelaxationSofteningCoefficient.INSTANT] = 0.0
         shape = (m, *memory.stresses.shape) if memory.works else (m, 0)
         self._before, self._largest = np.zeros(shape), np.zeros(shape[:-1])
         self._internal = np.zeros((m, *memory.internal.shape))
@@ -62,7 +62,7 @@ class HistoryDerivatives:
         """
         return self._before, self._internal, self._largest
 
-    def begin_step(self) -> None:
+    def compute_inherited_derivatives(self) -> None:
         """Set `inherited` for a step, after `MaterialMemory.prepare_step`."""
         memory = self.memory
         if not len(memory.internal):
@@ -70,7 +70,7 @@ class HistoryDerivatives:
         decay, gain = memory.step
         for k, ((more, less), width) in enumerate(zip(self._relaxations, self._widths, strict=True)):
             if more is not None and less is not None and more != less:
-                self._past_rates[k, MemoryCoefficient.INSTANT], self._decays[k], self._gains[k] = (
+                self._past_rates[k, RelaxationSofteningCoefficient.INSTANT], self._decays[k], self._gains[k] = (
                     (np.asarray(a) - np.asarray(b)) / width
                     for a, b in zip(more.compute_recursion_coefficients(memory.dt),
                                     less.compute_recursion_coefficients(memory.dt), strict=True))
@@ -82,14 +82,14 @@ class HistoryDerivatives:
         """Shift points near their largest energy density away from the kink there, until `end_shift_from_kink`.
 
         Differences must not cross the kink. Points under increasing load are treated as on first load, which changes no
-        force; for others `KinkSettings.below` of the largest value is added to it.
+        force; for others `SofteningKinkSettings.below` of the largest value is added to it.
 
         Returns:
             Whether there are such points; the forces must then be assembled again.
         """
         memory = self.memory
         self._kept = []
-        if memory.works and memory.past[MemoryCoefficient.LOSS] != 0.0:
+        if memory.works and memory.past[RelaxationSofteningCoefficient.LOSS] != 0.0:
             largest, more = memory.largest, memory.energies - memory.largest
             near = (largest > 0.0) & (more >= -_KINK.below * largest) & (more <= _KINK.beyond * largest)
             if near.any():
@@ -103,7 +103,7 @@ class HistoryDerivatives:
         for array, before in self._kept:
             array[:] = before
 
-    def get_input_directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def get_input_and_derivative_pairs(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return pairs (history array that the assembly reads, its derivative with respect to parameter k)."""
         memory = self.memory
         if not memory.works:

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.fem.contact_settings import ContactBond
+from tissue_sim.fem.contact_settings import ContactBondState
 from tissue_sim.fem.free_tool import AT_REST
-from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_points
+from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_geometry
 from tissue_sim.fem.solid.contact import ContactNodes
-from tissue_sim.fem.solid.faceting import estimate_faceting_force_error
+from tissue_sim.fem.solid.faceting import estimate_faceting_force_error_or_none
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.mass import LumpedMass
 from tissue_sim.fem.solid.tissue import Tissue
@@ -24,7 +24,7 @@ from tissue_sim.pose import Pose, motion, shift_pose_along_z
 
 
 @dataclass(frozen=True)
-class PlacementTolerances:
+class FirstTouchPositionTolerances:
     """Largest distances between the first touch of the tool and the position of the mesh.
 
     Attributes:
@@ -39,10 +39,10 @@ class PlacementTolerances:
 
 
 #: Tolerances of every solid.
-PLACEMENT = PlacementTolerances()
+PLACEMENT = FirstTouchPositionTolerances()
 
 
-class RelocatableSolver(KernelOwner, Solver):
+class SolidSolverBase(KernelOwner, Solver):
     """Base class of `SolidSolver`: placement and motion of the tool without contact.
 
     The mesh belongs to one position of the first touch. For a first touch at another position the solver is replaced by
@@ -53,7 +53,7 @@ class RelocatableSolver(KernelOwner, Solver):
     """
 
     ignores_twist = True
-    placement: FirstTouchPlacement | None = None
+    placement: FirstTouchHeightAndSolverMaker | None = None
     contact: ContactNodes
     tissue: Tissue
     material: Material
@@ -77,7 +77,7 @@ class RelocatableSolver(KernelOwner, Solver):
         """See `FreeTool.place_tool_at_first_touch`. The mesh moves with the tool, to stay fine under the tool."""
         if self.placement is None or self.placement.is_at_mesh_position(self._start, pose):
             return True
-        other = self.placement.make_solver_for_touch_pose(pose, self)
+        other = self.placement.make_solver_for_touch_pose_or_none(pose, self)
         if other is None:
             return False
         self.__dict__.update(other.__dict__)
@@ -87,8 +87,8 @@ class RelocatableSolver(KernelOwner, Solver):
         """Return a converged step with its estimated force error, if stiffness is requested in every step."""
         if not self._asked:
             return step
-        error = estimate_faceting_force_error(self.contact, self.mesh, self.committed_displacement,
-                                              math.hypot(*step.wrench[:3]))
+        error = estimate_faceting_force_error_or_none(self.contact, self.mesh, self.committed_displacement,
+                                                      math.hypot(*step.wrench[:3]))
         return step if error is None else replace(step, force_error=error)
 
     def copy_settings_to(self, other: Any) -> None:
@@ -104,13 +104,13 @@ class RelocatableSolver(KernelOwner, Solver):
         """See `FreeTool.clearance`, with distances of nodes; None if the tool holds tissue, and with contact laws."""
         contact = self.contact
         if self._bonded.size or contact.laws or (
-                contact.moves & (contact.stays | (contact.bound != ContactBond.FREE))).any():
+                contact.moves & (contact.stays | (contact.bound != ContactBondState.FREE))).any():
             return None
         frame, displacement, least = ToolFrame(pose, self.datum), self.committed_displacement, math.inf
         for body, own in contact.parts:
             if body.moves and own.size:
                 at = frame.transform_to_tool(contact.places[own] + displacement[contact.nodes[own]])
-                least = min(least, float(find_nearest_surface_points(body, at, pressed_in=False).gap.min()))
+                least = min(least, float(find_nearest_surface_geometry(body, at, pressed_in=False).gap.min()))
         return least
 
     @property
@@ -133,7 +133,7 @@ class RelocatableSolver(KernelOwner, Solver):
 
         See `FreeTool.move_to_next_touch`.
         """
-        begins = (self.placement is not None and not self.is_time_dependent and self._is_at_rest
+        begins = (self.placement is not None and not self.is_time_dependent and self._has_untouched_displacements
                   and self.place_tool_at_first_touch(shift_pose_along_z(pose, -self.height_above_tissue(pose))))
         if begins:
             self.lift_off()
@@ -142,7 +142,7 @@ class RelocatableSolver(KernelOwner, Solver):
         return begins
 
     @property
-    def _is_at_rest(self) -> bool:
+    def _has_untouched_displacements(self) -> bool:
         """Whether the tissue has returned to its state before the first touch."""
         return float(np.abs(self._committed[0] - self._rest[0]).max()) <= AT_REST * self._tolerance
 
@@ -151,7 +151,7 @@ class RelocatableSolver(KernelOwner, Solver):
         self._pose = pose
 
 
-class FirstTouchPlacement:
+class FirstTouchHeightAndSolverMaker:
     """Height of the first touch of a tool on the top of a solid, and the solver for a first touch at another pose.
 
     Args:
@@ -199,7 +199,7 @@ class FirstTouchPlacement:
         except InputError:
             return math.inf  # outside the top
 
-    def make_solver_for_touch_pose(self, pose: Pose, solver: Any) -> Any:
+    def make_solver_for_touch_pose_or_none(self, pose: Pose, solver: Any) -> Any:
         """Return the solver for a first touch at a pose; None if no such solver can be made.
 
         Args:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tissue_sim.fem.point_effects import LONGEST, require_valid_formula
 from tissue_sim.fem.solid.batches import ElementBatches, find_sparse_entry_indices
-from tissue_sim.fem.taichi.trace import KernelFormula
+from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
 #: Index pairs of the components of formulas: 11, 22, 33, 12, 13, 23.
@@ -41,7 +41,7 @@ class SolidPointEffects:
             len(elements), 3 * connectivity.shape[1])
         self._dofs, self._dt = dofs, 0.0
         self._effects: tuple[PointEffect, ...] = ()
-        self._makes: tuple[KernelFormula, ...] = ()
+        self._makes: tuple[FormulaClassAndConstants, ...] = ()
         points = (len(elements), batches.weights.shape[1])
         self.states, self.stress = np.zeros((*points, 0)), np.zeros((*points, 6))
         self._found, self._stress = self.states.copy(), self.stress.copy()
@@ -57,7 +57,7 @@ class SolidPointEffects:
             InputError: see `require_valid_formula`.
         """
         points = tuple(effect for effect in effects if isinstance(effect, PointEffect))
-        makes = tuple(KernelFormula.from_instance(effect) for effect in points)
+        makes = tuple(FormulaClassAndConstants.from_law_or_effect(effect) for effect in points)
         if makes != self._makes:
             for make in makes:
                 require_valid_formula(make)
@@ -85,7 +85,7 @@ class SolidPointEffects:
             mine = self._elements[part]
             G, dofs = gradients[mine], self._dofs[part]
             F = np.eye(3) + np.einsum("eai,eqaJ->eqiJ", x[dofs].reshape(*dofs.shape[:1], -1, 3), G)
-            S, D = self._evaluate_effects(part, F)
+            S, D = self._evaluate_effects_and_store_states(part, F)
             weights = self._batches.weights[mine] * ratios[mine, None]
             # Derivative of the Green strains, with doubled shears, with respect to the nodal positions.
             B = np.stack([np.einsum("eqi,eqa->eqai", F[..., I], G[..., J])
@@ -111,7 +111,7 @@ class SolidPointEffects:
                 self._places = find_sparse_entry_indices(matrix, rows, columns).ravel()
             matrix.data += np.bincount(self._places, np.concatenate(stiffness).ravel(), minlength=matrix.nnz)
 
-    def _evaluate_effects(self, part: slice, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _evaluate_effects_and_store_states(self, part: slice, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the effects in a range of elements, and store their new state variables.
 
         Args:

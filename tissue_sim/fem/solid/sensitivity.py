@@ -16,9 +16,9 @@ import numpy as np
 
 from tissue_sim.fem.linear.sparse import SparseSolver
 from tissue_sim.fem.solid.contact import ContactNodes
-from tissue_sim.fem.solid.contact_law_rates import ContactLawDerivatives
+from tissue_sim.fem.solid.contact_law_rates import LawDerivativesByPositionSlipForce
 from tissue_sim.fem.solid.frame import ToolFrame
-from tissue_sim.fem.solid.free_dofs import FreeDofSystem
+from tissue_sim.fem.solid.free_dofs import FreeDofSubmatrix
 from tissue_sim.fem.solid.memory_rates import HistoryDerivatives
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Neighbours
@@ -47,7 +47,7 @@ _SETTINGS = RefinementSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class SensitivityInputs:
+class SolverDataForSensitivity:
     """Data of a solver from which its derivatives are computed.
 
     Attributes:
@@ -66,7 +66,7 @@ class SensitivityInputs:
     moved: np.ndarray
     tissue: Tissue
     contact: ContactNodes
-    matrix: FreeDofSystem
+    matrix: FreeDofSubmatrix
     first: ToolFrame
     assemble: Callable[[], None]
 
@@ -110,14 +110,14 @@ class SolidSensitivity:
         vector: derivatives of all three components of this force, shape (m, 3).
     """
 
-    def __init__(self, parts: SensitivityInputs, input_rates: Sequence[Sequence[np.ndarray]],
+    def __init__(self, parts: SolverDataForSensitivity, input_rates: Sequence[Sequence[np.ndarray]],
                  memories: Sequence[HistoryDerivatives], widths: np.ndarray):
         self._parts, self._memories, self._half = parts, memories, _WIDTH * widths
         self._regions = range(len(memories))
         m, n = widths.size, parts.contact.nodes.size
         #: For each parameter and region: input arrays and their derivatives.
         self._inputs = [[[(array, rate[k]) for array, rate in zip(region.inputs, rates, strict=True) if rate[k].any()]
-                         for region, rates in zip(parts.tissue.region_derivative_inputs, input_rates, strict=True)]
+                         for region, rates in zip(parts.tissue.region_material_arrays, input_rates, strict=True)]
                         for k in range(m)]
         self.vector = np.zeros((m, 3))
         self.force = self.vector[:, 2]
@@ -127,14 +127,14 @@ class SolidSensitivity:
         self._held = np.zeros((parts.moved.size // 3, 3, m))
         self._origin, self._undeformed = np.zeros((3, m)), np.zeros((*parts.nodes.shape, m))
         self._stretch, self._motion = np.zeros(m), np.zeros((parts.x.size, m))
-        self._laws: ContactLawDerivatives | None = None
+        self._laws: LawDerivativesByPositionSlipForce | None = None
         self._added, self._sparse = np.zeros((n, 3, 3)), SparseSolver()
         self._stretched: list[tuple[np.ndarray, np.ndarray]] = []
         self._kinds, self._changed = np.zeros((5, n), dtype=bool), False
 
     @classmethod
-    def from_neighbours(cls, parts: SensitivityInputs, neighbours: Neighbours, here: Material,
-                        set_material: Callable[[Material], None]) -> SolidSensitivity:
+    def from_neighbouring_materials(cls, parts: SolverDataForSensitivity, neighbours: Neighbours, here: Material,
+                                    set_material: Callable[[Material], None]) -> SolidSensitivity:
         """Make the derivatives from materials with increased and decreased parameters, set one after the other.
 
         The material of the solver is restored.
@@ -145,14 +145,15 @@ class SolidSensitivity:
             here: present material of the solver, which is restored.
             set_material: sets the material of the solver.
         """
-        def copy_material_inputs(material: Material) -> list[list[np.ndarray]]:
+        def set_material_and_copy_inputs(material: Material) -> list[list[np.ndarray]]:
             """Set a material, and return copies of the arrays that it sets, for each region."""
             set_material(material)
             return [[array.copy() for array in (*region.inputs, region.memory.past)] for region in regions]
 
-        regions = parts.tissue.region_derivative_inputs
+        regions = parts.tissue.region_material_arrays
         try:
-            sides = [(copy_material_inputs(more), copy_material_inputs(less)) for more, less, _ in neighbours]
+            sides = [(set_material_and_copy_inputs(more), set_material_and_copy_inputs(less)) for more, less,
+                     _ in neighbours]
         finally:
             set_material(here)
         widths = np.array([width for *_, width in neighbours])
@@ -172,7 +173,7 @@ class SolidSensitivity:
         """Set the derivatives of the state of the first touch, before the first step."""
         parts, contact, first = self._parts, self._parts.contact, self._parts.first
         self._stretch[:] = start.stretch
-        self._stretched = parts.tissue.batches.arrays_with_height_derivatives if start.stretch.any() else []
+        self._stretched = parts.tissue.batches.array_pairs_with_log_height_derivatives if start.stretch.any() else []
         self._undeformed[:, 2] = parts.nodes[:, 2, None] * start.stretch
         self._origin[2] = start.datum
         self._apart[:] = self._undeformed[contact.nodes]
@@ -202,7 +203,7 @@ class SolidSensitivity:
         return [self._motion.T, np.moveaxis(self._anchors, -1, 0), *(array for each in self._memories
                                                                      for array in each.state_arrays)]
 
-    def pop_contact_change(self) -> bool:
+    def pop_contact_changed_flag(self) -> bool:
         """Whether the contact changed since the last call; see `tissue_sim.fem.solver.Derivatives`."""
         changed, self._changed = self._changed, False
         return changed
@@ -218,8 +219,8 @@ class SolidSensitivity:
         """
         parts, m = self._parts, self._half.size
         state = parts.contact.state
-        self._changed |= not np.array_equal(state.kink_flags, self._kinds)
-        self._kinds = state.kink_flags
+        self._changed |= not np.array_equal(state.discrete_contact_flags, self._kinds)
+        self._kinds = state.discrete_contact_flags
         if not m:
             return
         residual = parts.tissue.batches.residual.copy()
@@ -227,14 +228,13 @@ class SolidSensitivity:
         if aside:
             parts.assemble()
         for each in self._memories:
-            each.begin_step()
-        rates = np.stack([self._differentiate_forces(k) for k in range(m)], axis=1)
+            each.compute_inherited_derivatives()
+        rates = np.stack([self._differentiate_forces_by_one_parameter(k) for k in range(m)], axis=1)
         follows = frame.rotation @ self._held + self._origin - self._undeformed[parts.moved[::3] // 3]
-        self._laws = ContactLawDerivatives.differentiate_at_equilibrium(parts.contact,
-                                                                        parts.x.reshape(-1, 3)[parts.contact.nodes],
-                                                                        frame)
-        motion, forces = self._solve_for_derivatives(rates, follows.reshape(-1, m))
-        held = -(rates + self._multiply_by_tangent(motion))[parts.moved].reshape(-1, 3, m)
+        self._laws = LawDerivativesByPositionSlipForce.make_from_differences_or_none(
+            parts.contact, parts.x.reshape(-1, 3)[parts.contact.nodes], frame)
+        motion, forces = self._solve_displacement_and_force_derivatives(rates, follows.reshape(-1, m))
+        held = -(rates + self._multiply_by_tissue_tangent(motion))[parts.moved].reshape(-1, 3, m)
         self.vector[:] = held.sum(axis=0).T + forces[parts.contact.moves].sum(axis=0).T
         self._update_history_rates(motion)
         self._anchors = state.differentiate_anchors(self._select_contact_rows(motion) + self._apart, self._anchors)
@@ -243,14 +243,15 @@ class SolidSensitivity:
             each.end_shift_from_kink()
         parts.tissue.batches.residual[:] = residual
 
-    def _differentiate_forces(self, k: int) -> np.ndarray:
+    def _differentiate_forces_by_one_parameter(self, k: int) -> np.ndarray:
         """Return d forces / d parameter k at constant displacements, N per unit, shape (freedoms,)."""
-        acting = {number: [(array, rate) for array, rate in self._material_input_directions(k, number) if rate.any()]
+        acting = {number: [(array, rate) for array,
+                           rate in self._get_material_input_and_derivative_pairs(k, number) if rate.any()]
                   for number in self._regions}
-        stretched, tissue = self._mesh_input_directions(k), self._parts.tissue
+        stretched, tissue = self._get_mesh_input_and_derivative_pairs(k), self._parts.tissue
         regions = [number for number in self._regions if acting[number] or stretched]
         directions = [*stretched, *chain(*acting.values())]
-        forces, = self._differentiate_assembly_numerically(k, regions, directions, [tissue.batches.residual])
+        forces, = self._differentiate_assembly_along_direction(k, regions, directions, [tissue.batches.residual])
         forces[2:-1:3] += tissue.specific_weight * self._stretch[k] * tissue.batches.volumes
         return forces[:-1]
 
@@ -259,22 +260,22 @@ class SolidSensitivity:
         for number, each in enumerate(self._memories):
             memory = each.memory
             for k in range(motion.shape[1] if memory.works else 0):
-                directions = [*self._mesh_input_directions(k), *self._material_input_directions(k, number),
-                              (self._parts.x, motion[:, k])]
-                each.commit_parameter(k, *self._differentiate_assembly_numerically(k, [number], directions,
-                                                                                   [memory.stresses, memory.energies]))
+                directions = [*self._get_mesh_input_and_derivative_pairs(k),
+                              *self._get_material_input_and_derivative_pairs(k, number), (self._parts.x, motion[:, k])]
+                each.commit_parameter(k, *self._differentiate_assembly_along_direction(
+                    k, [number], directions, [memory.stresses, memory.energies]))
 
-    def _material_input_directions(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _get_material_input_and_derivative_pairs(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return pairs (input array of a region's assembly, its derivative with respect to parameter k)."""
-        return self._inputs[k][number] + self._memories[number].get_input_directions(k)
+        return self._inputs[k][number] + self._memories[number].get_input_and_derivative_pairs(k)
 
-    def _mesh_input_directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _get_mesh_input_and_derivative_pairs(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return pairs (input array that depends on the undeformed mesh, its derivative by parameter k)."""
         return [(array, self._stretch[k] * rate) for array, rate in self._stretched] if self._stretch[k] else []
 
-    def _differentiate_assembly_numerically(self, k: int, regions: Sequence[int],
-                                            directions: Sequence[tuple[np.ndarray, np.ndarray]],
-                                            results: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def _differentiate_assembly_along_direction(self, k: int, regions: Sequence[int],
+                                                directions: Sequence[tuple[np.ndarray, np.ndarray]],
+                                                results: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Differentiate the assembly of some regions in a direction, by central differences.
 
         Args:
@@ -293,14 +294,15 @@ class SolidSensitivity:
             for step in (self._half[k], -self._half[k]):
                 for (array, rate), value in zip(directions, here, strict=False):
                     array[:] = value + step * rate
-                self._parts.tissue.assemble_region_forces(regions)
+                self._parts.tissue.set_residual_to_regions_forces(regions)
                 found.append([result.copy() for result in results])
         finally:
             for array, value in kept:
                 array[:] = value
         return [(more - less) / (2.0 * self._half[k]) for more, less in zip(*found, strict=True)]
 
-    def _solve_for_derivatives(self, rates: np.ndarray, follows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _solve_displacement_and_force_derivatives(self, rates: np.ndarray,
+                                                  follows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Solve for the derivatives of displacements and contact forces with respect to m parameters.
 
         Args:
@@ -315,17 +317,17 @@ class SolidSensitivity:
         state, m, own = contact.state, rates.shape[1], contact.rates - contact.law_rates
         motion, forces = np.zeros_like(rates), np.zeros((contact.nodes.size, 3, m))
         motion[parts.moved] = follows
-        self._added = own if self._laws is None else own + self._laws.differentiate_by_motion(own)
+        self._added = own if self._laws is None else own + self._laws.differentiate_law_forces_by_displacement(own)
         parts.matrix.add_contact_stiffness(self._added)
         symmetric = not state.slides.any() and _are_symmetric(self._added)
-        factor = self._sparse.factorise(parts.matrix.free, symmetric=symmetric)
+        factor = self._sparse.factorise_or_none(parts.matrix.free, symmetric=symmetric)
         if factor is None:
             return np.full_like(motion, np.nan), np.full_like(forces, np.nan)
         # Reference: forces of tissue and contact; the penalty forces of the contact are much larger.
         size = np.linalg.norm(rates, axis=0)
         for _ in range(_SETTINGS.max_solutions):
-            found, missing, acting = self._differentiate_contact_forces(motion, forces)
-            right = rates + self._multiply_by_tangent(motion)
+            found, missing, acting = self._differentiate_contact_forces_and_residuals(motion, forces)
+            right = rates + self._multiply_by_tissue_tangent(motion)
             np.add.at(right.reshape(-1, 3, m), contact.nodes, acting)
             left = np.linalg.norm(right[parts.free], axis=0)
             size = np.maximum(size, np.linalg.norm(found.reshape(-1, m), axis=0))
@@ -335,13 +337,13 @@ class SolidSensitivity:
             change[parts.free] = -factor.solve(np.asfortranarray(right[parts.free])).reshape(-1, m)
             motion += change
             forces = found + missing + own @ self._select_contact_rows(change)
-        _, missing, acting = self._differentiate_contact_forces(motion, forces)
+        _, missing, acting = self._differentiate_contact_forces_and_residuals(motion, forces)
         if not (left <= _SETTINGS.acceptable * size).all():
             return np.full_like(motion, np.nan), np.full_like(acting, np.nan)
         return motion, acting - missing
 
-    def _differentiate_contact_forces(self, motion: np.ndarray, forces: np.ndarray
-                                      ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _differentiate_contact_forces_and_residuals(self, motion: np.ndarray, forces: np.ndarray
+                                                    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Differentiate the forces of the contact nodes with respect to m parameters.
 
         Returns:
@@ -349,13 +351,14 @@ class SolidSensitivity:
             of the laws, N, shape (n, 3, m) each.
         """
         state, against = self._parts.contact.state, self._select_contact_rows(motion) + self._apart
-        found, missing = state.differentiate_forces(against, self._anchors, forces)
+        found, missing = state.differentiate_forces_and_residuals(against, self._anchors, forces)
         acting = found + missing
         if self._laws is not None:
-            acting = acting + self._laws.differentiate_forces(against, against - state.turn @ self._anchors, acting)
+            slip = against - state.turn @ self._anchors
+            acting = acting + self._laws.differentiate_law_forces_by_parameters(against, slip, acting)
         return found, missing, acting
 
-    def _multiply_by_tangent(self, motion: np.ndarray) -> np.ndarray:
+    def _multiply_by_tissue_tangent(self, motion: np.ndarray) -> np.ndarray:
         """Return the tissue's stiffness times displacements, N per unit; the contact stiffness is excluded."""
         product = self._parts.matrix.all @ motion
         np.add.at(product.reshape(-1, 3, motion.shape[1]), self._parts.contact.nodes,

@@ -27,7 +27,7 @@ class SettledStateDerivatives(NamedTuple):
     resting: np.ndarray
 
 
-class SelfWeightLoadSteps(NamedTuple):
+class SelfWeightLoadStepRecord(NamedTuple):
     """Load steps by which a specimen came into equilibrium under its weight.
 
     Attributes:
@@ -43,7 +43,7 @@ class SelfWeightLoadSteps(NamedTuple):
     specimen: Specimen
     steps: list[tuple[float, list[np.ndarray]]]
 
-    def differentiate_settled_state(self, neighbours: Neighbours) -> SettledStateDerivatives | None:
+    def differentiate_settled_state_or_none(self, neighbours: Neighbours) -> SettledStateDerivatives | None:
         """Repeat the load steps from their stored equilibria, and differentiate the last one.
 
         Args:
@@ -64,21 +64,21 @@ class SelfWeightLoadSteps(NamedTuple):
                                                                                                           len(more)])))
         for weight, state in self.steps:
             solver.tissue.specific_weight = weight
-            solver.contact.begin_step()
+            solver.contact.copy_committed_bonds_to_step()
             for array, left in zip(_get_iterate_arrays(solver), state, strict=True):
                 array[:] = left
             if solver.step(solver.pose, np.inf, resumes=True).status is not StepStatus.CONVERGED:
                 return None
         carried, stretch = derivatives.state_derivatives, np.zeros(m)
         if more:
-            rises = np.average(carried[0][:, 2::3], axis=1, weights=self.mesh.compute_node_areas("top"))
+            rises = np.average(carried[0][:, 2::3], axis=1, weights=self.mesh.compute_node_areas_of_named_faces("top"))
             stretch = -rises[:m] / (rises[m] + float(np.ptp(self.mesh.nodes[:, 2])))
         settled = [each[:m] + np.multiply.outer(stretch, each[m]) if more else each for each in carried]
         return SettledStateDerivatives(stretch, settled, solver.contact.nodes)
 
 
-def solve_self_weight_equilibrium(stand: Callable[[SolidMesh], SolidSolver], mesh: SolidMesh, specimen: Specimen
-           ) -> tuple[SolidSolver, SelfWeightLoadSteps]:
+def settle_and_get_solver_and_load_steps(stand: Callable[[SolidMesh], SolidSolver], mesh: SolidMesh, specimen: Specimen
+                                         ) -> tuple[SolidSolver, SelfWeightLoadStepRecord]:
     """Compute the equilibrium of a specimen under its weight, without a tool.
 
     If the height of the specimen is the settled one, the undeformed height is determined by Newton's method.
@@ -98,10 +98,10 @@ def solve_self_weight_equilibrium(stand: Callable[[SolidMesh], SolidSolver], mes
     factor = 1.0
     for _ in range(50):
         solver = stand(mesh.scale_height(factor))
-        steps = _apply_weight_in_steps(solver, specimen.specific_weight)
+        steps = _apply_weight_and_record_steps(solver, specimen.specific_weight)
         stands = factor * height - solver.sag
         if specimen.height_is == "moulded" or abs(stands / height - 1) < 1e-10:
-            return solver, SelfWeightLoadSteps(stand, solver.mesh, specimen, steps)
+            return solver, SelfWeightLoadStepRecord(stand, solver.mesh, specimen, steps)
         # The sag grows with the square of the height: one Newton step on factor - c factor^2 = 1.
         loss = (factor * height - stands) / (factor**2 * height)
         factor -= (factor - loss * factor**2 - 1) / (1 - 2 * loss * factor) if 2 * loss * factor < 1 else -0.1
@@ -109,8 +109,8 @@ def solve_self_weight_equilibrium(stand: Callable[[SolidMesh], SolidSolver], mes
                            f"{specimen.specific_weight:g} N/m3. Check density and moduli")
 
 
-def _apply_weight_in_steps(solver: SolidSolver, specific_weight: float) -> list[tuple[float, list[np.ndarray]]]:
-    """Apply the weight in as few load steps as converge; return them as in `SelfWeightLoadSteps.steps`."""
+def _apply_weight_and_record_steps(solver: SolidSolver, specific_weight: float) -> list[tuple[float, list[np.ndarray]]]:
+    """Apply the weight in as few load steps as converge; return them as in `SelfWeightLoadStepRecord.steps`."""
     carried, part, steps = 0.0, 1.0, []
     while carried < 1.0:
         solver.tissue.specific_weight = min(1.0, carried + part) * specific_weight
@@ -125,7 +125,7 @@ def _apply_weight_in_steps(solver: SolidSolver, specific_weight: float) -> list[
             if part < SETTLING.smallest_part:
                 raise ConvergenceError("the specimen has no equilibrium under its own weight: the solver stopped at "
                                        f"{carried:.0%} of the weight ({step.status.message}). Check density and moduli")
-    solver.set_resting_state()
+    solver.make_committed_state_the_resting_state()
     return steps
 
 

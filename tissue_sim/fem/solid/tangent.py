@@ -13,7 +13,7 @@ import numpy as np
 
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.contact import ContactNodes
-from tissue_sim.fem.solid.free_dofs import FreeDofSystem
+from tissue_sim.fem.solid.free_dofs import FreeDofSubmatrix
 from tissue_sim.fem.solid.tissue import Tissue
 
 
@@ -52,20 +52,20 @@ class ReusableTangentFactor:
         stale: whether the factor belongs to an earlier iterate.
     """
 
-    def __init__(self, tissue: Tissue, contact: ContactNodes, matrix: FreeDofSystem, sparse: SparseSolver,
+    def __init__(self, tissue: Tissue, contact: ContactNodes, matrix: FreeDofSubmatrix, sparse: SparseSolver,
                  free: np.ndarray):
         self._tissue, self._contact, self._matrix, self._sparse, self._free = tissue, contact, matrix, sparse, free
         self.factor: Factor | None = None
         self.stale, self._before = False, np.inf
 
-    def factorise(self, symmetric: bool) -> Factor | None:
+    def factorise_with_contact_or_none(self, symmetric: bool) -> Factor | None:
         """Add the contact stiffness to the matrix that was assembled last, factorise it, and return the factor.
 
         The factor is also stored in `factor`; it is None if the matrix is singular.
         """
         self._matrix.add_contact_stiffness(self._contact.rates)
         self._contact.store_assembled_contact_rates()
-        self.factor, self.stale = self._sparse.factorise(self._matrix.free, symmetric=symmetric), False
+        self.factor, self.stale = self._sparse.factorise_or_none(self._matrix.free, symmetric=symmetric), False
         return self.factor
 
     def solve_increment(self, right: np.ndarray, way: np.ndarray | None, apart: np.ndarray) -> np.ndarray:
@@ -79,7 +79,7 @@ class ReusableTangentFactor:
         assert self.factor is not None
         contact, motion = self._contact, np.zeros_like(right)
         if self.stale:
-            self._tissue.correct_forces_for_old_volume_rates(right)
+            self._tissue.correct_forces_for_reused_matrix(right)
         pushed = np.einsum("nij,nj->ni", contact.known_rates, contact.missed)
         if way is not None:
             motion += way
@@ -89,8 +89,8 @@ class ReusableTangentFactor:
         motion[self._free] = -self.factor.solve(right[self._free])
         return motion
 
-    def record_solution(self, ratio: float, far: bool) -> None:
-        """Record the relative residual before a linear solution; `is_accurate` compares the next residual with it.
+    def record_residual_before_solution(self, ratio: float, far: bool) -> None:
+        """Record the relative residual before a linear solution; `can_reuse_factor` compares the next residual with it.
 
         Args:
             ratio: relative residual before the solution, 1.
@@ -98,7 +98,7 @@ class ReusableTangentFactor:
         """
         self.stale, self._before = not far and ratio <= _SETTINGS.far, ratio
 
-    def is_accurate(self, ratio: float, goal: float, changed: bool) -> bool:
+    def can_reuse_factor(self, ratio: float, goal: float, changed: bool) -> bool:
         """Return whether the factor of an earlier iterate reduces the residual fast enough to be used again.
 
         Args:

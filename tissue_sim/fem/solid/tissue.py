@@ -7,22 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.fem.history import MaterialMemory
 from tissue_sim.fem.solid.assembly import make_assembly_kernel
 from tissue_sim.fem.solid.batches import ElementBatches
-from tissue_sim.fem.solid.element import SettingColumn
+from tissue_sim.fem.solid.element import AssemblySettingColumn
 from tissue_sim.fem.solid.point_effects import SolidPointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.material.layer import Layer
-from tissue_sim.material.material import BULK_RATIOS, Material, get_ratio_of_incompressible_material
+from tissue_sim.material.material import BULK_RATIOS, Material, compute_finite_bulk_to_shear_ratio
 from tissue_sim.material.viscoelasticity import Prony
 from tissue_sim.mesh.solid import SolidMesh
 
 
-class RegionDerivativeInputs(NamedTuple):
+class RegionMaterialArrays(NamedTuple):
     """Arrays and history of the elements of one region that depend on its material, for `SolidSensitivity`.
 
     Attributes:
@@ -43,7 +43,7 @@ class RegionElements:
         name: name of the region of the mesh; "" for elements without a region.
         elements: indices of the elements, shape (n,).
         points: number of quadrature points of an element.
-        settings: number of settings of the kernel, see `SettingColumn`.
+        settings: number of settings of the kernel, see `AssemblySettingColumn`.
 
     Attributes:
         bulk: bulk modulus of the material, Pa.
@@ -69,9 +69,9 @@ class RegionElements:
         else:
             self.coefficients = np.array(coefficients)
         memory = self.memory
-        memory.set_material(own.relaxation(contact_radius), own.softening, own.instantaneous_factor)
+        memory.set_material(own.relaxation(contact_radius), own.softening, own.instantaneous_over_law_modulus_ratio)
         self.bulk, self.mu0 = bulk, own.mu0
-        self.settings[SettingColumn.KAPPA], self.settings[SettingColumn.REMEMBERS] = bulk, memory.works
+        self.settings[AssemblySettingColumn.KAPPA], self.settings[AssemblySettingColumn.REMEMBERS] = bulk, memory.works
         return {"settings": self.settings, "least": self.least, "coefficients": self.coefficients,
                 "past": memory.past, "inherited": memory.inherited, "largest": memory.largest,
                 "stresses": memory.stresses, "energies": memory.energies}
@@ -119,15 +119,15 @@ class Tissue:
         return np.repeat(self.bulk_moduli, LANES)[self.batches.lane_of]
 
     @property
-    def region_derivative_inputs(self) -> tuple[RegionDerivativeInputs, ...]:
+    def region_material_arrays(self) -> tuple[RegionMaterialArrays, ...]:
         """For each region, in the order of the regions: arrays and history that depend on its material."""
-        def make_relaxation_function(name: str) -> Callable[[Material], Prony | None]:
+        def make_region_prony_getter(name: str) -> Callable[[Material], Prony | None]:
             """Return the function that returns the Prony series of a region, or None, for a solid's material."""
             return lambda material: material.regions.get(name, material).relaxation(self.contact_radius)
 
-        kappa = slice(SettingColumn.KAPPA, SettingColumn.KAPPA + 1)
-        return tuple(RegionDerivativeInputs((region.settings[kappa], region.coefficients, self.batches.moduli[part]),
-                                            region.memory, make_relaxation_function(region.name))
+        kappa = slice(AssemblySettingColumn.KAPPA, AssemblySettingColumn.KAPPA + 1)
+        return tuple(RegionMaterialArrays((region.settings[kappa], region.coefficients, self.batches.moduli[part]),
+                                          region.memory, make_region_prony_getter(region.name))
                      for region, part in zip(self._regions, self.batches.parts, strict=True))
 
     def set_material(self, material: Material) -> None:
@@ -142,16 +142,17 @@ class Tissue:
         bulks = [find_finite_bulk_modulus(each, self._mesh) for each in materials]
         self.effects.set_effects(material.effects.values())
         self.material = material
-        self.batches.set_modulus_ratios(layer_modulus_ratios(material, self._layers))
+        self.batches.set_modulus_ratios(get_modulus_ratios_of_layer_indices(material, self._layers))
         for region, own, bulk, part in zip(self._regions, materials, bulks, self.batches.parts, strict=True):
             named = region.set_material(own, bulk, self.contact_radius)
-            region.settings[SettingColumn.REMEMBERS] = region.memory.works or bool(self.effects)
+            region.settings[AssemblySettingColumn.REMEMBERS] = region.memory.works or bool(self.effects)
             self.bulk_moduli[part] = bulk
             with LOCK:
                 kernel = make_assembly_kernel(self._mesh.element.name, own.energy_law.kernel_energy)
-                region.kernel = BoundKernel(kernel, {"x": self._x, **named, **self.batches.get_kernel_arrays(part)})
+                region.kernel = BoundKernel(kernel,
+                                            {"x": self._x, **named, **self.batches.get_kernel_arrays_by_name(part)})
 
-    def assemble_forces_and_tangent(self, tangent: bool = True) -> float:
+    def assemble_and_get_least_volume_ratio(self, tangent: bool = True) -> float:
         """Assemble residual and, if `tangent`, matrix in `batches` at the present displacements.
 
         Returns:
@@ -164,7 +165,7 @@ class Tissue:
             self.batches.residual[2:-1:3] += self.specific_weight * self.batches.volumes
         return min(float(region.least[0]) for region in self._regions)
 
-    def assemble_region_forces(self, numbers: Sequence[int]) -> None:
+    def set_residual_to_regions_forces(self, numbers: Sequence[int]) -> None:
         """Overwrite the residual with the forces of the regions with these indices, without weight and effects."""
         self.batches.residual[:] = 0.0
         self._run_region_kernels([self._regions[number] for number in numbers], False)
@@ -173,11 +174,11 @@ class Tissue:
         """Run the assembly kernels; the first region overwrites residual and matrix, the others add to them."""
         with LOCK:
             for region in regions:
-                region.settings[SettingColumn.TANGENT] = tangent
-                region.settings[SettingColumn.ADDS] = region is not regions[0]
+                region.settings[AssemblySettingColumn.TANGENT] = tangent
+                region.settings[AssemblySettingColumn.ADDS] = region is not regions[0]
                 region.kernel()
 
-    def compute_element_forces(self, bulk_ratio: float, standing: np.ndarray) -> np.ndarray:
+    def compute_element_forces_limiting_bulk(self, bulk_ratio: float, standing: np.ndarray) -> np.ndarray:
         """Compute the forces of each element on its nodes, without weight, N, shape (elements, freedoms of an element).
 
         The bulk modulus is the element's, or `bulk_ratio` times its shear modulus if that is less. Residual, matrix and
@@ -189,19 +190,20 @@ class Tissue:
         """
         self.batches.pressures[:], left = 0.0, np.zeros(self.batches.batches)
         for region, part in zip(self._regions, self.batches.parts, strict=True):
-            region.settings[SettingColumn.KAPPA] = min(region.bulk, bulk_ratio * region.mu0)
-            left[part] = 1.0 - region.settings[SettingColumn.KAPPA] / region.bulk
-        self.assemble_forces_and_tangent()
+            region.settings[AssemblySettingColumn.KAPPA] = min(region.bulk, bulk_ratio * region.mu0)
+            left[part] = 1.0 - region.settings[AssemblySettingColumn.KAPPA] / region.bulk
+        self.assemble_and_get_least_volume_ratio()
         for region in self._regions:
-            region.settings[SettingColumn.KAPPA] = region.bulk
+            region.settings[AssemblySettingColumn.KAPPA] = region.bulk
         lost = left[:, None, None] * standing.reshape(self.batches.batches, -1, LANES)
-        return self.batches.element_forces + self.batches.compute_pressure_forces(lost.reshape(standing.shape))
+        return self.batches.last_assembled_element_forces + self.batches.compute_pressure_forces_by_element(
+            lost.reshape(standing.shape))
 
     def update_pressures(self, motion: np.ndarray) -> None:
         """Update the pressures after a linear solution with displacement increments, m, shape (freedoms,)."""
-        self.batches.update_pressures(motion, self.bulk_moduli)
+        self.batches.update_pressures_linearly(motion, self.bulk_moduli)
 
-    def correct_forces_for_old_volume_rates(self, forces: np.ndarray) -> None:
+    def correct_forces_for_reused_matrix(self, forces: np.ndarray) -> None:
         """Correct forces, N, shape (freedoms,), in place for a matrix that was assembled at an earlier state.
 
         The pressures were eliminated from the matrix with the volume derivatives of that state.
@@ -232,7 +234,7 @@ class Tissue:
         """Whether the stress depends on the history, so that the force may change while the tool is at rest."""
         return bool(self.effects) or any(region.memory.works for region in self._regions)
 
-    def compute_committed_stresses(self) -> np.ndarray | None:
+    def get_committed_isochoric_pk2_or_none(self) -> np.ndarray | None:
         """Return isochoric second Piola-Kirchhoff stresses of the committed step, Pa, shape (elements, q, 6).
 
         None if no material has a history.
@@ -241,7 +243,7 @@ class Tissue:
             return None
         found = np.zeros((*self.batches.weights.shape, 6))
         for region in self._regions:
-            found[region.elements] = region.memory.total_stress()
+            found[region.elements] = region.memory.compute_committed_relaxed_stress()
             if self.effects and region.name == "":
                 found[region.elements] += self.effects.stress
         return found
@@ -269,7 +271,8 @@ def require_mesh_regions(material: Material, mesh: SolidMesh) -> None:
     """
     for name in material.regions:
         if name not in mesh.regions:
-            known = suggest_known_word(name, mesh.regions) if mesh.regions else "; it has no named regions"
+            known = make_hint_with_similar_or_known_words(name, mesh.regions) if mesh.regions \
+                else "; it has no named regions"
             raise InputError(f"the mesh has no region {name!r}{known}", field="material.regions")
 
 
@@ -281,7 +284,7 @@ def element_layers(mesh: SolidMesh, layers: tuple[Layer, ...]) -> np.ndarray:
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), mesh.element_depths)
 
 
-def layer_modulus_ratios(material: Material, layers: np.ndarray) -> np.ndarray:
+def get_modulus_ratios_of_layer_indices(material: Material, layers: np.ndarray) -> np.ndarray:
     """Return for each layer index the factor on the moduli of the material, 1, shape of `layers`.
 
     The factor is 1 for the index after the last layer, which means no layer.
@@ -295,7 +298,7 @@ def node_shear_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -
 
     The argument `layers` is the result of `element_layers`.
     """
-    moduli = layer_modulus_ratios(material, layers)
+    moduli = get_modulus_ratios_of_layer_indices(material, layers)
     for name, elements in group_elements_by_region(mesh).items():
         moduli[elements] *= material.regions.get(name, material).mu0
     nodes = mesh.connectivity.ravel()
@@ -312,7 +315,7 @@ def find_finite_bulk_modulus(material: Material, mesh: SolidMesh) -> float:
     bulk = material.bulk_modulus
     if np.isinf(bulk):
         wide, _, high = np.ptp(mesh.nodes, axis=0).tolist()
-        bulk = get_ratio_of_incompressible_material(0.5 * wide, high) * material.mu0
+        bulk = compute_finite_bulk_to_shear_ratio(0.5 * wide, high) * material.mu0
     low, most = BULK_RATIOS
     if not low <= bulk / material.mu0 <= most:
         raise InputError(f"K/mu0 must be {low:g} to {most:g}, for which the finite elements are verified; got "

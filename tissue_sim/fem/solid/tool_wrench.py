@@ -12,7 +12,7 @@ from tissue_sim.fem.solid.frame import ToolFrame, differentiate_rotated_forces
 from tissue_sim.tool_force import Matrix
 
 
-class ToolConstraint(NamedTuple):
+class HeldAndContactNodes(NamedTuple):
     """Nodes that the tool holds or may touch, and their forces, at a state.
 
     Attributes:
@@ -37,10 +37,11 @@ class ToolConstraint(NamedTuple):
         rates = np.concatenate([self.frame.differentiate_points(self.held),
                                 self.frame.differentiate_points(self.places[moves])])
         # The residual at held nodes is the force that the tool must apply.
-        forces = np.concatenate([-self.forces, self.contact.total_forces[moves]])
+        forces = np.concatenate([-self.forces, self.contact.contact_and_law_forces_by_node[moves]])
         return np.einsum("nik,ni->k", rates, forces)
 
-    def condense_stiffness(self, matrix: Any, factor: Factor, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def compute_stiffness_and_motion_by_pose(self, matrix: Any, factor: Factor,
+                                             free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Condense the stiffness onto the pose of the tool (Schur complement), and differentiate the displacements.
 
         Args:
@@ -59,7 +60,7 @@ class ToolConstraint(NamedTuple):
         way, turned = np.zeros((2, len(contact.nodes), 3, 6))
         way[moves] = frame.differentiate_points(self.places[moves])
         # Contact forces rotate with the tool.
-        turned[moves] = differentiate_rotated_forces(contact.total_forces[moves])
+        turned[moves] = differentiate_rotated_forces(contact.contact_and_law_forces_by_node[moves])
         # Nodal forces for a motion of the tool with fixed tissue; the matrix contains the contact stiffness.
         pushed = matrix @ moved
         np.add.at(pushed.reshape(-1, 3, 6), contact.nodes, turned - np.einsum("nij,njk->nik", contact.rates, way))
@@ -72,7 +73,7 @@ class ToolConstraint(NamedTuple):
         # The levers of the torque change as well: by the displacement of the node minus that of the tool.
         apart = np.concatenate([levers, answer.reshape(-1, 3, 6)[contact.nodes[moves]]])
         apart[:, :, :3] -= np.eye(3)
-        forces = np.concatenate([-self.forces, contact.total_forces[moves]])
+        forces = np.concatenate([-self.forces, contact.contact_and_law_forces_by_node[moves]])
         wrench_rate[3:] += np.cross(apart, forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
         return -wrench_rate, answer
 

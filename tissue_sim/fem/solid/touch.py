@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.fem.solid.bodies import NearestSurfacePoints, RigidBody, find_nearest_surface_points
+from tissue_sim.fem.solid.bodies import NearestSurfaceGeometry, RigidBody, find_nearest_surface_geometry
 from tissue_sim.fem.solid.frame import ToolFrame
-from tissue_sim.mesh.side_points import FaceInterpolation
+from tissue_sim.mesh.side_points import FacePolynomialMaps
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose
 
@@ -63,7 +63,7 @@ class FirstTouch:
     place: np.ndarray | None = None
     normal: np.ndarray | None = None
 
-    def differentiate_height(self, mesh: SolidMesh, ways: np.ndarray) -> float:
+    def differentiate_height_by_mesh_parameter(self, mesh: SolidMesh, ways: np.ndarray) -> float:
         """Return the derivative of `height` with respect to one parameter of the mesh, m per unit of the parameter.
 
         The touch must be on a face of the mesh.
@@ -74,8 +74,8 @@ class FirstTouch:
         """
         assert self.place is not None and self.normal is not None
         side = mesh.faces["top"][[self.side]]
-        face = FaceInterpolation(mesh.element, ways[side])
-        way = face.interpolate_positions(np.array([0]), self.place[None, None])[0, 0]
+        face = FacePolynomialMaps(mesh.element, ways[side])
+        way = face.evaluate_face_positions(np.array([0]), self.place[None, None])[0, 0]
         return float(way @ self.normal / self.normal[2])
 
 
@@ -102,7 +102,7 @@ def find_first_touch(mesh: SolidMesh, places: np.ndarray, bodies: list[RigidBody
     top = places[mesh.sets["top"]]
     if "top" not in mesh.faces:
         return FirstTouch(tool.find_touch_datum(top))
-    sides = FaceInterpolation(mesh.element, places[mesh.faces["top"]])
+    sides = FacePolynomialMaps(mesh.element, places[mesh.faces["top"]])
     datum = tool.find_touch_datum(np.concatenate([top, sides.middles]))
     # Other faces cannot be nearer than the point that was met first.
     reaches = sides.radii + sides.bulges + _SETTINGS.slack * tool.scale
@@ -142,19 +142,19 @@ class _ConvexTool:
         whole = {id(body.profile): replace(body, first_line=0, closed=False) for body in bodies}
         self._bodies, self._start, self.scale = list(whole.values()), start, scale
 
-    def find_nearest_on_parts(self, points: np.ndarray, datum: float) -> list[NearestSurfacePoints]:
+    def list_nearest_points_per_part(self, points: np.ndarray, datum: float) -> list[NearestSurfaceGeometry]:
         """Return one entry for each part of the tool: its surface points nearest to given points, m, shape (n, 3)."""
         at = ToolFrame(self._start, datum).transform_to_tool(points)
-        return [find_nearest_surface_points(body, at, pressed_in=False) for body in self._bodies]
+        return [find_nearest_surface_geometry(body, at, pressed_in=False) for body in self._bodies]
 
     def compute_gaps(self, points: np.ndarray, datum: float) -> np.ndarray:
         """Return the signed distances of points, m, shape (..., 3), from the tool, m, shape (...); negative inside."""
-        found = self.find_nearest_on_parts(points.reshape(-1, 3), datum)
+        found = self.list_nearest_points_per_part(points.reshape(-1, 3), datum)
         return np.min([each.gap for each in found], axis=0).reshape(points.shape[:-1])
 
     def compute_normals(self, points: np.ndarray, datum: float) -> np.ndarray:
         """Return outward normals of the tool at the points nearest to given ones, in the frame of the mesh, (n, 3)."""
-        found = self.find_nearest_on_parts(points, datum)
+        found = self.list_nearest_points_per_part(points, datum)
         part = np.argmin([each.gap for each in found], axis=0)
         return np.array([each.normal for each in found])[part, np.arange(len(points))] @ ToolFrame(
             self._start, datum).rotation.T
@@ -169,7 +169,7 @@ class _ConvexTool:
     def is_sharp_at(self, point: np.ndarray, datum: float) -> bool:
         """Whether the tool has an edge or a tip where it touches a point, m, shape (3,)."""
         away = datum + _SETTINGS.lift * self.scale
-        best = min(self.find_nearest_on_parts(point[None], away), key=lambda each: each.gap[0])
+        best = min(self.list_nearest_points_per_part(point[None], away), key=lambda each: each.gap[0])
         return float(np.abs(best.curvature[0]).max()) * self.scale > _SETTINGS.sharp
 
     def find_touch_datum(self, points: np.ndarray) -> float:
@@ -210,7 +210,7 @@ class _NearestFacePoint:
             horizontal one.
     """
 
-    def __init__(self, sides: FaceInterpolation, near: np.ndarray, tool: _ConvexTool, datum: float):
+    def __init__(self, sides: FacePolynomialMaps, near: np.ndarray, tool: _ConvexTool, datum: float):
         self._sides, self._tool = sides, tool
         points = sides.lattice[near]
         gaps = tool.compute_gaps(points, datum)
@@ -231,11 +231,11 @@ class _NearestFacePoint:
             return
         searched = near[bounds < self.gap - _SETTINGS.slack * tool.scale]
         if searched.size:
-            found, place = _minimise_gaps(sides, searched, tool, datum)
+            found, place = _minimise_gap_on_each_face(sides, searched, tool, datum)
             first = int(found.argmin())
             if found[first] < self.gap:
                 self.gap, self._side, self._place = float(found[first]), int(searched[first]), place[first]
-                self.point = sides.interpolate_positions(searched[[first]], place[first][None, None])[0, 0]
+                self.point = sides.evaluate_face_positions(searched[[first]], place[first][None, None])[0, 0]
 
     def make_first_touch(self, datum: float) -> FirstTouch:
         """Return the first touch at this point, for a height `datum` of the scene's origin, m.
@@ -248,8 +248,8 @@ class _NearestFacePoint:
         return FirstTouch(datum, self._side, self._place, normal)
 
 
-def _minimise_gaps(sides: FaceInterpolation, numbers: np.ndarray, tool: _ConvexTool,
-                   datum: float) -> tuple[np.ndarray, np.ndarray]:
+def _minimise_gap_on_each_face(sides: FacePolynomialMaps, numbers: np.ndarray, tool: _ConvexTool,
+                               datum: float) -> tuple[np.ndarray, np.ndarray]:
     """Find on each face the point that is nearest to the tool.
 
     The minimum along lines of one direction is a convex function of the line, so that both directions are searched in
@@ -261,21 +261,21 @@ def _minimise_gaps(sides: FaceInterpolation, numbers: np.ndarray, tool: _ConvexT
     def compute_distances(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return signed distances from the tool, m, shape of `v`, at the local coordinates (u, v) of each face."""
         squares = np.stack([np.broadcast_to(u[..., None], v.shape), v], axis=-1)
-        positions = sides.interpolate_positions(numbers, squares.reshape(len(numbers), -1, 2))
+        positions = sides.evaluate_face_positions(numbers, squares.reshape(len(numbers), -1, 2))
         return tool.compute_gaps(positions, datum).reshape(v.shape)
 
-    def minimise_along_line(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def find_minima_along_v_lines(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return for each u the smallest distance over v, m, and the v of this distance, shape of `u` each."""
-        return _minimise_convex(lambda v: compute_distances(u, v), u.shape, end)
+        return _minimise_convex_on_unit_interval(lambda v: compute_distances(u, v), u.shape, end)
 
     end = _SETTINGS.slack * tool.scale
-    found, u = _minimise_convex(lambda u: minimise_along_line(u)[0], numbers.shape, end)
-    _, v = minimise_along_line(u[:, None])
+    found, u = _minimise_convex_on_unit_interval(lambda u: find_minima_along_v_lines(u)[0], numbers.shape, end)
+    _, v = find_minima_along_v_lines(u[:, None])
     return found, np.stack([u, v[:, 0]], axis=-1)
 
 
-def _minimise_convex(values: Callable[[np.ndarray], np.ndarray], shape: tuple[int, ...], end: float
-                     ) -> tuple[np.ndarray, np.ndarray]:
+def _minimise_convex_on_unit_interval(values: Callable[[np.ndarray], np.ndarray], shape: tuple[int, ...], end: float
+                                      ) -> tuple[np.ndarray, np.ndarray]:
     """Minimise convex functions of one variable, one for each entry of `shape`, on [0, 1] by repeated refinement.
 
     Args:

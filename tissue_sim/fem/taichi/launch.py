@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import MissingBackendError, suggest_known_word
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.errors import MissingBackendError, make_hint_with_similar_or_known_words
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.kernel_owner import KernelOwner
 
 #: Kernel -> compiled kernel of Taichi, its machine code, and the function that launches it.
@@ -38,11 +38,11 @@ class BoundKernel(KernelOwner):
     """
 
     def __init__(self, kernel, arrays: Mapping[str, np.ndarray]):
-        expected = _describe_arguments(kernel)
+        expected = _list_argument_ranks_widths_and_types(kernel)
         for name in arrays:
             if name not in expected:
                 raise ValueError(f"arrays must be named like the arguments of the kernel; got {name!r}"
-                                 f"{suggest_known_word(name, expected)}")
+                                 f"{make_hint_with_similar_or_known_words(name, expected)}")
         if missing := [name for name in expected if name not in arrays]:
             raise ValueError(f"arrays must contain every argument of the kernel; {', '.join(missing)} missing.")
         for name, (rank, width, dtype) in expected.items():
@@ -60,7 +60,8 @@ class BoundKernel(KernelOwner):
     @classmethod
     def bind_by_name(cls, kernel, arrays: Mapping[str, np.ndarray]) -> BoundKernel:
         """Return the kernel bound to the arrays that are named like its arguments; further arrays are ignored."""
-        return cls(kernel, {name: arrays[name] for name in _describe_arguments(kernel) if name in arrays})
+        return cls(kernel,
+                   {name: arrays[name] for name in _list_argument_ranks_widths_and_types(kernel) if name in arrays})
 
     def is_bound_to(self, kernel, arrays: Mapping[str, np.ndarray]) -> bool:
         """Return whether this object is bound to this kernel and to these arrays (same memory and shape)."""
@@ -71,29 +72,30 @@ class BoundKernel(KernelOwner):
     def __call__(self) -> None:
         """Run the kernel. The first call compiles it, or loads it from the cache."""
         if self._start is None:
-            self._start = _bind_arrays(self.kernel, tuple(self.arrays.values()))
+            self._start = _make_launcher_with_arrays(self.kernel, tuple(self.arrays.values()))
         self._start()
 
 
 @cache
-def _describe_arguments(kernel) -> dict[str, tuple[int, int, np.dtype]]:
+def _list_argument_ranks_widths_and_types(kernel) -> dict[str, tuple[int, int, np.dtype]]:
     """Return argument name -> (rank, length of vectors or 0, type) for the array arguments of a kernel."""
     try:
-        return {argument.name: _parse_annotation(argument.annotation) for argument in kernel._primal.arguments}
+        return {argument.name: _parse_rank_width_and_dtype(argument.annotation)
+                for argument in kernel._primal.arguments}
     except AttributeError as error:
         raise _unsupported_taichi_error(error) from None
 
 
-def _parse_annotation(annotation) -> tuple[int, int, np.dtype]:
+def _parse_rank_width_and_dtype(annotation) -> tuple[int, int, np.dtype]:
     """Return the rank of an array, the length of its last axis for vectors (otherwise 0), and its type."""
-    from_taichi = initialise().lang.util.to_numpy_type
+    from_taichi = get_initialised_taichi().lang.util.to_numpy_type
     element = annotation.dtype
     if not hasattr(element, "n"):
         return annotation.ndim, 0, np.dtype(from_taichi(element))
     return annotation.ndim + 1, element.n, np.dtype(from_taichi(element.dtype))
 
 
-def _bind_arrays(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None]:
+def _make_launcher_with_arrays(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None]:
     """Bind arrays to the arguments of a kernel by position, and return the function that launches the kernel.
 
     This is `Kernel.launch_kernel` of Taichi 1.7.4, split into the part that is done once and the part of each launch.
@@ -104,7 +106,7 @@ def _bind_arrays(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None]:
         if kernel not in _COMPILED:
             # Compilation depends on type and rank of the arrays only, and the kernel states these.
             compiled = primal.compiled_kernels[primal.ensure_compiled(*arrays)]
-            program = initialise().lang.impl.get_runtime().prog
+            program = get_initialised_taichi().lang.impl.get_runtime().prog
             binary = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
             _COMPILED[kernel] = compiled, binary, program.launch_kernel
         compiled, binary, launch = _COMPILED[kernel]

@@ -28,7 +28,7 @@ LOCK = threading.RLock()
 CACHE_BYTES = 2**31 - 1
 
 
-def initialise():
+def get_initialised_taichi():
     """Import and initialise Taichi at the first call, and return the module `taichi`.
 
     Raises:

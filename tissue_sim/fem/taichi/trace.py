@@ -20,7 +20,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.parameters import list_field_declarations
 
 #: Numpy's functions that a formula may use, by the name of Taichi's.
@@ -37,7 +37,7 @@ TRIED: Any = object()
 Thing = TypeVar("Thing")
 
 
-class KernelFormula(NamedTuple, Generic[Thing]):
+class FormulaClassAndConstants(NamedTuple, Generic[Thing]):
     """Formula for which a kernel is compiled: a frozen dataclass and its constants, without its declared parameters.
 
     Attributes:
@@ -49,7 +49,7 @@ class KernelFormula(NamedTuple, Generic[Thing]):
     constants: tuple[tuple[str, Any], ...]
 
     @classmethod
-    def from_instance(cls, thing: Thing) -> KernelFormula[Thing]:
+    def from_law_or_effect(cls, thing: Thing) -> FormulaClassAndConstants[Thing]:
         """Return the formula of the class of an effect or a law, with the constants of this instance."""
         kind: Any = type(thing)
         known = list_field_declarations(kind)
@@ -65,7 +65,7 @@ class KernelFormula(NamedTuple, Generic[Thing]):
         """Return the values of the declared parameters of a law or effect, in the order of `parameter_names`."""
         return [float(getattr(thing, name)) for name in self.parameter_names]
 
-    def with_parameters(self, parameters: Iterable[Any]) -> Thing:
+    def build_unchecked_instance(self, parameters: Iterable[Any]) -> Thing:
         """Return a law or effect with these parameter values, which may be traced numbers and are not checked."""
         thing: Thing = object.__new__(self.kind)
         for name, value in (*self.constants, *zip(self.parameter_names, parameters, strict=True)):
@@ -86,7 +86,7 @@ class TracedNumber(NDArrayOperatorsMixin):
 
     def __init__(self, value: Any, lanes: bool):
         # A variable of the kernel: an expression that is used twice would be computed twice.
-        self.value, self.lanes = value if value is TRIED else initialise().lang.impl.expr_init(value), lanes
+        self.value, self.lanes = value if value is TRIED else get_initialised_taichi().lang.impl.expr_init(value), lanes
 
     def __bool__(self):
         raise InputError("a formula in a kernel cannot branch on a number (if, and, or). Choose between values "
@@ -103,9 +103,9 @@ class TracedNumber(NDArrayOperatorsMixin):
         if len(operands) == 2 and (folded := _simplify_operation(ufunc, *operands)) is not None:
             return folded
         if ufunc in _OPERATORS:
-            return _trace_operation(_OPERATORS[ufunc], *operands)
+            return _record_taichi_operation(_OPERATORS[ufunc], *operands)
         if ufunc in _FUNCTIONS:
-            return _trace_operation(getattr(initialise(), _FUNCTIONS[ufunc]), *operands)
+            return _record_taichi_operation(getattr(get_initialised_taichi(), _FUNCTIONS[ufunc]), *operands)
         raise InputError(f"a formula in a kernel cannot use numpy.{ufunc.__name__}. Use exp, log, sqrt, tanh, sin, "
                          "cos, tan, abs, maximum, minimum or where.")
 
@@ -118,11 +118,12 @@ class TracedNumber(NDArrayOperatorsMixin):
         if vector is not None:
             yes, no = (_spread_over_lanes(x, vector) for x in (yes, no))
             if not condition.lanes:
-                condition = _spread_over_lanes(_trace_operation(initialise().select, condition, 1.0, 0.0), vector) > 0.5
-        return _trace_operation(initialise().select, condition, yes, no)
+                condition = _spread_over_lanes(_record_taichi_operation(get_initialised_taichi().select, condition, 1.0,
+                                                                        0.0), vector) > 0.5
+        return _record_taichi_operation(get_initialised_taichi().select, condition, yes, no)
 
 
-def trace_values(values: Sequence[Any], lanes: bool) -> list[TracedNumber]:
+def wrap_as_traced_numbers(values: Sequence[Any], lanes: bool) -> list[TracedNumber]:
     """Wrap each Taichi expression in a `TracedNumber`; `lanes`: whether the expressions are vectors."""
     return [TracedNumber(value, lanes) for value in values]
 
@@ -138,23 +139,24 @@ def _simplify_operation(ufunc: np.ufunc, left: Any, right: Any) -> Any:
     """Return the simplified result of an operation with a constant 0 or 1 or of a small integer power, else None."""
     if ufunc is np.power and isinstance(right, int) and 1 <= right <= _PRODUCTS:
         return reduce(operator.mul, [left] * right)
-    if (ufunc is np.multiply and (_is_constant(left, 0) or _is_constant(right, 0))) or (
-            ufunc is np.divide and _is_constant(left, 0)):
+    if (ufunc is np.multiply and (_is_plain_number_equal_to(left, 0) or _is_plain_number_equal_to(right, 0))) or (
+            ufunc is np.divide and _is_plain_number_equal_to(left, 0)):
         return 0.0
-    if (ufunc in (np.add, np.subtract) and _is_constant(right, 0)) or (ufunc in (np.multiply,
-                                                                                 np.divide) and _is_constant(right, 1)):
+    if (ufunc in (np.add, np.subtract) and _is_plain_number_equal_to(right, 0)) \
+        or (ufunc in (np.multiply, np.divide) and _is_plain_number_equal_to(right, 1)):
         return left
-    if (ufunc is np.add and _is_constant(left, 0)) or (ufunc is np.multiply and _is_constant(left, 1)):
+    if (ufunc is np.add and _is_plain_number_equal_to(left, 0)) \
+        or (ufunc is np.multiply and _is_plain_number_equal_to(left, 1)):
         return right
-    return -right if ufunc is np.subtract and _is_constant(left, 0) else None
+    return -right if ufunc is np.subtract and _is_plain_number_equal_to(left, 0) else None
 
 
-def _is_constant(value: Any, number: int) -> bool:
+def _is_plain_number_equal_to(value: Any, number: int) -> bool:
     """Whether a value is the plain number `number`, not a traced number."""
     return not isinstance(value, TracedNumber) and value == number
 
 
-def _trace_operation(function: Callable, *operands: Any) -> TracedNumber:
+def _record_taichi_operation(function: Callable, *operands: Any) -> TracedNumber:
     """Apply a Taichi function to operands and return the traced result; `TRIED` operands give a `TRIED` result."""
     lanes = any(isinstance(x, TracedNumber) and x.lanes for x in operands)
     if any(isinstance(x, TracedNumber) and x.value is TRIED for x in operands):

@@ -35,7 +35,7 @@ class MeshLimits:
 LIMITS = MeshLimits()
 
 
-def select_volume_cells(content: MeshContent) -> CellBlock:
+def get_volume_cells_of_one_kind(content: MeshContent) -> CellBlock:
     """Return all volume elements of a file as one block, after checking that they are of one supported kind.
 
     Raises:
@@ -114,12 +114,12 @@ def require_valid_mesh(cells: CellBlock, points: np.ndarray, point_numbers: np.n
     if not used.all():
         raise InputError(f"node {point_numbers[np.argmin(used)]} belongs to no element of the volume; export only "
                          "nodes of elements")
-    _require_distinct_elements(points, point_numbers)
+    _require_no_coincident_nodes(points, point_numbers)
     _require_positive_volumes(cells, points)
-    _require_connected_body(cells)
+    _require_connected_manifold_body(cells)
 
 
-def _require_distinct_elements(points: np.ndarray, point_numbers: np.ndarray) -> None:
+def _require_no_coincident_nodes(points: np.ndarray, point_numbers: np.ndarray) -> None:
     """Require that no two nodes have the same position; `point_numbers` are their numbers in the file."""
     from scipy.spatial import cKDTree
 
@@ -156,7 +156,7 @@ def _require_positive_volumes(cells: CellBlock, points: np.ndarray) -> None:
         raise InputError(f"element {cells.numbers[np.argmin(least)]} is turned inside out")
 
 
-def _require_connected_body(cells: CellBlock) -> None:
+def _require_connected_manifold_body(cells: CellBlock) -> None:
     """Require that elements are connected through sides, and that their surface is closed and meets itself nowhere."""
     from scipy import sparse
     from scipy.sparse.csgraph import connected_components

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.files import decode_text, read_bytes
+from tissue_sim.files import decode_text_and_find_encoding, read_bytes
 from tissue_sim.mesh.formats.content import FACES, SOLIDS, CellBlock, MeshContent
 
 #: Description of the expected file for messages.
@@ -101,7 +101,7 @@ def read_inp(path: Path, largest: int) -> MeshContent:
     Raises:
         InputError: the file is invalid; the error states the line.
     """
-    text, _ = decode_text(read_bytes(path, _EXPECTED, largest), path, _EXPECTED)
+    text, _ = decode_text_and_find_encoding(read_bytes(path, _EXPECTED, largest), path, _EXPECTED)
     reader = _InpReader()
     for keyword in _iterate_keywords(text):
         if keyword.name == "INCLUDE":
@@ -174,11 +174,11 @@ class _InpReader:
         for row in keyword.rows if kind == "ELEMENT" else []:
             if len(row) > 1 and (side := _SIDE.fullmatch(row[1].upper())):
                 numbers = (np.array([int(row[0])]) if row[0].isdigit() else
-                           self._require_known_set(self._element_sets, row[0], keyword))
+                           self._get_defined_set(self._element_sets, row[0], keyword))
                 sides.append((numbers, int(side[1]) - 1))
         for row in keyword.rows if kind == "NODE" else []:
             numbers = (np.array([int(row[0])]) if row[0].isdigit()
-                       else self._require_known_set(self._node_sets, row[0], keyword))
+                       else self._get_defined_set(self._node_sets, row[0], keyword))
             self._extend_set(self._node_sets, name, numbers)
 
     def _read_set(self, keyword: _KeywordBlock, sets: dict[str, np.ndarray], option: str) -> None:
@@ -199,10 +199,10 @@ class _InpReader:
         self._extend_set(sets, name, np.array([int(word) for word in words if word.isdigit()], dtype=np.int64))
         for word in words:
             if not word.isdigit():
-                self._extend_set(sets, name, self._require_known_set(sets, word, keyword))
+                self._extend_set(sets, name, self._get_defined_set(sets, word, keyword))
 
     @staticmethod
-    def _require_known_set(sets: dict[str, np.ndarray], name: str, keyword: _KeywordBlock) -> np.ndarray:
+    def _get_defined_set(sets: dict[str, np.ndarray], name: str, keyword: _KeywordBlock) -> np.ndarray:
         """Return the numbers in a named set; an `InputError` for a set that is not defined yet."""
         if name.upper() not in sets:
             raise InputError(f"*{keyword.name} names the set {name!r}, which is not defined before this line",
@@ -223,20 +223,21 @@ class _InpReader:
                  for kind, table in self._blocks]
         starts = np.cumsum([0, *(len(block.numbers) for block in cells)])
 
-        def split_by_block(numbers: np.ndarray) -> list[np.ndarray]:
+        def split_numbers_into_block_indices(numbers: np.ndarray) -> list[np.ndarray]:
             """Return for each block of `cells` the sorted indices in the block of the elements with these numbers."""
             indices = np.sort(elements.find_known_indices(np.unique(numbers)))
             return [indices[(indices >= first) & (indices < last)] - first
                     for first, last in pairwise(starts.tolist())]
 
         sides = {name: np.array([(block, index, side) for numbers, side in rows
-                                 for block, indices in enumerate(split_by_block(numbers))
+                                 for block, indices in enumerate(split_numbers_into_block_indices(numbers))
                                  for index in indices.tolist()],
                                 dtype=np.intp).reshape(-1, 3) for name, rows in self._surfaces.items() if rows}
         return MeshContent(points, nodes.numbers, cells,
                            {name: nodes.find_known_indices(np.unique(numbers))
                             for name, numbers in self._node_sets.items()},
-                           {name: split_by_block(numbers) for name, numbers in self._element_sets.items()}, sides)
+                           {name: split_numbers_into_block_indices(numbers) for name,
+                            numbers in self._element_sets.items()}, sides)
 
 
 class _NumberToIndexMap:

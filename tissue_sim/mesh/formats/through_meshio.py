@@ -11,7 +11,7 @@ import numpy as np
 
 from tissue_sim.bounded import exclude_cpu_time_from_limit
 from tissue_sim.errors import InputError
-from tissue_sim.files import open_file
+from tissue_sim.files import open_input_file
 from tissue_sim.mesh.formats.content import CellBlock, MeshContent
 
 #: File name extension -> module of meshio, and number of the first node or element in this format.
@@ -36,7 +36,7 @@ def read_through_meshio(path: Path, largest: int) -> MeshContent:
         InputError: the file cannot be read, or meshio is not installed.
     """
     module, first = _MODULES[path.suffix.lower()]
-    with open_file(path, "a mesh", largest) as file:
+    with open_input_file(path, "a mesh", largest) as file:
         head = file.read(1)
     if not head:
         raise InputError("is empty, expected a mesh", file=path)
@@ -55,7 +55,7 @@ def read_through_meshio(path: Path, largest: int) -> MeshContent:
     except BaseException as error:  # meshio may raise any exception for a damaged file, including SystemExit
         reason = str(error) or type(error).__name__
         raise InputError(f"cannot be read as a mesh of the format {path.suffix!r}: {reason}", file=path) from None
-    numbers, point_numbers = _read_gmsh_numbers(path, largest) if module == "gmsh" else ({}, None)
+    numbers, point_numbers = _read_gmsh_element_and_node_numbers(path, largest) if module == "gmsh" else ({}, None)
     return _convert_mesh(mesh, first, numbers, point_numbers)
 
 
@@ -90,7 +90,8 @@ def _collect_point_sets(mesh: Any) -> dict[str, np.ndarray]:
     for name, values in (mesh.point_data or {}).items():
         values = np.asarray(values)
         if values.ndim == 1 and name not in _IGNORED:
-            sets.update({each: np.flatnonzero(values == value) for each, value in _find_set_values(name, values)})
+            sets.update({each: np.flatnonzero(values == value) for each,
+                         value in _list_set_names_and_values(name, values)})
     return sets
 
 
@@ -107,14 +108,14 @@ def _collect_cell_sets(mesh: Any, cells: list[CellBlock]) -> dict[str, list[np.n
         blocks = [np.asarray(block) for block in blocks]
         if name in _IGNORED or len(blocks) != len(cells) or any(block.ndim != 1 for block in blocks):
             continue
-        for each, value in _find_set_values(name, np.concatenate(blocks) if blocks else np.zeros(0)):
+        for each, value in _list_set_names_and_values(name, np.concatenate(blocks) if blocks else np.zeros(0)):
             if name == "gmsh:physical":
                 each = named.get(int(value), (f"physical {int(value)}", 0))[0]
             sets.setdefault(each, [np.flatnonzero(block == value) for block in blocks])
     return sets
 
 
-def _find_set_values(name: str, values: np.ndarray) -> list[tuple[str, float]]:
+def _list_set_names_and_values(name: str, values: np.ndarray) -> list[tuple[str, float]]:
     """Return the sets that an integer array defines: for each set its name, and the array value of its members.
 
     An array of zeros and ones defines one set with the name of the array; other arrays define sets ``name:value``. An
@@ -131,14 +132,14 @@ def _find_set_values(name: str, values: np.ndarray) -> list[tuple[str, float]]:
     return [(f"{name}:{int(value)}", float(value)) for value in found]
 
 
-def _read_gmsh_numbers(path: Path, largest: int) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
+def _read_gmsh_element_and_node_numbers(path: Path, largest: int) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
     """Read the numbers of elements and nodes in a text file of Gmsh, which meshio discards.
 
     Returns:
         Numbers of the elements by kind in the order of the file, and numbers of the nodes. Empty and None for a binary
         file, in which Gmsh numbers consecutively.
     """
-    with open_file(path, "a mesh", largest) as file:
+    with open_input_file(path, "a mesh", largest) as file:
         data = file.read(largest + 1)
     head = re.match(rb"\s*\$MeshFormat\s+(\S+)\s+0\s", data)
     if head is None:

@@ -20,7 +20,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_bytes
-from tissue_sim.recording.formats.afm_curve import build_curve_recording, read_tip_radius
+from tissue_sim.recording.formats.afm_curve import build_curve_recording, read_chiaro_tip_radius_or_none
 from tissue_sim.recording.formats.extra import import_optional_package
 from tissue_sim.recording.recording import Recording
 
@@ -62,9 +62,9 @@ def read_afm(path: str | Path, *, curve: int | None = None, spring_constant: flo
     read_bytes(path, _EXPECTED)
     afmformats = import_optional_package("afmformats", path)
     overrides = {key: value for key, value in (("spring constant", spring_constant), ("sensitivity", sensitivity))
-              if value is not None}
+                 if value is not None}
     recordings = []
-    with _extract_curve_files(path, afmformats.supported_extensions) as members:
+    with _extracted_curve_files(path, afmformats.supported_extensions) as members:
         number = 0
         for member in members:
             curves = _load_curves(afmformats, member, path, overrides)
@@ -72,7 +72,8 @@ def read_afm(path: str | Path, *, curve: int | None = None, spring_constant: flo
                 number += 1
                 if curve in (None, number):
                     with _convert_to_input_errors(path, f"curve {number}"):
-                        recording = build_curve_recording(each, number, overrides, read_tip_radius(member))
+                        recording = build_curve_recording(each, number, overrides,
+                                                          read_chiaro_tip_radius_or_none(member))
                     recordings.append(recording if member == path else recording.with_metadata(member=member.name))
             if curve is not None and number >= curve:
                 break
@@ -83,7 +84,7 @@ def read_afm(path: str | Path, *, curve: int | None = None, spring_constant: flo
 
 
 @contextmanager
-def _extract_curve_files(path: Path, suffixes: list[str]) -> Iterator[list[Path]]:
+def _extracted_curve_files(path: Path, suffixes: list[str]) -> Iterator[list[Path]]:
     """Context manager: paths of the files with curves. The files of a zip are in a temporary folder until the end."""
     if path.suffix.lower() != ".zip":
         yield [path]

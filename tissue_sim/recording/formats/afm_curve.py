@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.files import read_first_bytes
+from tissue_sim.files import read_first_bytes_or_empty
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 
 #: Modality of afmformats -> names of its segments in order. A relaxation begins with a rest above the tissue.
@@ -35,7 +35,7 @@ BASELINE_FRACTION = 0.1
 
 
 def build_curve_recording(curve: Any, number: int, overrides: Mapping[str, float] | None = None,
-                    tip_radius: float | None = None) -> Recording:
+                          tip_radius: float | None = None) -> Recording:
     """Return the recording of one curve of afmformats.
 
     Args:
@@ -50,9 +50,9 @@ def build_curve_recording(curve: Any, number: int, overrides: Mapping[str, float
     """
     metadata = _build_curve_metadata(curve, number, overrides or {}, tip_radius)
     force = _read_curve_column(curve, "force")
-    height, what = _read_height_and_source(curve, force, metadata.get("spring_constant_N_per_m"))
-    segments = _label_curve_segments(curve, height)
-    zero, contact = _find_force_in_air_and_contact(force, segments == "approach")
+    height, what = _get_height_and_description_of_source(curve, force, metadata.get("spring_constant_N_per_m"))
+    segments = _make_segment_name_per_sample(curve, height)
+    zero, contact = _find_force_in_air_and_contact_index(force, segments == "approach")
     channels = {"displacement": height[contact] - height, "force": force - zero}
     if "time" in curve:
         channels = {"time": _read_curve_column(curve, "time"), **channels}
@@ -62,11 +62,11 @@ def build_curve_recording(curve: Any, number: int, overrides: Mapping[str, float
     return Recording(channels, {"segment": segments}, metadata)
 
 
-def read_tip_radius(path: Path) -> float | None:
+def read_chiaro_tip_radius_or_none(path: Path) -> float | None:
     """Return the radius of the sphere, m, in a text file of a Chiaro, which afmformats omits; None: not stated."""
     if path.suffix != ".txt":
         return None
-    for line in read_first_bytes(path, 16_384).decode("latin-1").splitlines()[:60]:
+    for line in read_first_bytes_or_empty(path, 16_384).decode("latin-1").splitlines()[:60]:
         name, _, value = line.partition("\t")
         if name.strip() == "Tip radius (um)":
             try:
@@ -93,7 +93,8 @@ def _read_curve_column(curve: Any, name: str) -> np.ndarray:
     return values
 
 
-def _read_height_and_source(curve: Any, force: np.ndarray, spring_constant: float | None) -> tuple[np.ndarray, str]:
+def _get_height_and_description_of_source(curve: Any, force: np.ndarray,
+                                          spring_constant: float | None) -> tuple[np.ndarray, str]:
     """Return the height above an arbitrary level, m, shape (n,), and its source in words.
 
     The height is that of the tip or, without a spring constant, that of the piezo.
@@ -101,13 +102,13 @@ def _read_height_and_source(curve: Any, force: np.ndarray, spring_constant: floa
     if "tip position" in curve:
         return _read_curve_column(curve, "tip position"), "tip"
     height = _read_curve_column(curve, next((name for name in ("height (measured)", "height (piezo)") if name in curve),
-                                 "height (measured)"))
+                                            "height (measured)"))
     if spring_constant is None:
         return height, "piezo: the file has no spring constant, so the deflection of the cantilever is in it"
     return height + force / spring_constant, "tip"
 
 
-def _label_curve_segments(curve: Any, height: np.ndarray) -> np.ndarray:
+def _make_segment_name_per_sample(curve: Any, height: np.ndarray) -> np.ndarray:
     """Return the name of the segment of each sample, shape (n,)."""
     numbers, names = np.asarray(curve["segment"], int), SEGMENTS_OF_MODALITY[curve.modality]
     if numbers.max() == numbers.min():
@@ -119,7 +120,7 @@ def _label_curve_segments(curve: Any, height: np.ndarray) -> np.ndarray:
     return np.array(names)[numbers]
 
 
-def _find_force_in_air_and_contact(force: np.ndarray, approach: np.ndarray) -> tuple[float, int]:
+def _find_force_in_air_and_contact_index(force: np.ndarray, approach: np.ndarray) -> tuple[float, int]:
     """Return the force in air, N, and the index of the sample at contact."""
     samples = np.flatnonzero(approach)
     if not samples.size:

@@ -24,7 +24,7 @@ class AlternativeValue:
     flag: str = ""
 
     @property
-    def changes_modulus(self) -> bool:
+    def may_change_modulus(self) -> bool:
         """Whether the modulus changes by more than `MODULUS_TOLERANCE`, or by an unknown amount.
 
         Either value may be the true one: the change counts relative to the smaller modulus.
@@ -58,7 +58,7 @@ class Assumption:
     @property
     def needs_user_decision(self) -> bool:
         """Whether the user must decide: an alternative fits as well and changes the modulus."""
-        return not self.is_stated and any(each.changes_modulus for each in self.alternatives)
+        return not self.is_stated and any(each.may_change_modulus for each in self.alternatives)
 
     @property
     def question_text(self) -> str:

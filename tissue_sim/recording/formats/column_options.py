@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.recording.formats.number_text import DECIMAL_MARKS
 from tissue_sim.recording.measures import require_valid_measure
 from tissue_sim.recording.recording import CHANNELS, LABELS
@@ -54,14 +54,17 @@ def normalize_column_mapping(columns: Mapping[str, Any]) -> dict[str, dict[str, 
     for channel, entry in columns.items():
         field = f"columns.{channel}"
         if channel not in CHANNELS and channel not in LABELS:
-            raise InputError(f"unknown channel{suggest_known_word(str(channel), (*CHANNELS, *LABELS))}", field=field)
+            raise InputError(
+                f"unknown channel{make_hint_with_similar_or_known_words(str(channel), (*CHANNELS, *LABELS))}",
+                field=field)
         entry = {"name": entry} if isinstance(entry, str) else entry
         if not isinstance(entry, Mapping):
             raise InputError(f"must be a column name or a map with name or column, unit and sign; got {entry!r}",
                              field=field)
         for key, value in entry.items():
             if key not in _KEYS:
-                raise InputError(f"unknown key{suggest_known_word(str(key), _KEYS)}", field=f"{field}.{key}")
+                raise InputError(f"unknown key{make_hint_with_similar_or_known_words(str(key), _KEYS)}",
+                                 field=f"{field}.{key}")
             if key == "sign" and (isinstance(value, bool) or value not in (1, -1)):
                 raise InputError(f"must be 1 or -1; got {value!r}", field=f"{field}.sign")
             if key in ("name", "unit") and not isinstance(value, str):
@@ -76,7 +79,7 @@ def normalize_column_mapping(columns: Mapping[str, Any]) -> dict[str, dict[str, 
         if "column" in entry:
             if "name" in entry:
                 raise InputError("give either the name or the number of the column", field=f"{field}.column")
-            entry = {**entry, "column": parse_column_number(entry["column"], f"{field}.column")}
+            entry = {**entry, "column": parse_column_number_or_letters(entry["column"], f"{field}.column")}
         elif not entry.get("name", "").strip():
             raise InputError("the name of the column is missing", field=f"{field}.name")
         if "measure" in entry:
@@ -88,7 +91,7 @@ def normalize_column_mapping(columns: Mapping[str, Any]) -> dict[str, dict[str, 
     return checked
 
 
-def parse_column_number(column: Any, field: str = "column") -> int:
+def parse_column_number_or_letters(column: Any, field: str = "column") -> int:
     """Return the number of a column, from 1, for a number or for letters of a spreadsheet: ``"AB"`` gives 28.
 
     Raises:

@@ -10,45 +10,49 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, add_location_to_errors
-from tissue_sim.files import decode_text, read_bytes
+from tissue_sim.errors import InputError, located_and_converted_errors
+from tissue_sim.files import decode_text_and_find_encoding, read_bytes
 from tissue_sim.recording.formats.blocks import (
     NumberBlock,
-    find_blocks_by_column_names,
-    find_blocks_by_column_numbers,
-    find_unread_columns,
+    find_names_of_unread_columns,
+    find_table_and_blocks_by_column_indices,
+    find_table_and_blocks_by_column_names,
 )
-from tissue_sim.recording.formats.cell_units import has_units_of_previous_rows
+from tissue_sim.recording.formats.cell_units import has_same_units_in_trailing_lines
 from tissue_sim.recording.formats.column_options import (
     normalize_column_mapping,
     validate_decimal_mark,
     validate_delimiter,
 )
-from tissue_sim.recording.formats.containers import is_container, read_container
+from tissue_sim.recording.formats.containers import is_mat_tdms_or_hdf5_file, read_container_tables_as_sheets
 from tissue_sim.recording.formats.decimal_mark import NumberMarks, detect_number_marks
-from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, split_text_tables
-from tissue_sim.recording.formats.long_text import NotPlainNumbersError, TrailingNumberLines, split_off_trailing_numbers
-from tissue_sim.recording.formats.number_text import is_number
+from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, iterate_table_for_each_delimiter
+from tissue_sim.recording.formats.long_text import (
+    NotPlainNumbersError,
+    TrailingNumberLines,
+    try_splitting_off_trailing_numbers,
+)
+from tissue_sim.recording.formats.number_text import is_number_with_either_mark
 from tissue_sim.recording.formats.table import (
     ChannelColumn,
     Table,
     TableRow,
-    collect_column_cells,
     get_si_conversion,
+    list_cells_of_each_number_column,
     read_recording_table,
-    select_cells,
+    select_cells_and_drop_blank_rows,
 )
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
-from tissue_sim.recording.measures import convert_to_stretch_and_nominal
+from tissue_sim.recording.measures import convert_recording_to_stretch_and_nominal
 from tissue_sim.recording.recording import LABELS, MIN_POINTS, Recording
-from tissue_sim.units import split_free_form_header, split_header_with_brackets
+from tissue_sim.units import split_header_and_known_unit, split_header_with_brackets
 
 Sheets = str | int | Sequence[str | int]
 Curves = int | Sequence[int]
 
 
 @dataclass(frozen=True)
-class MarkedRecording:
+class RecordingWithDecimalMark:
     """Recording of a table, with the decimal mark and the thousands separators that its numbers have in the file.
 
     Attributes:
@@ -66,7 +70,7 @@ class MarkedRecording:
 
 def read_single_recording(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0,
                           delimiter: str | None = None,
-                 sheet: Sheets | None = None, metadata: Mapping[str, Any] | None = None) -> Recording:
+                          sheet: Sheets | None = None, metadata: Mapping[str, Any] | None = None) -> Recording:
     """Read a file with exactly one recording; see `read_recordings_from_columns` for the arguments.
 
     Raises:
@@ -81,8 +85,8 @@ def read_single_recording(path: str | Path, columns: Mapping[str, Any], *, skip_
 
 def read_recordings_from_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0,
                                  delimiter: str | None = None,
-                sheet: Sheets | None = None, curve: Curves | None = None, decimal: str | None = None,
-                metadata: Mapping[str, Any] | None = None) -> tuple[Recording, ...]:
+                                 sheet: Sheets | None = None, curve: Curves | None = None, decimal: str | None = None,
+                                 metadata: Mapping[str, Any] | None = None) -> tuple[Recording, ...]:
     """Read recordings from chosen columns of a delimited text, a spreadsheet or a container of arrays.
 
     Columns by name: the header is the first row with all names. A name is the complete header (``"Load (N)"``) or the
@@ -115,8 +119,8 @@ def read_recordings_from_columns(path: str | Path, columns: Mapping[str, Any], *
         InputError: an invalid map (with field), a missing column, an invalid cell (with file and line), an ambiguous
             decimal mark, or a spreadsheet without the extra ``formats``.
     """
-    found = read_marked_recordings(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet, curve=curve,
-                               decimal=decimal, metadata=metadata)
+    found = read_recordings_with_decimal_mark(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet,
+                                              curve=curve, decimal=decimal, metadata=metadata)
     for each in found:
         if each.marks.is_open:
             raise InputError(f'{each.marks.question_text}; give decimal = "." or decimal = ","', file=path,
@@ -125,10 +129,11 @@ def read_recordings_from_columns(path: str | Path, columns: Mapping[str, Any], *
     return tuple(each.recording for each in found)
 
 
-def read_marked_recordings(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0,
-                       delimiter: str | None = None, sheet: Sheets | None = None, curve: Curves | None = None,
-                       decimal: str | None = None, metadata: Mapping[str, Any] | None = None
-                       ) -> tuple[MarkedRecording, ...]:
+def read_recordings_with_decimal_mark(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0,
+                                      delimiter: str | None = None, sheet: Sheets | None = None,
+                                      curve: Curves | None = None,
+                                      decimal: str | None = None, metadata: Mapping[str, Any] | None = None
+                                      ) -> tuple[RecordingWithDecimalMark, ...]:
     """Read recordings like `read_recordings_from_columns`, each with the decimal mark and separator of its numbers.
 
     Ambiguous decimal marks are not an error.
@@ -140,24 +145,25 @@ def read_marked_recordings(path: str | Path, columns: Mapping[str, Any], *, skip
     if isinstance(skip_lines, bool) or not isinstance(skip_lines, int) or skip_lines < 0:
         raise InputError(f"must be a whole number from 0; got {skip_lines!r}. Give a number of lines.",
                          field="skip_lines")
-    chosen = _check_curve_numbers(curve, path)
-    found: list[MarkedRecording] = []
-    if is_container(path) or is_workbook(path):
+    chosen = _make_list_of_valid_curve_numbers(curve, path)
+    found: list[RecordingWithDecimalMark] = []
+    if is_mat_tdms_or_hdf5_file(path) or is_workbook(path):
         if delimiter is not None:
             raise InputError("must be omitted, because only a text has a delimiter", file=path, field="delimiter")
-        for each in _read_selected_sheets(path, sheet):
+        for each in _read_chosen_sheets_or_container_tables(path, sheet):
             with each.add_location_to_errors():
-                found += _read_recordings([each.build_table(skip_lines)], wanted, path, metadata, decimal, alone=True)
+                found += _read_recordings_of_first_matching_table([each.build_table_below_skipped_rows(skip_lines)],
+                                                                  wanted, path, metadata, decimal, alone=True)
     else:
         if sheet is not None:
             raise InputError("must be omitted, because only a spreadsheet (xlsx, xls, ods) or container has sheets",
                              file=path, field="sheet")
         names = [entry["name"] for entry in wanted.values() if "name" in entry]
         expected = "a table with the columns " + ", ".join(map(repr, names)) if names else "a table of numbers"
-        text, _ = decode_text(read_bytes(path, expected), path, expected)
+        text, _ = decode_text_and_find_encoding(read_bytes(path, expected), path, expected)
         delimiters = ((DELIMITERS if names else DELIMITERS_OF_NUMBERS) if delimiter is None
                       else (validate_delimiter(delimiter),))
-        found += _read_text_tables(text, skip_lines, delimiters, wanted, path, metadata, decimal)
+        found += _read_recordings_of_text(text, skip_lines, delimiters, wanted, path, metadata, decimal)
     for number in chosen:
         if number > len(found):
             raise InputError(f"must be from 1 to {len(found)}, the number of curves in the file; got {number}.",
@@ -165,7 +171,7 @@ def read_marked_recordings(path: str | Path, columns: Mapping[str, Any], *, skip
     return tuple(found[number - 1] for number in chosen) if chosen else tuple(found)
 
 
-def _check_curve_numbers(curve: Any, path: Path) -> list[int]:
+def _make_list_of_valid_curve_numbers(curve: Any, path: Path) -> list[int]:
     """Return the numbers of the curves to read; an empty list means all curves.
 
     Raises:
@@ -179,39 +185,43 @@ def _check_curve_numbers(curve: Any, path: Path) -> list[int]:
     return numbers
 
 
-def _read_text_tables(text: str, skip_lines: int, delimiters: Sequence[str], wanted: Mapping[str, Mapping[str, Any]],
-             path: Path, metadata: Mapping[str, Any] | None, decimal: str | None) -> list[MarkedRecording]:
+def _read_recordings_of_text(text: str, skip_lines: int, delimiters: Sequence[str],
+                             wanted: Mapping[str, Mapping[str, Any]],
+                             path: Path, metadata: Mapping[str, Any] | None,
+                             decimal: str | None) -> list[RecordingWithDecimalMark]:
     """Read the recordings of a text; see `read_recordings_from_columns` for the arguments."""
-    beginning, end = split_off_trailing_numbers(text, skip_lines)
+    beginning, end = try_splitting_off_trailing_numbers(text, skip_lines)
     if end is not None:
         with suppress(InputError, NotPlainNumbersError):
-            tables = split_text_tables(beginning, file=path, skip_lines=skip_lines, delimiters=delimiters)
-            return _read_recordings(tables, wanted, path, metadata, decimal, end=end)
-    tables = split_text_tables(text, file=path, skip_lines=skip_lines, delimiters=delimiters)
-    return _read_recordings(tables, wanted, path, metadata, decimal)
+            tables = iterate_table_for_each_delimiter(beginning, file=path, skip_lines=skip_lines,
+                                                      delimiters=delimiters)
+            return _read_recordings_of_first_matching_table(tables, wanted, path, metadata, decimal, end=end)
+    tables = iterate_table_for_each_delimiter(text, file=path, skip_lines=skip_lines, delimiters=delimiters)
+    return _read_recordings_of_first_matching_table(tables, wanted, path, metadata, decimal)
 
 
-def _read_selected_sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
+def _read_chosen_sheets_or_container_tables(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
     """Read the requested sheets of a spreadsheet or tables of a container."""
-    if is_container(path):
-        return read_container(path, sheet)
+    if is_mat_tdms_or_hdf5_file(path):
+        return read_container_tables_as_sheets(path, sheet)
     return read_sheets(path, sheet) if isinstance(sheet, Sequence) and not isinstance(sheet, str) else [
         read_sheet(path, sheet)]
 
 
-def _read_recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None,
-                decimal: str | None, *, alone: bool = False,
-                     end: TrailingNumberLines | None = None) -> list[MarkedRecording]:
+def _read_recordings_of_first_matching_table(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path,
+                                             metadata: Mapping[str, Any] | None,
+                                             decimal: str | None, *, alone: bool = False,
+                                             end: TrailingNumberLines | None = None) -> list[RecordingWithDecimalMark]:
     """Return the recordings of the first table with the columns; with trailing number lines, one recording."""
     names = [entry["name"] for entry in wanted.values() if "name" in entry]
     places = [entry["column"] - 1 for entry in wanted.values() if "column" in entry]
     table: Table
     blocks: list[NumberBlock]
-    table, blocks = (find_blocks_by_column_names(tables, names, also=places, file=path) if names
-                     else find_blocks_by_column_numbers(tables, places, file=path))
+    table, blocks = (find_table_and_blocks_by_column_names(tables, names, also=places, file=path) if names
+                     else find_table_and_blocks_by_column_indices(tables, places, file=path))
     # The trailing number lines continue the only block of the table.
     if end is not None and (len(blocks) > 1 or not blocks[0].rows or blocks[0].rows[-1].line != table.rows[-1].line
-                            or not has_units_of_previous_rows(table.rows, end)):
+                            or not has_same_units_in_trailing_lines(table.rows, end)):
         raise NotPlainNumbersError
     # A short block is a summary with the same header.
     blocks = [block for block in blocks if len(block.rows) >= MIN_POINTS] or blocks
@@ -219,22 +229,22 @@ def _read_recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path
     for block in blocks:
         order = iter(block.places[:len(names)]), iter(block.places[len(names):])
         positions = {channel: next(order["column" in entry]) for channel, entry in wanted.items()}
-        chosen.append(_map_channels_to_columns(wanted, positions, block, bool(names), path))
-    marks = _find_common_marks(blocks, chosen, table.delimiter, decimal)
-    unread = find_unread_columns(blocks, {column.index for columns in chosen for column in columns})
+        chosen.append(_list_channel_columns_of_block(wanted, positions, block, bool(names), path))
+    marks = _detect_decimal_mark_of_all_blocks(blocks, chosen, table.delimiter, decimal)
+    unread = find_names_of_unread_columns(blocks, {column.index for columns in chosen for column in columns})
     metadata = {**(metadata or {}), "unread_columns": list(unread)} if unread else metadata
-    found: list[MarkedRecording] = []
+    found: list[RecordingWithDecimalMark] = []
     for block, columns in zip(blocks, chosen, strict=True):
         header, rows = block.header, list(block.rows)
         if alone or len(blocks) > 1:
-            rows, columns = _crop_to_chosen_columns(rows, columns)
+            rows, columns = _select_and_renumber_chosen_columns(rows, columns)
             header = TableRow(header.line, tuple(column.header for column in columns))
         recording = read_recording_table(header, rows, columns, file=path, delimiter=table.delimiter or ";",
                                          metadata=metadata, end=end, marks=marks)
         if block.below and found and _continues_recording(found[-1].recording, recording):
-            found[-1] = replace(found[-1], recording=_join_recordings(found[-1].recording, recording))
+            found[-1] = replace(found[-1], recording=_concatenate_two_recordings(found[-1].recording, recording))
         else:
-            found.append(MarkedRecording(recording, marks, block.header.line, table.name))
+            found.append(RecordingWithDecimalMark(recording, marks, block.header.line, table.name))
     from_start = [channel for channel, entry in wanted.items() if entry.get("offset") == "start"]
     found = [replace(each, recording=each.recording.with_channels(
         **{channel: each.recording.channel(channel) - each.recording.channel(channel)[0] for channel in from_start}))
@@ -242,27 +252,28 @@ def _read_recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path
     measures = {channel: entry["measure"] for channel, entry in wanted.items() if "measure" in entry}
     if not measures:
         return found
-    with add_location_to_errors(file=path):
-        return [replace(each, recording=convert_to_stretch_and_nominal(each.recording, measures)) for each in found]
+    with located_and_converted_errors(file=path):
+        return [replace(each, recording=convert_recording_to_stretch_and_nominal(each.recording, measures))
+                for each in found]
 
 
-def _find_common_marks(blocks: Sequence[NumberBlock], chosen: Sequence[Sequence[ChannelColumn]], delimiter: str | None,
-           decimal: str | None) -> NumberMarks:
+def _detect_decimal_mark_of_all_blocks(blocks: Sequence[NumberBlock], chosen: Sequence[Sequence[ChannelColumn]],
+                                       delimiter: str | None, decimal: str | None) -> NumberMarks:
     """Return decimal mark and thousands separators of all blocks; the columns that are read have precedence."""
     used = [cells for block, columns in zip(blocks, chosen, strict=True)
-            for cells in collect_column_cells(block.rows, columns)]
+            for cells in list_cells_of_each_number_column(block.rows, columns)]
     places = {column.index for columns in chosen for column in columns}
 
-    def list_other_marks() -> Iterator[list[str]]:
+    def iterate_cells_of_unread_columns() -> Iterator[list[str]]:
         """Yield the cells of each column of numbers that is not read."""
         for block in blocks:
             for place in range(len(block.header.cells)):
                 if place not in places:
                     cells = [row.cells[place] for row in block.rows if place < len(row.cells)]
-                    if 2 * sum(map(is_number, cells[:100])) > len(cells[:100]):
+                    if 2 * sum(map(is_number_with_either_mark, cells[:100])) > len(cells[:100]):
                         yield cells
 
-    return detect_number_marks(used, list_other_marks(), delimiter=delimiter, stated=decimal)
+    return detect_number_marks(used, iterate_cells_of_unread_columns(), delimiter=delimiter, stated=decimal)
 
 
 def _continues_recording(first: Recording, second: Recording) -> bool:
@@ -271,16 +282,15 @@ def _continues_recording(first: Recording, second: Recording) -> bool:
             and second.time[0] >= first.time[-1] > first.time[0])
 
 
-def _join_recordings(first: Recording, second: Recording) -> Recording:
+def _concatenate_two_recordings(first: Recording, second: Recording) -> Recording:
     """Return one recording: samples of the first, then of the second recording, and the metadata of the first."""
     return Recording({name: np.concatenate([first.channel(name), second.channel(name)]) for name in first.channels},
                      {name: np.concatenate([first.labels[name], second.labels[name]]) for name in first.labels},
                      first.metadata)
 
 
-def _map_channels_to_columns(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], block: NumberBlock,
-                             named: bool,
-            path: Path) -> list[ChannelColumn]:
+def _list_channel_columns_of_block(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int],
+                                   block: NumberBlock, named: bool, path: Path) -> list[ChannelColumn]:
     """Return the column of each channel under the header (without names: the first row of numbers)."""
     chosen: list[ChannelColumn] = []
     faults: list[InputError] = []
@@ -297,7 +307,7 @@ def _map_channels_to_columns(wanted: Mapping[str, Mapping[str, Any]], places: Ma
         if channel in LABELS:
             chosen.append(ChannelColumn(channel, index, cell))
             continue
-        unit = entry.get("unit", split_free_form_header(cell)[1] or block.get_column_unit(index)
+        unit = entry.get("unit", split_header_and_known_unit(cell)[1] or block.find_known_unit_in_unit_row(index)
                          or split_header_with_brackets(cell)[1])
         try:
             factor, offset = get_si_conversion(channel, unit, entry.get("scale"))
@@ -318,12 +328,12 @@ def _map_channels_to_columns(wanted: Mapping[str, Mapping[str, Any]], places: Ma
     return chosen
 
 
-def _crop_to_chosen_columns(rows: Sequence[TableRow], chosen: Sequence[ChannelColumn]) -> tuple[list[TableRow],
-                                                                                                list[ChannelColumn]]:
+def _select_and_renumber_chosen_columns(rows: Sequence[TableRow],
+                                        chosen: Sequence[ChannelColumn]) -> tuple[list[TableRow], list[ChannelColumn]]:
     """Return the rows reduced to the chosen columns, without blank rows, and these columns with positions 0, 1, 2, ...
 
     A sheet may have other content around a table.
     """
-    return (select_cells(rows, [column.index for column in chosen]),
+    return (select_cells_and_drop_blank_rows(rows, [column.index for column in chosen]),
             [ChannelColumn(column.channel, i, column.header, column.factor, column.offset)
              for i, column in enumerate(chosen)])

@@ -11,8 +11,8 @@ from tissue_sim.recording.cleaning import remove_outliers_and_saturation
 from tissue_sim.recording.recording import Recording
 
 
-def get_valid_values_of_both(first: Sequence[Recording], second: Sequence[Recording], channel: str
-                             ) -> list[tuple[np.ndarray, np.ndarray]]:
+def list_value_pairs_valid_in_both_readings(first: Sequence[Recording], second: Sequence[Recording], channel: str
+                                            ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return a channel of two interpretations of a table, only samples that are valid in both.
 
     A sample that is invalid in one reading is omitted in both, because one lost value of 9999 would determine the
@@ -30,15 +30,15 @@ def get_valid_values_of_both(first: Sequence[Recording], second: Sequence[Record
     if [len(each) for each in first] != [len(each) for each in second]:
         return []
     try:
-        masks = [_find_valid_samples(one) & _find_valid_samples(other) for one,
-                 other in zip(first, second, strict=True)]
+        masks = [_make_mask_without_outliers_and_saturation(one) & _make_mask_without_outliers_and_saturation(other)
+                 for one, other in zip(first, second, strict=True)]
     except InputError:
         return []
     return [(one.channel(channel)[mask], other.channel(channel)[mask])
             for one, other, mask in zip(first, second, masks, strict=True)]
 
 
-def _find_valid_samples(recording: Recording) -> np.ndarray:
+def _make_mask_without_outliers_and_saturation(recording: Recording) -> np.ndarray:
     """Return whether each sample is neither an outlier nor saturated, shape (n,)."""
     _, screening = remove_outliers_and_saturation(recording)
     return ~np.isin(np.arange(1, len(recording) + 1), screening.left_out_sample_numbers)

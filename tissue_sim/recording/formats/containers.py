@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, suggest_known_word
-from tissue_sim.files import read_bytes, read_first_bytes
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
+from tissue_sim.files import read_bytes, read_first_bytes_or_empty
 from tissue_sim.recording.formats.extra import import_optional_package
-from tissue_sim.recording.formats.number_text import ExactNumber
+from tissue_sim.recording.formats.number_text import TextOfNumericCell
 from tissue_sim.recording.formats.table import TableRow
 from tissue_sim.recording.formats.workbook import Sheet
 from tissue_sim.recording.recording import MIN_POINTS
@@ -53,12 +53,13 @@ class ContainerSettings:
 _SETTINGS = ContainerSettings()
 
 
-def is_container(path: Path) -> bool:
+def is_mat_tdms_or_hdf5_file(path: Path) -> bool:
     """Return whether a file is a container, by its first bytes or by its suffix."""
-    return read_first_bytes(path, 4) in (_HDF5, _MATLAB, _TDMS) or path.suffix.lower() in _SUFFIXES
+    return read_first_bytes_or_empty(path, 4) in (_HDF5, _MATLAB, _TDMS) or path.suffix.lower() in _SUFFIXES
 
 
-def read_container(path: Path, table: str | int | Sequence[str | int] | None = None) -> tuple[Sheet, ...]:
+def read_container_tables_as_sheets(path: Path,
+                                    table: str | int | Sequence[str | int] | None = None) -> tuple[Sheet, ...]:
     """Read the tables of a container as sheets; the name of a sheet is the path of the table (``run.force``).
 
     Args:
@@ -74,7 +75,7 @@ def read_container(path: Path, table: str | int | Sequence[str | int] | None = N
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             tree = _read_container_tree(data, path)
-            sheets = [Sheet(path, name, rows) for name, rows in _find_tables(tree, "")]
+            sheets = [Sheet(path, name, rows) for name, rows in _iterate_named_tables(tree, "")]
     except InputError:
         raise
     except Exception as error:  # a damaged file may cause any error of the three libraries, including MemoryError
@@ -88,8 +89,8 @@ def read_container(path: Path, table: str | int | Sequence[str | int] | None = N
     for each in wanted:
         place = names.index(each) if each in names else each - 1 if isinstance(each, int) else -1
         if not 0 <= place < len(sheets):
-            raise InputError(f"there is no table {each!r}{suggest_known_word(str(each), names)}", file=path,
-                             field="sheet")
+            raise InputError(f"there is no table {each!r}{make_hint_with_similar_or_known_words(str(each), names)}",
+                             file=path, field="sheet")
         chosen.append(sheets[place])
     return tuple(chosen) if wanted else tuple(sheets)
 
@@ -103,10 +104,10 @@ def _read_container_tree(data: bytes, path: Path) -> Mapping[str, Any]:
     if data[:4] == _TDMS:
         nptdms = import_optional_package("nptdms", path)
         nptdms.log.log_manager.set_level(logging.CRITICAL)
-        return _read_tdms_file(nptdms.TdmsFile.read(io.BytesIO(data)))
+        return _read_tdms_arrays_with_units_in_names(nptdms.TdmsFile.read(io.BytesIO(data)))
     if data[:4] == _HDF5:
         with import_optional_package("h5py", path).File(io.BytesIO(data), "r") as file:
-            return _read_hdf5_group(file)
+            return _read_hdf5_arrays_with_units_in_names(file)
     # The oldest MATLAB files have no common first bytes.
     if data[:4] != _MATLAB and path.suffix.lower() != ".mat":
         raise ValueError("the first bytes must be those of an HDF5, TDMS or MATLAB file")
@@ -114,12 +115,12 @@ def _read_container_tree(data: bytes, path: Path) -> Mapping[str, Any]:
     return import_optional_package("scipy.io", path).loadmat(io.BytesIO(data), simplify_cells=True)
 
 
-def _read_hdf5_group(group: Any) -> dict[str, Any]:
+def _read_hdf5_arrays_with_units_in_names(group: Any) -> dict[str, Any]:
     """Return groups as maps and datasets as arrays; a unit in the attributes is added to the name."""
     tree: dict[str, Any] = {}
     for name, item in group.items():
         if hasattr(item, "items"):
-            tree[name] = _read_hdf5_group(item)
+            tree[name] = _read_hdf5_arrays_with_units_in_names(item)
             continue
         unit = item.attrs.get("units", item.attrs.get("unit"))
         unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
@@ -134,7 +135,7 @@ def _read_hdf5_group(group: Any) -> dict[str, Any]:
     return tree
 
 
-def _read_tdms_file(file: Any) -> dict[str, Any]:
+def _read_tdms_arrays_with_units_in_names(file: Any) -> dict[str, Any]:
     """Return group -> channel with unit -> array; a time is added from the sampling interval."""
     tree: dict[str, Any] = {}
     for group in file.groups():
@@ -149,7 +150,7 @@ def _read_tdms_file(file: Any) -> dict[str, Any]:
     return tree
 
 
-def _find_tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[TableRow, ...]]]:
+def _iterate_named_tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[TableRow, ...]]]:
     """Yield (name, rows) of each table in a tree of groups, depth first; `place` is the path of the root."""
     vectors: dict[int, dict[str, np.ndarray]] = {}
     for name, value in tree.items():
@@ -157,11 +158,11 @@ def _find_tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tup
             continue
         below = f"{place}.{name}" if place else str(name)
         if isinstance(value, Mapping):
-            yield from _find_tables(value, below)
+            yield from _iterate_named_tables(value, below)
             continue
         if isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
             members = {str(i): each for i, each in enumerate(value, start=1) if isinstance(each, Mapping)}
-            yield from _find_tables(members, below)
+            yield from _iterate_named_tables(members, below)
             continue
         array = np.asarray(value)
         if array.dtype.kind not in "fiub":
@@ -178,5 +179,5 @@ def _find_tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tup
 def _format_matrix_rows(names: list[str], values: np.ndarray) -> tuple[TableRow, ...]:
     """Return a matrix, shape (rows, columns), as rows of text below a header; an empty list means no header."""
     header = [TableRow(1, tuple(names))] if names else []
-    return (*header, *(TableRow(line, tuple(ExactNumber(repr(each)) for each in numbers))
+    return (*header, *(TableRow(line, tuple(TextOfNumericCell(repr(each)) for each in numbers))
                        for line, numbers in enumerate(values.tolist(), start=2)))

@@ -11,7 +11,12 @@ from itertools import islice
 import numpy as np
 
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
-from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, ExactNumber, find_thousands_separator, parse_number
+from tissue_sim.recording.formats.number_text import (
+    DECIMAL_MARKS,
+    TextOfNumericCell,
+    find_thousands_separator_or_empty,
+    parse_number_or_nan,
+)
 
 
 @dataclass(frozen=True)
@@ -114,7 +119,7 @@ class NumberMarks:
 
 
 @dataclass(frozen=True)
-class _DecimalMarkEvidence:
+class _DecimalMarkVoteOfColumn:
     """Decimal mark that the values of a column support (None: both), with the evidence."""
 
     decimal: str | None
@@ -138,15 +143,15 @@ def detect_number_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence
     columns = [list(cells) for cells in used]
     if stated is not None:
         return _add_thousands_separators(NumberMarks(stated, evidence=("stated",), is_stated=True,
-                                            example=_find_first_ambiguous_cell(columns)), columns)
-    votes = [vote for cells in columns if (vote := _collect_column_evidence(cells)) is not None]
+                                                     example=_find_first_ambiguous_cell_or_empty(columns)), columns)
+    votes = [vote for cells in columns if (vote := _collect_column_evidence_or_none(cells)) is not None]
     if not votes:
         return _add_thousands_separators(NumberMarks(), columns)
     example = next((vote.example for vote in votes if vote.example), "")
     deciding = [vote for vote in votes if vote.decimal is not None]
     if not deciding:
         deciding = [vote for cells in others
-                    if (vote := _collect_column_evidence(list(cells))) is not None and vote.decimal is not None]
+                    if (vote := _collect_column_evidence_or_none(list(cells))) is not None and vote.decimal is not None]
     chosen = {vote.decimal for vote in deciding}
     if len(chosen) == 1:
         decimal = deciding[0].decimal or "."
@@ -154,7 +159,7 @@ def detect_number_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence
         found = NumberMarks(decimal, "", reasons, is_certain=any(vote.is_certain for vote in deciding),
                             example=example)
     elif chosen:
-        found = _resolve_contradictory_columns(deciding, example)
+        found = _choose_certain_mark_or_leave_open(deciding, example)
     else:
         mark = next(each for each in DECIMAL_MARKS if each in example)
         sure = delimiter == "," and mark == "."
@@ -163,7 +168,7 @@ def detect_number_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence
     return _add_thousands_separators(found, columns)
 
 
-def resolve_marks_by_text(marks: NumberMarks, text: str) -> NumberMarks:
+def resolve_marks_by_quantities_outside_table(marks: NumberMarks, text: str) -> NumberMarks:
     """Resolve ambiguous marks by quantities with units in the text outside of the table, if these have one mark."""
     found = {match["mark"]: match[0] for match in _QUANTITY.finditer(text)}
     if len(found) != 1:
@@ -174,7 +179,7 @@ def resolve_marks_by_text(marks: NumberMarks, text: str) -> NumberMarks:
                    evidence=(f"{quantity!r} outside of the table has {DECIMAL_WORDS[mark]}",))
 
 
-def _resolve_contradictory_columns(votes: Sequence[_DecimalMarkEvidence], example: str) -> NumberMarks:
+def _choose_certain_mark_or_leave_open(votes: Sequence[_DecimalMarkVoteOfColumn], example: str) -> NumberMarks:
     """Return the decimal mark of the most certain vote; both marks remain possible unless both are certain.
 
     If both marks are certain, reading the cells raises an error with the line of the cell.
@@ -194,7 +199,7 @@ def _add_thousands_separators(marks: NumberMarks, columns: Iterable[Sequence[str
         text = "\n".join(cells)
         if marks.other_decimal_mark in text or not text.isascii() or " " in text or "'" in text:
             for cell in cells:
-                if separator := find_thousands_separator(cell, marks.decimal):
+                if separator := find_thousands_separator_or_empty(cell, marks.decimal):
                     seen.setdefault(separator, cell)
                     if not marks.is_certain and not marks.example:
                         break
@@ -203,22 +208,22 @@ def _add_thousands_separators(marks: NumberMarks, columns: Iterable[Sequence[str
     return replace(marks, thousands="".join(sorted(seen)), example=marks.example or next(iter(seen.values())))
 
 
-def _find_first_ambiguous_cell(columns: Iterable[Sequence[str]]) -> str:
+def _find_first_ambiguous_cell_or_empty(columns: Iterable[Sequence[str]]) -> str:
     """Return the first cell whose value depends on the decimal mark, such as ``1,234``; else an empty text."""
     return next((cell for cells in columns for cell in cells if _does_value_depend_on_mark(cell)), "")
 
 
 def _does_value_depend_on_mark(cell: str) -> bool:
     """Return whether a cell gives different numbers with a decimal point and with a decimal comma."""
-    if isinstance(cell, ExactNumber) or not ("." in cell or "," in cell):
+    if isinstance(cell, TextOfNumericCell) or not ("." in cell or "," in cell):
         return False
-    point, comma = parse_number(cell, "."), parse_number(cell, ",")
+    point, comma = parse_number_or_nan(cell, "."), parse_number_or_nan(cell, ",")
     return not (math.isnan(point) or math.isnan(comma)) and point != comma
 
 
-def _collect_column_evidence(cells: Sequence[str]) -> _DecimalMarkEvidence | None:
+def _collect_column_evidence_or_none(cells: Sequence[str]) -> _DecimalMarkVoteOfColumn | None:
     """Return the evidence of the values of one column; None: no value has a point or comma."""
-    text = "\n".join(cell for cell in cells if not isinstance(cell, ExactNumber))
+    text = "\n".join(cell for cell in cells if not isinstance(cell, TextOfNumericCell))
     marks = [mark for mark in DECIMAL_MARKS if mark in text]
     if not marks:
         return None
@@ -228,11 +233,11 @@ def _collect_column_evidence(cells: Sequence[str]) -> _DecimalMarkEvidence | Non
         odd = sum(1 for _ in islice(_NO_GROUP[mark].finditer(text), 1 + int(_count_tolerated_damaged_cells(uses))))
         if odd > _count_tolerated_damaged_cells(uses):
             found = _NO_GROUP[mark].search(text)
-            cell = "" if found is None else _get_line_at_position(text, found.start())
+            cell = "" if found is None else _get_line_text_at_character(text, found.start())
             zero = cell.lstrip("+-").startswith(f"0{mark}")
             why = "a zero before its mark" if zero else "no group of three digits after its mark"
-            return _DecimalMarkEvidence(mark, f"{cell!r} has {why}", True)
-    return _collect_value_evidence(cells)
+            return _DecimalMarkVoteOfColumn(mark, f"{cell!r} has {why}", True)
+    return _collect_evidence_of_values_or_none(cells)
 
 
 def _count_tolerated_damaged_cells(count: int) -> float:
@@ -240,16 +245,16 @@ def _count_tolerated_damaged_cells(count: int) -> float:
     return max(1.0, _SETTINGS.damaged_fraction * count) if count > _SETTINGS.fewest_marked else 0.0
 
 
-def _get_line_at_position(text: str, position: int) -> str:
+def _get_line_text_at_character(text: str, position: int) -> str:
     """Return the line of a text that contains the character at index `position`."""
     return text[text.rfind("\n", 0, position) + 1:].partition("\n")[0]
 
 
-def _collect_value_evidence(cells: Sequence[str]) -> _DecimalMarkEvidence | None:
+def _collect_evidence_of_values_or_none(cells: Sequence[str]) -> _DecimalMarkVoteOfColumn | None:
     """Return the evidence of the values of one column, from each value and from the jumps between values."""
     cells = [cell for cell in cells if cell]
-    readings = {mark: np.array([parse_number(cell, mark) for cell in cells]) for mark in DECIMAL_MARKS}
-    marked = np.array([not isinstance(cell, ExactNumber) and ("." in cell or "," in cell) for cell in cells])
+    readings = {mark: np.array([parse_number_or_nan(cell, mark) for cell in cells]) for mark in DECIMAL_MARKS}
+    marked = np.array([not isinstance(cell, TextOfNumericCell) and ("." in cell or "," in cell) for cell in cells])
     known = {mark: np.isfinite(values) for mark, values in readings.items()}
     number = marked & (known["."] | known[","])
     refused = {mark: number & ~known[mark] for mark in DECIMAL_MARKS}
@@ -261,17 +266,19 @@ def _collect_value_evidence(cells: Sequence[str]) -> _DecimalMarkEvidence | None
     if smoother is not None and refused[smoother].sum() <= _count_tolerated_damaged_cells(int(number.sum())):
         other = _get_other_decimal_mark(smoother)
         jumps = f"{_describe_largest_jump(cells, readings, smoother)} with {DECIMAL_WORDS[other]}"
-        return _DecimalMarkEvidence(smoother, jumps, bool(refused[other].any()) and not refused[smoother].any(),
-                                    example)
+        return _DecimalMarkVoteOfColumn(smoother, jumps, bool(refused[other].any()) and not refused[smoother].any(),
+                                        example)
     fewest = min(DECIMAL_MARKS, key=lambda mark: int(refused[mark].sum()))
     if refused[_get_other_decimal_mark(fewest)].any():
         if example and not refused[fewest].any() and _may_cells_be_damaged(cells,
                                                                            refused[_get_other_decimal_mark(fewest)],
                                                                            int(number.sum())):
-            return _DecimalMarkEvidence(None, example=example)
-        return _DecimalMarkEvidence(fewest, _describe_only_mark(cells, refused[_get_other_decimal_mark(fewest)],
-                                                                fewest), True, example)
-    return _collect_digit_evidence(cells, marked, readings, example) if example else None
+            return _DecimalMarkVoteOfColumn(None, example=example)
+        return _DecimalMarkVoteOfColumn(fewest,
+                                        _describe_first_cell_readable_with_one_mark(
+                                            cells, refused[_get_other_decimal_mark(fewest)],
+                                            fewest), True, example)
+    return _collect_evidence_if_all_have_three_digits(cells, marked, readings, example) if example else None
 
 
 def _get_other_decimal_mark(mark: str) -> str:
@@ -286,13 +293,14 @@ def _may_cells_be_damaged(cells: Sequence[str], refused: np.ndarray, count: int)
         cell.lstrip("+-").startswith("0") for cell in odd)
 
 
-def _describe_only_mark(cells: Sequence[str], refused: np.ndarray, mark: str) -> str:
+def _describe_first_cell_readable_with_one_mark(cells: Sequence[str], refused: np.ndarray, mark: str) -> str:
     """Return the sentence about the first cell that is a number with only one decimal mark."""
     return f"{cells[int(np.argmax(refused))]!r} is a number only with {DECIMAL_WORDS[mark]}"
 
 
-def _collect_digit_evidence(cells: Sequence[str], marked: np.ndarray, readings: dict[str, np.ndarray],
-                            example: str) -> _DecimalMarkEvidence:
+def _collect_evidence_if_all_have_three_digits(cells: Sequence[str], marked: np.ndarray,
+                                               readings: dict[str, np.ndarray],
+                                               example: str) -> _DecimalMarkVoteOfColumn:
     """Return the evidence for the decimal mark if exactly three digits follow each mark, as with thousands.
 
     Values below 1000 without a mark support a thousands separator.
@@ -300,22 +308,23 @@ def _collect_digit_evidence(cells: Sequence[str], marked: np.ndarray, readings: 
     mark = next(each for each in DECIMAL_MARKS if each in example)
     count = int(marked.sum())
     unmarked = [cell for cell, has_mark in zip(cells, marked, strict=True)
-                if not has_mark and not isinstance(cell, ExactNumber)]
-    plain = np.abs([parse_number(cell) for cell in unmarked])
+                if not has_mark and not isinstance(cell, TextOfNumericCell)]
+    plain = np.abs([parse_number_or_nan(cell) for cell in unmarked])
     large = next((cell for cell, value in zip(unmarked, plain, strict=True) if value >= 1000.0), None)
     if large is not None and (len(large.lstrip("+-")) > 4
                               or (readings[_get_other_decimal_mark(mark)][marked] < 10_000.0).any()):
-        return _DecimalMarkEvidence(mark, f"{large!r} has no thousands separator", False, example)
+        return _DecimalMarkVoteOfColumn(mark, f"{large!r} has no thousands separator", False, example)
     plain = plain[np.isfinite(plain)]
     zeros = int((plain == 0.0).sum())
     evidence = (count * _SETTINGS.three_decimals + (_SETTINGS.no_mark if plain.size > zeros else 0.0)
                 + (_SETTINGS.zero_without_mark if zeros else 0.0))
     if plain.size and count >= _SETTINGS.fewest_marked and evidence > _SETTINGS.digits_decide:
-        return _DecimalMarkEvidence(_get_other_decimal_mark(mark),
-                                    f"all {count} values from 1000 have exactly three digits after each "
-                     f"mark, and {plain.size} smaller {'value has' if plain.size == 1 else 'values have'} no mark",
-                                    False, example)
-    return _DecimalMarkEvidence(None, example=example)
+        return _DecimalMarkVoteOfColumn(_get_other_decimal_mark(mark),
+                                        f"all {count} values from 1000 have exactly three digits after each "
+                                        f"mark, and {plain.size} smaller "
+                                        f"{'value has' if plain.size == 1 else 'values have'} no mark",
+                                        False, example)
+    return _DecimalMarkVoteOfColumn(None, example=example)
 
 
 def _find_smoother_mark(readings: dict[str, np.ndarray], known: np.ndarray) -> str | None:
@@ -344,4 +353,4 @@ def _describe_largest_jump(cells: Sequence[str], readings: dict[str, np.ndarray]
 
 def _format_parsed_number(cell: str, decimal: str) -> str:
     """Return the number in a cell with up to twelve digits."""
-    return f"{parse_number(cell, decimal):.12g}"
+    return f"{parse_number_or_nan(cell, decimal):.12g}"

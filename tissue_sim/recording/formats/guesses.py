@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.formats.columns import Curves, Sheets
 from tissue_sim.recording.formats.kind_words import NamedTest
 from tissue_sim.recording.recording import CHANNELS, Recording
-from tissue_sim.units import UNITS, find_quantity_of_unit
+from tissue_sim.units import UNITS, find_quantity_of_unit_or_none
 
 __getattr__ = make_getattr_for_old_names(__name__, {"Stated": "ColumnHints"})
 
@@ -54,7 +54,8 @@ class ColumnGuess:
         by_name: whether the header is unique in its table.
         reason: evidence in one sentence.
         role: quantity that the header names, such as ``strain``, which is read as a stretch.
-        rank: rank of `tissue_sim.recording.formats.vocabulary.find_role`; the column with the lowest rank is read.
+        rank: rank of `tissue_sim.recording.formats.vocabulary.find_role_and_rank_or_none`; the column with the lowest
+            rank is read.
         other_unit: unit in the row of units that contradicts the unit in the header; None: no contradiction.
         strain_unit: unit of a strain that the gauge length converts to a displacement; None: no such column.
     """
@@ -82,14 +83,14 @@ class ColumnGuess:
         return entry | {key: value for key, value in stated.items() if value is not None}
 
     @property
-    def missing_information(self) -> str | None:
+    def missing_unit_or_scale_or_none(self) -> str | None:
         """Information about this column that only the user knows, such as its unit, in words; None: complete."""
         name = repr(self.header) if self.header else str(self.place)
         if self.unit is None and self.scale is None and CHANNELS[self.channel] != "ratio":
             return f"the unit of column {name} ({self.channel})"
         if self.unit is not None and self.unit not in UNITS:
             return f"the unit of column {name} ({self.channel}), as {self.unit!r} is no known one"
-        if find_quantity_of_unit(self.unit) == "signal" and self.scale is None:
+        if find_quantity_of_unit_or_none(self.unit) == "signal" and self.scale is None:
             return f"the scale of column {name} ({self.channel}), SI units in 1 {self.unit}"
         return None
 
@@ -122,17 +123,18 @@ class TableGroup:
     kind: KindGuess
     line: int
     sheets: tuple[str, ...] = ()
-    stated: Mapping[str, str] = field(default_factory=lambda: make_read_only_copy({}))
+    stated: Mapping[str, str] = field(default_factory=lambda: make_shallow_read_only_copy({}))
     remarks: tuple[str, ...] = ()
-    specimen: Mapping[str, float | str] = field(default_factory=lambda: make_read_only_copy({}))
+    specimen: Mapping[str, float | str] = field(default_factory=lambda: make_shallow_read_only_copy({}))
     assumptions: tuple[Assumption, ...] = ()
     unused: tuple[str, ...] = ()
     speed: tuple[float, str] | None = None
 
     @property
-    def missing_information(self) -> tuple[str, ...]:
+    def missing_units_and_scales(self) -> tuple[str, ...]:
         """Information about the columns that only the user knows, in words; empty: complete."""
-        return tuple(column.missing_information for column in self.columns if column.missing_information)
+        return tuple(column.missing_unit_or_scale_or_none for column in self.columns
+                     if column.missing_unit_or_scale_or_none)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,11 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from tissue_sim.errors import InputError, suggest_known_word
-from tissue_sim.recording.formats.cell_units import extract_cell_units
-from tissue_sim.recording.formats.number_text import is_number
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
+from tissue_sim.recording.formats.cell_units import move_cell_units_to_unit_row
+from tissue_sim.recording.formats.number_text import is_number_with_either_mark
 from tissue_sim.recording.formats.table import Table, TableRow, split_rows
-from tissue_sim.units import split_free_form_header, split_header_with_brackets
+from tissue_sim.units import split_header_and_known_unit, split_header_with_brackets
 
 #: A letter.
 _LETTER = re.compile(r"[^\W\d_]")
@@ -22,16 +22,17 @@ DELIMITERS = (",", ";", "\t")
 DELIMITERS_OF_NUMBERS = ("\t", ";", ",")
 
 
-def split_text_tables(text: str, *, file: Path, skip_lines: int = 0,
-                delimiters: Sequence[str] = DELIMITERS) -> Iterator[Table]:
+def iterate_table_for_each_delimiter(text: str, *, file: Path, skip_lines: int = 0,
+                                     delimiters: Sequence[str] = DELIMITERS) -> Iterator[Table]:
     """Yield the table of a text for each delimiter; skipped lines count in the line numbers."""
     content = list(io.StringIO(text, newline=None))
     kept = "\n" * min(skip_lines, len(content)) + "".join(content[skip_lines:])
     for delimiter in delimiters:
-        yield Table(extract_cell_units(split_rows(kept, delimiter, file=file), kept), delimiter)
+        yield Table(move_cell_units_to_unit_row(split_rows(kept, delimiter, file=file), kept), delimiter)
 
 
-def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) -> tuple[Table, TableRow, list[TableRow]]:
+def find_table_header_and_data_rows(tables: Iterable[Table], names: Sequence[str], *,
+                                    file: Path) -> tuple[Table, TableRow, list[TableRow]]:
     """Return the first table with all named columns, its header row and its data rows.
 
     Raises:
@@ -49,20 +50,20 @@ def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) ->
             row = TableRow(row.line, (row.cells[0].lstrip("# "), *row.cells[1:]))
             found = [find_matching_cells(row.cells, name) for name in names]
             if all(found):
-                find_repeated_column_positions(row, names, file=file)
+                find_positions_of_each_column_name(row, names, file=file)
                 return table, TableRow(row.line,
                                        strip_empty_trailing_cells(row.cells)), _remove_comment_rows(table.rows[i + 1:])
             # The error is about the most similar row: most matches, then a header directly above numbers.
-            above_numbers = (i + 1 < len(table.rows) and _is_numeric_row(table.rows[i + 1])
-                             and not _is_numeric_row(row))
+            above_numbers = (i + 1 < len(table.rows) and _has_only_numbers_or_empty_cells(table.rows[i + 1])
+                             and not _has_only_numbers_or_empty_cells(row))
             score = (sum(map(bool, found)), above_numbers, len(row.cells) if above_numbers else 0)
             if closest is None or score > closest[0]:
                 closest = (score, row)
     raise _make_missing_column_error(closest, names, file, delimiters)
 
 
-def find_first_numeric_row(tables: Iterable[Table], places: Sequence[int], *, file: Path) -> tuple[Table, TableRow,
-                                                                                                   list[TableRow]]:
+def find_table_first_row_and_rows_of_numbers(tables: Iterable[Table], places: Sequence[int], *,
+                                             file: Path) -> tuple[Table, TableRow, list[TableRow]]:
     """Return the first table with numbers in all `places` (from 0), the first such row, and all rows from it.
 
     Raises:
@@ -70,7 +71,7 @@ def find_first_numeric_row(tables: Iterable[Table], places: Sequence[int], *, fi
     """
     for table in tables:
         for i, row in enumerate(table.rows):
-            if all(place < len(row.cells) and is_number(row.cells[place]) for place in places):
+            if all(place < len(row.cells) and is_number_with_either_mark(row.cells[place]) for place in places):
                 return table, TableRow(row.line,
                                        strip_empty_trailing_cells(row.cells)), _remove_comment_rows(table.rows[i:])
     wanted = ", ".join(str(place + 1) for place in places)
@@ -78,7 +79,7 @@ def find_first_numeric_row(tables: Iterable[Table], places: Sequence[int], *, fi
                      file=file)
 
 
-def find_repeated_column_positions(row: TableRow, names: Sequence[str], *, file: Path) -> list[list[int]]:
+def find_positions_of_each_column_name(row: TableRow, names: Sequence[str], *, file: Path) -> list[list[int]]:
     """Return the positions of each name in a row with all names: one for each of the replicates side by side.
 
     Raises:
@@ -94,15 +95,15 @@ def find_repeated_column_positions(row: TableRow, names: Sequence[str], *, file:
 
 def find_matching_cells(cells: Sequence[str], name: str) -> list[int]:
     """Return the positions of the cells that equal `name`, or else of those that are `name` followed by a unit."""
-    def normalize_cell(text: str) -> str:
+    def casefold_and_collapse_blanks(text: str) -> str:
         """Return a text in lower case with single blanks."""
         return " ".join(text.casefold().split())
 
-    wanted = normalize_cell(name)
-    exact = [i for i, cell in enumerate(cells) if normalize_cell(cell) == wanted]
+    wanted = casefold_and_collapse_blanks(name)
+    exact = [i for i, cell in enumerate(cells) if casefold_and_collapse_blanks(cell) == wanted]
     return exact or [i for i, cell in enumerate(cells)
-                     if cell and wanted in (normalize_cell(split_header_with_brackets(cell)[0]),
-                                            normalize_cell(split_free_form_header(cell)[0]))]
+                     if cell and wanted in (casefold_and_collapse_blanks(split_header_with_brackets(cell)[0]),
+                                            casefold_and_collapse_blanks(split_header_and_known_unit(cell)[0]))]
 
 
 def strip_empty_trailing_cells(cells: tuple[str, ...]) -> tuple[str, ...]:
@@ -117,9 +118,9 @@ def _remove_comment_rows(rows: Sequence[TableRow]) -> list[TableRow]:
     return [row for row in rows if not row.cells[0].startswith("#")]
 
 
-def _is_numeric_row(row: TableRow) -> bool:
+def _has_only_numbers_or_empty_cells(row: TableRow) -> bool:
     """Return whether all cells with content are numbers; True for a row without content."""
-    return all(is_number(cell) for cell in row.cells if cell)
+    return all(is_number_with_either_mark(cell) for cell in row.cells if cell)
 
 
 def _make_missing_column_error(closest, names, file, delimiters) -> InputError:
@@ -129,14 +130,14 @@ def _make_missing_column_error(closest, names, file, delimiters) -> InputError:
     (found, above_numbers, _), row = closest
     missing, *others = (name for name in names if not find_matching_cells(row.cells, name))
     also = f" (nor {', '.join(map(repr, others))})" if others else ""
-    cells = [cell for cell in row.cells if cell and not is_number(cell)]
+    cells = [cell for cell in row.cells if cell and not is_number_with_either_mark(cell)]
     if found or (above_numbers and len(row.cells) > 1):
         bare = {split_header_with_brackets(cell)[0].casefold(): cell for cell in cells}
         close = difflib.get_close_matches(split_header_with_brackets(missing)[0].casefold(), bare, n=1)
         if close:
             hint = f"; did you mean {bare[close[0]]!r}?"
         else:
-            hint = (suggest_known_word(missing, cells) if cells
+            hint = (make_hint_with_similar_or_known_words(missing, cells) if cells
                     else ": this row has numbers only; add a line with names above it")
         return InputError(f"no column {missing!r}{also}{hint}", file=file, line=row.line)
     if None in delimiters:

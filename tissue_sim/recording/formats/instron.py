@@ -13,9 +13,9 @@ from typing import Any
 
 from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import read_single_recording
-from tissue_sim.recording.formats.header import find_header, split_text_tables
-from tissue_sim.recording.formats.long_text import split_off_trailing_numbers
-from tissue_sim.recording.formats.number_text import is_number, parse_any_number
+from tissue_sim.recording.formats.header import find_table_header_and_data_rows, iterate_table_for_each_delimiter
+from tissue_sim.recording.formats.long_text import try_splitting_off_trailing_numbers
+from tissue_sim.recording.formats.number_text import is_number_with_either_mark, parse_number_preferring_point_or_nan
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import get_si_factor_and_offset, split_header_with_brackets
 
@@ -35,8 +35,9 @@ def read_instron(path: str | Path) -> Recording:
     """
     path = Path(path)
     text = read_text(path, "an Instron export with the columns Time, Compression and Load")
-    _, header, _ = find_header(split_text_tables(split_off_trailing_numbers(text)[0], file=path),
-                               list(COLUMNS.values()), file=path)
+    _, header, _ = find_table_header_and_data_rows(
+        iterate_table_for_each_delimiter(try_splitting_off_trailing_numbers(text)[0], file=path),
+        list(COLUMNS.values()), file=path)
     lines = [line.strip() for line in text.splitlines()[:header.line - 1] if line.strip(" ;,\t")]
     return read_single_recording(path, COLUMNS, skip_lines=header.line - 1, metadata=_parse_header_metadata(lines))
 
@@ -58,8 +59,8 @@ def _parse_header_metadata(lines: list[str]) -> dict:
         metadata["specimen"] = {"shape": "cylinder", **specimen}
     for key, value in pairs.items():
         name, unit = split_header_with_brackets(key)
-        if name == "speed" and unit == "mm/min" and is_number(value):
-            metadata["speed_mm_s"] = parse_any_number(value) / 60.0
+        if name == "speed" and unit == "mm/min" and is_number_with_either_mark(value):
+            metadata["speed_mm_s"] = parse_number_preferring_point_or_nan(value) / 60.0
         elif name in ("machine", "load cell"):
             metadata[name.replace(" ", "_")] = value
     return metadata

@@ -9,14 +9,23 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
-from tissue_sim.recording.formats.comparison import get_valid_values_of_both
+from tissue_sim.recording.formats.comparison import list_value_pairs_valid_in_both_readings
 from tissue_sim.recording.formats.gauge_length import is_converted_by_gauge_length
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
 from tissue_sim.recording.formats.pairing import apply_measure_conversion
-from tissue_sim.recording.formats.vocabulary import MachineFormat, find_source, normalize_words
-from tissue_sim.recording.measures import ENGINEERING, MEASURES, find_measure, find_other_measures
+from tissue_sim.recording.formats.vocabulary import (
+    MachineFormat,
+    classify_column_source_or_empty,
+    normalize_header_text,
+)
+from tissue_sim.recording.measures import (
+    ENGINEERING,
+    MEASURES,
+    find_measure_name_in_header_or_none,
+    list_other_measures_named_by_words,
+)
 from tissue_sim.recording.recording import CHANNELS, Recording
-from tissue_sim.units import UNITS, split_free_form_header
+from tissue_sim.units import UNITS, split_header_and_known_unit
 
 #: Columns -> recordings of the table.
 Read = Callable[[Sequence[ColumnGuess]], tuple[Recording, ...]]
@@ -58,7 +67,7 @@ _TURNED = {"displacement": "falls under load", "force": "against the motion", "n
            "stretch": "positive in compression"}
 
 
-def get_channel_flag_name(channel: str) -> str:
+def get_command_line_channel_name(channel: str) -> str:
     """Return the name of a channel in options of the command line: ``stress`` for the nominal stress."""
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
@@ -72,8 +81,8 @@ def make_machine_assumption(machine: MachineFormat | None, hints: ColumnHints) -
                       flag=f"--format {machine.name}", is_stated=hints.format is not None)
 
 
-def list_column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-                       others: Sequence[ColumnGuess], hints: ColumnHints) -> Iterator[Assumption]:
+def iterate_column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
+                               others: Sequence[ColumnGuess], hints: ColumnHints) -> Iterator[Assumption]:
     """Yield the assumptions about role, unit, sign and measure of each column.
 
     Args:
@@ -84,7 +93,8 @@ def list_column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordin
         hints: hints of the user.
     """
     for column in columns:
-        channel, flag = column.channel, get_channel_flag_name("strain" if column.role == "strain" else column.channel)
+        channel, flag = column.channel, get_command_line_channel_name("strain" if column.role == "strain"
+                                                                      else column.channel)
         name = column.header or f"column {column.place}"
         is_named = bool(hints.columns)
         yield Assumption(f"column of {channel}", name, () if is_named else (column.reason.split(";")[0],),
@@ -117,9 +127,10 @@ def make_constant_speed_assumption(speed: tuple[float, str], recordings: Sequenc
                       is_stated=source == "stated")
 
 
-def compare_columns_of_same_quantity(read: Read, columns: tuple[ColumnGuess, ...], recordings: tuple[Recording, ...],
-                  rivals: Sequence[ColumnGuess]
-                  ) -> tuple[tuple[ColumnGuess, ...], tuple[Recording, ...], tuple[Assumption, ...], tuple[str, ...]]:
+def compare_columns_and_replace_constant_ones(read: Read, columns: tuple[ColumnGuess, ...],
+                                              recordings: tuple[Recording, ...], rivals: Sequence[ColumnGuess]
+                                              ) -> tuple[tuple[ColumnGuess, ...], tuple[Recording, ...],
+                                                         tuple[Assumption, ...], tuple[str, ...]]:
     """Compare each column with other columns of the same quantity.
 
     A column that was measured on the specimen, or corrected, is preferred. A constant column is replaced, because its
@@ -139,14 +150,16 @@ def compare_columns_of_same_quantity(read: Read, columns: tuple[ColumnGuess, ...
     remarks: list[str] = []
     for rival in rivals:
         column = next((each for each in columns if each.channel == rival.channel), None)
-        if column is None or column.missing_information or rival.missing_information or column.measure != rival.measure:
+        if column is None or column.missing_unit_or_scale_or_none or rival.missing_unit_or_scale_or_none \
+            or column.measure != rival.measure:
             continue
         swapped = tuple(replace(rival, sign=each.sign) if each is column else each for each in columns)
         try:
             other = read(swapped)
         except InputError:
             continue
-        pairs = [pair for pair in get_valid_values_of_both(recordings, other, column.channel) if pair[0].size]
+        pairs = [pair for pair in list_value_pairs_valid_in_both_readings(recordings, other, column.channel)
+                 if pair[0].size]
         if not pairs:
             continue
         own, its = (np.concatenate([pair[which] - pair[which][0] for pair in pairs]) for which in (0, 1))
@@ -168,7 +181,7 @@ def compare_columns_of_same_quantity(read: Read, columns: tuple[ColumnGuess, ...
         is_question = rival.rank == column.rank and abs(ratio - 1.0) > _SETTINGS.decisive_difference
         flags = _make_flags_of_all_columns(swapped)
         alternatives = (AlternativeValue(rival.header, modulus, flags),) if is_question else ()
-        if find_source(normalize_words(column.header)) == "specimen":
+        if classify_column_source_or_empty(normalize_header_text(column.header)) == "specimen":
             said += "; the height must be the gauge length of this sensor"
         assumptions.append(Assumption(f"source of {column.channel}", column.header, () if is_question else (
             "measured on the specimen, corrected, or the more specific name",), (said,), alternatives,
@@ -181,7 +194,7 @@ def compare_columns_of_same_quantity(read: Read, columns: tuple[ColumnGuess, ...
 def _make_flags_of_all_columns(columns: Sequence[ColumnGuess]) -> str:
     """Return flags that name all columns, because a named column is read only with other named columns."""
     channels = [each.role if is_converted_by_gauge_length(each) else each.channel for each in columns]
-    return " ".join(f"--column {get_channel_flag_name(channel)}="
+    return " ".join(f"--column {get_command_line_channel_name(channel)}="
                     f"{_quote_for_command_line(each.header or str(each.place))}"
                     for channel, each in zip(channels, columns, strict=True))
 
@@ -197,7 +210,8 @@ def _make_unit_assumption(read: Read, column: ColumnGuess, columns: Sequence[Col
     """Return the assumption about the unit of a column, with % or a contradictory unit as an alternative."""
     channel, subject = column.channel, f"unit of {column.channel}"
     is_stated = not (hints.units.keys() | hints.scales.keys()).isdisjoint({channel, column.role})
-    alternatives = () if is_stated or not _is_dimensionless_deformation(column) else _list_percent_alternatives(
+    alternatives = () if is_stated or not _is_strain_or_stretch_without_factor(column) \
+        else _list_percent_as_alternative_if_plausible(
         read, column, columns, recordings, others, flag, is_named=bool(hints.columns))
     if column.unit is None and CHANNELS[channel] == "ratio" and column.scale is None:
         return Assumption(subject, "-", ("no unit in the file: a ratio",), alternatives=alternatives,
@@ -215,9 +229,9 @@ def _make_unit_assumption(read: Read, column: ColumnGuess, columns: Sequence[Col
         return Assumption(subject, value, (f"in the header {column.header!r}",), (rival,), (AlternativeValue(
                 column.other_unit, other / own if grows else None if channel == "time" else own / other,
                 f"--unit {flag}={column.other_unit}"),), f"--unit {flag}={column.unit}")
-    if is_stated or column.missing_information:
+    if is_stated or column.missing_unit_or_scale_or_none:
         evidence: tuple[str, ...] = ()
-    elif split_free_form_header(column.header)[1] is not None:
+    elif split_header_and_known_unit(column.header)[1] is not None:
         evidence = (f"in the header {column.header!r}",)
     elif _has_cell_units(column):
         evidence = ("after each number of the column",)
@@ -232,7 +246,7 @@ def _has_cell_units(column: ColumnGuess) -> bool:
     return "unit after each number" in column.reason
 
 
-def _is_dimensionless_deformation(column: ColumnGuess) -> bool:
+def _is_strain_or_stretch_without_factor(column: ColumnGuess) -> bool:
     """Return whether the numbers of a column, without a unit or in mm/mm, are strains or stretches without a factor."""
     if column.strain_unit is not None:
         return UNITS.get(column.strain_unit) == UNITS["-"]
@@ -240,14 +254,15 @@ def _is_dimensionless_deformation(column: ColumnGuess) -> bool:
         column.unit is None or UNITS.get(column.unit) == UNITS["-"])
 
 
-def _list_percent_alternatives(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
-                          recordings: Sequence[Recording], others: Sequence[ColumnGuess], flag: str, *, is_named: bool
-                               ) -> tuple[AlternativeValue, ...]:
+def _list_percent_as_alternative_if_plausible(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
+                                              recordings: Sequence[Recording], others: Sequence[ColumnGuess], flag: str,
+                                              *, is_named: bool ) -> tuple[AlternativeValue, ...]:
     """Return the unit % as an alternative for large strains without a unit; empty if % is excluded.
 
     Another measure of strain, or displacement over gauge length, that agrees with the strains excludes %.
     """
-    values = np.concatenate([own for own, _ in get_valid_values_of_both(recordings, recordings, column.channel)])
+    values = np.concatenate([own for own,
+                             _ in list_value_pairs_valid_in_both_readings(recordings, recordings, column.channel)])
     # A derived displacement is the strain times the gauge length, which is its scale in mm.
     length = 1e-3 * (column.scale or 1e3)
     largest = float(np.abs(values - (column.channel == "stretch" and column.role == "strain")).max()) / length
@@ -257,27 +272,28 @@ def _list_percent_alternatives(read: Read, column: ColumnGuess, columns: Sequenc
     for other in others:
         same = (other.measure == column.measure
                 and is_converted_by_gauge_length(other) == is_converted_by_gauge_length(column))
-        if other.channel != column.channel or same or other.missing_information:
+        if other.channel != column.channel or same or other.missing_unit_or_scale_or_none:
             continue
         try:
             rival = read([other if each is column else each for each in columns])
         except InputError:
             continue
-        pairs = [pair for pair in get_valid_values_of_both(recordings, rival, column.channel) if pair[0].size]
+        pairs = [pair for pair in list_value_pairs_valid_in_both_readings(recordings, rival, column.channel)
+                 if pair[0].size]
         limit = (_SETTINGS.agreement if other.measure != column.measure else _SETTINGS.same_unit) * largest * length
         if pairs and max(float(np.abs(its - own).max()) for own, its in pairs) <= limit:
             return ()
     percent = replace(column, scale=0.01 * (column.scale or 1.0)) if is_converted_by_gauge_length(column) else replace(
         column, unit="%", offset=100.0 if column.offset == 1.0 else column.offset)
-    ratio = _compute_modulus_ratio_of_strains(read, column, percent, columns, recordings)
+    ratio = _compute_modulus_ratio_from_largest_strains(read, column, percent, columns, recordings)
     return (AlternativeValue("%", ratio, f"--unit {flag}=%"),)
 
 
 def _make_measure_assumption(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
                              recordings: Sequence[Recording], hints: ColumnHints, flag: str) -> Assumption:
     """Return the assumption about the measure of a strain or stress, with measures that other columns suggest."""
-    words = normalize_words(column.header)
-    named = find_measure(words, column.role)
+    words = normalize_header_text(column.header)
+    named = find_measure_name_in_header_or_none(words, column.role)
     is_stated = not hints.measures.keys().isdisjoint({column.channel, column.role, flag})
     value = MEASURES[column.measure].title if column.measure else (
         "stretch" if column.role == "stretch" else f"engineering {'stress' if column.role == 'stress' else 'strain'}")
@@ -285,7 +301,7 @@ def _make_measure_assumption(read: Read, column: ColumnGuess, columns: Sequence[
         ("by convention, as the header names no measure",) if column.role != "stretch" else ("header",))
     if column.measure:
         evidence = (*evidence, MEASURES[column.measure].formula)
-    others = list(find_other_measures(words, column.role)) if not is_stated else []
+    others = list(list_other_measures_named_by_words(words, column.role)) if not is_stated else []
     if named is None and not is_stated:
         partner = {each.measure for each in columns
                    if each is not column and each.channel in ("stretch", "nominal stress")}
@@ -297,15 +313,16 @@ def _make_measure_assumption(read: Read, column: ColumnGuess, columns: Sequence[
     for other in dict.fromkeys(others):
         bare = replace(column, measure=None, offset=None)
         changed = apply_measure_conversion(bare, other)
-        alternatives.append(AlternativeValue(other, _compute_modulus_ratio(read, column, changed, recordings, columns),
-                                             f"--measure {flag}={other}"))
+        alternatives.append(
+            AlternativeValue(other, _compute_fitted_modulus_ratio_or_none(read, column, changed, recordings, columns),
+                             f"--measure {flag}={other}"))
     return Assumption(f"measure of {column.channel}", value, evidence, alternatives=tuple(alternatives),
                       flag=f"--measure {flag}={column.measure or ENGINEERING}", is_stated=is_stated)
 
 
-def _compute_modulus_ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGuess,
-                                      columns: Sequence[ColumnGuess],
-                      recordings: Sequence[Recording]) -> float | None:
+def _compute_modulus_ratio_from_largest_strains(read: Read, column: ColumnGuess, changed: ColumnGuess,
+                                                columns: Sequence[ColumnGuess],
+                                                recordings: Sequence[Recording]) -> float | None:
     """Return the ratio of the shear moduli with the changed and with the original column of strain.
 
     The modulus of a small deformation is inverse to the strain. None: the column cannot be read with the change.
@@ -315,39 +332,41 @@ def _compute_modulus_ratio_of_strains(read: Read, column: ColumnGuess, changed: 
     except InputError:
         return None
     rest = float(column.channel == "stretch")
-    pairs = [pair for pair in get_valid_values_of_both(recordings, other, column.channel) if pair[0].size]
+    pairs = [pair for pair in list_value_pairs_valid_in_both_readings(recordings, other, column.channel)
+             if pair[0].size]
     own, its = (max((float(np.abs(pair[which] - rest).max()) for pair in pairs), default=0.0) for which in (0, 1))
     return own / its if its > 0 else None
 
 
-def _compute_modulus_ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Sequence[Recording],
-           columns: Sequence[ColumnGuess]) -> float | None:
+def _compute_fitted_modulus_ratio_or_none(read: Read, column: ColumnGuess, changed: ColumnGuess,
+                                          recordings: Sequence[Recording],
+                                          columns: Sequence[ColumnGuess]) -> float | None:
     """Return shear modulus with the changed column over that with the original column; None: not readable."""
     try:
         other = read([changed if each is column else each for each in columns])
     except InputError:
         return None
-    own, its = _fit_shear_moduli_of_both(recordings, other)
+    own, its = _fit_shear_moduli_of_both_readings(recordings, other)
     return its / own if own and its else None
 
 
-def _fit_shear_moduli_of_both(first: Sequence[Recording], second: Sequence[Recording]) -> tuple[float | None,
-                                                                                                float | None]:
+def _fit_shear_moduli_of_both_readings(first: Sequence[Recording],
+                                       second: Sequence[Recording]) -> tuple[float | None, float | None]:
     """Return the least-squares shear moduli, Pa, of a neo-Hookean specimen for two readings of a table.
 
     The law is P = mu (l - l^-2). None: the readings have no stretch and stress.
     """
     if not all({"stretch", "nominal stress"} <= set(each.channels) for each in (*first, *second)):
         return None, None
-    parts = [get_valid_values_of_both(first, second, name) for name in ("stretch", "nominal stress")]
+    parts = [list_value_pairs_valid_in_both_readings(first, second, name) for name in ("stretch", "nominal stress")]
     if not parts[0]:
         return None, None
     stretches, stresses = ([np.concatenate([pair[which] for pair in part]) for which in (0, 1)] for part in parts)
-    one, other = (_fit_shear_modulus(*each) for each in zip(stretches, stresses, strict=True))
+    one, other = (_fit_shear_modulus_or_none(*each) for each in zip(stretches, stresses, strict=True))
     return one, other
 
 
-def _fit_shear_modulus(stretch: np.ndarray, stress: np.ndarray) -> float | None:
+def _fit_shear_modulus_or_none(stretch: np.ndarray, stress: np.ndarray) -> float | None:
     """Return the least-squares shear modulus, Pa; None without a finite value."""
     if not stretch.size or stretch.min() <= 0:
         return None

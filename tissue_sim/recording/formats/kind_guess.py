@@ -11,8 +11,10 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
 from tissue_sim.recording.formats.guesses import ColumnGuess, KindGuess
+from tissue_sim.recording.formats.kind_hints import make_hints_from_text_above_and_sheet_name
 from tissue_sim.recording.formats.kind_words import KindHint, NamedTest, find_named_tests
-from tissue_sim.recording.formats.orientation import find_largest_excursion
+from tissue_sim.recording.formats.orientation import compute_largest_deviation_from_first_value
+from tissue_sim.recording.formats.sources import NumberTable
 from tissue_sim.recording.formats.vocabulary import MachineFormat
 from tissue_sim.recording.recording import Recording
 
@@ -39,18 +41,19 @@ def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], 
     """
     named = find_named_tests(hints)
     if stated is not None:
-        return KindGuess(stated, "stated", against=_find_contradicting_words(stated, named), is_stated=True)
-    refused = _find_unknown_test(named, hints)
+        return KindGuess(stated, "stated", against=_list_evidence_against_stated_kind(stated, named), is_stated=True)
+    refused = _find_unregistered_named_test_or_none(named, hints)
     if refused is not None:
         return KindGuess(None, f"{refused.word!r} {refused.where}", refused=refused)
-    by_columns, by_words = _guess_by_columns(recordings, columns), _guess_by_words(named, hints)
+    by_columns, by_words = _guess_kind_by_shear_strain_or_stretch(recordings, columns), _guess_by_words(named, hints)
     if by_columns is not None and by_words is not None and by_columns.kind != by_words.kind:
-        return _reconcile_guesses(by_columns, by_words, columns)
-    found = by_columns or by_words or _guess_by_sign(recordings, columns, machine)
+        return _select_kind_by_columns_or_words(by_columns, by_words, columns)
+    found = by_columns or by_words or _guess_compression_by_negative_signs(recordings, columns, machine)
     return found or KindGuess(None, "the file does not state how the specimen was loaded")
 
 
-def _reconcile_guesses(by_columns: KindGuess, by_words: KindGuess, columns: Sequence[ColumnGuess]) -> KindGuess:
+def _select_kind_by_columns_or_words(by_columns: KindGuess, by_words: KindGuess,
+                                     columns: Sequence[ColumnGuess]) -> KindGuess:
     """Select one of two different guesses.
 
     The kind by words is selected if the kind has these columns and the same direction of loading. Otherwise, the kind
@@ -62,6 +65,24 @@ def _reconcile_guesses(by_columns: KindGuess, by_words: KindGuess, columns: Sequ
         return replace(by_words, reason=f"{by_words.reason}; {by_columns.reason}")
     other = () if named.closed_form is from_columns.closed_form or by_words.is_weak else (named.name,)
     return replace(by_columns, against=(by_words.reason,), alternatives=other)
+
+
+def check_kind_and_list_remarks(guess: KindGuess, tables: Sequence[NumberTable], *, any_test: bool) -> tuple[str, ...]:
+    """Return a remark about evidence against a stated kind; check that the tables of a guessed kind name one test.
+
+    Args:
+        guess: kind of test of the tables.
+        tables: tables with equal columns.
+        any_test: whether the tables may name different tests.
+
+    Raises:
+        InputError: see `require_same_test_in_all_tables`.
+    """
+    if guess.is_stated and guess.against:
+        return (f"kind of test as stated ({guess.kind}), though {'; '.join(guess.against)}",)
+    if not guess.is_stated and guess.refused is None and not any_test:
+        require_same_test_in_all_tables([make_hints_from_text_above_and_sheet_name(numbers) for numbers in tables])
+    return ()
 
 
 def require_same_test_in_all_tables(texts: Sequence[Sequence[KindHint]]) -> None:
@@ -76,7 +97,7 @@ def require_same_test_in_all_tables(texts: Sequence[Sequence[KindHint]]) -> None
     found: dict[frozenset[str], str] = {}
     for hints in texts:
         named = find_named_tests(hints)
-        tests = frozenset(each.test_title for each in named)
+        tests = frozenset(each.kind_or_unregistered_title for each in named)
         if tests:
             found.setdefault(tests, " and ".join(dict.fromkeys(each.word for each in named)))
     if len(found) > 1:
@@ -93,7 +114,7 @@ def make_kind_assumption(guess: KindGuess) -> Assumption:
                       f"--kind {guess.kind}" if guess.kind else "--kind", guess.is_stated)
 
 
-def _find_contradicting_words(kind: str, named: Sequence[NamedTest]) -> tuple[str, ...]:
+def _list_evidence_against_stated_kind(kind: str, named: Sequence[NamedTest]) -> tuple[str, ...]:
     """Return the evidence in the words of the file against a kind that the user states."""
     found = []
     for each in named:
@@ -104,7 +125,7 @@ def _find_contradicting_words(kind: str, named: Sequence[NamedTest]) -> tuple[st
     return tuple(dict.fromkeys(found))
 
 
-def _find_unknown_test(named: Sequence[NamedTest], hints: Sequence[KindHint]) -> NamedTest | None:
+def _find_unregistered_named_test_or_none(named: Sequence[NamedTest], hints: Sequence[KindHint]) -> NamedTest | None:
     """Return the first word for a test without a registered kind that other words do not overrule; None: no word."""
     of_file = {hint.where for hint in hints if hint.is_file_name}
     known = [each for each in named if each.kind is not None and each.where not in of_file]
@@ -112,13 +133,14 @@ def _find_unknown_test(named: Sequence[NamedTest], hints: Sequence[KindHint]) ->
         if each.unknown is None:
             continue
         overruled = each.where in of_file and (bool(known) if each.is_short else
-                                               any(other.is_explicit for other in known))
+                                               any(other.is_named_by_several_words for other in known))
         if not overruled:
             return each
     return None
 
 
-def _guess_by_columns(recordings: Sequence[Recording], columns: Sequence[ColumnGuess]) -> KindGuess | None:
+def _guess_kind_by_shear_strain_or_stretch(recordings: Sequence[Recording],
+                                           columns: Sequence[ColumnGuess]) -> KindGuess | None:
     """Return the kind that a shear strain or the range of a stretch shows; None: no such column."""
     roles = {column.role for column in columns}
     if "shear strain" in roles:
@@ -148,10 +170,12 @@ def _guess_by_words(named: Sequence[NamedTest], hints: Sequence[KindHint]) -> Ki
     first, *others = levels
     of_file = {hint.where for hint in hints if hint.is_file_name}
     title = next((each for each in others if each.where not in of_file), None)
-    if title is not None and first.where == hints[0].where and _get_loading_sign(title) == _get_loading_sign(first):
+    if title is not None and first.where == hints[0].where and _get_loading_sign_of_named_kind(title) \
+        == _get_loading_sign_of_named_kind(first):
         first = title
     conflicts = [each for each in levels if each.kind != first.kind and not (
-        each.where == hints[0].where and _get_loading_sign(each) == _get_loading_sign(first)) and not each.is_short]
+        each.where == hints[0].where and _get_loading_sign_of_named_kind(each)
+        == _get_loading_sign_of_named_kind(first)) and not each.is_short]
     kind = first.kind
     between = f"; {_BETWEEN_PLATES}" if kind == "lubricated_compression" else ""
     return KindGuess(kind, f"{first.word!r} {first.where}{between}", is_weak=first.where in of_file,
@@ -159,22 +183,22 @@ def _guess_by_words(named: Sequence[NamedTest], hints: Sequence[KindHint]) -> Ki
                      alternatives=tuple(dict.fromkeys(each.kind for each in conflicts if each.kind)))
 
 
-def _get_loading_sign(named: NamedTest) -> float:
+def _get_loading_sign_of_named_kind(named: NamedTest) -> float:
     """Return 1 for a kind that stretches the specimen, and -1 for compression."""
     return KINDS[named.kind or ""].sign
 
 
-def _guess_by_sign(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], machine: MachineFormat | None
-             ) -> KindGuess | None:
+def _guess_compression_by_negative_signs(recordings: Sequence[Recording], columns: Sequence[ColumnGuess],
+                                         machine: MachineFormat | None ) -> KindGuess | None:
     """Return compression if load and displacement, or the strain, are negative; None: no evidence."""
     roles = {column.role for column in columns}
     if recordings and {"displacement", "force"} <= roles and machine is not None and machine.compresses_negative:
-        motion, load = (find_largest_excursion(np.asarray(recordings[0].channel(name)))
+        motion, load = (compute_largest_deviation_from_first_value(np.asarray(recordings[0].channel(name)))
                         for name in ("displacement", "force"))
         if motion < 0 and load < 0:
             return KindGuess("lubricated_compression", f"displacement and load are negative, the sign of compression "
                              f"of {machine.title}; {_BETWEEN_PLATES}")
     if "strain" in roles and recordings and "stretch" in recordings[0] \
-            and find_largest_excursion(recordings[0].channel("stretch")) < 0:
+            and compute_largest_deviation_from_first_value(recordings[0].channel("stretch")) < 0:
         return KindGuess("lubricated_compression", f"strains are negative; {_BETWEEN_PLATES}")
     return None

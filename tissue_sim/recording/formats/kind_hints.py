@@ -29,13 +29,13 @@ class KindHintSettings:
 _SETTINGS = KindHintSettings()
 
 
-def collect_title_hints(numbers: NumberTable) -> list[KindHint]:
+def make_hints_from_text_above_and_sheet_name(numbers: NumberTable) -> list[KindHint]:
     """Return two texts that may name the test: the text above a table, and the name of its sheet."""
     above = "\n".join(" ".join(row.cells) for row in numbers.above[-_SETTINGS.title_rows:])
     return [KindHint(above, "above the numbers"), KindHint(numbers.table.name, "in the name of the sheet")]
 
 
-def collect_file_hints(source: FileContent, found: Sequence[NumberTable]) -> list[KindHint]:
+def make_hints_from_file_top_and_text_sheets(source: FileContent, found: Sequence[NumberTable]) -> list[KindHint]:
     """Return texts that may name the test: the top of a file without sheets, and each sheet without numbers."""
     first = found[0]
     top = "\n".join(" ".join(row.cells) for row in first.above[:_SETTINGS.title_rows])
@@ -46,7 +46,7 @@ def collect_file_hints(source: FileContent, found: Sequence[NumberTable]) -> lis
                     for table in source.tables if id(table) not in with_numbers]
 
 
-def make_header_hint(own: Sequence[str], others: Sequence[str]) -> KindHint:
+def make_header_hint_without_unknown_tests(own: Sequence[str], others: Sequence[str]) -> KindHint:
     """Return one hint: headers of the columns that are read, and other headers that name no test without a kind.
 
     A header of a column that is not read is omitted if it names a test without a kind, such as a bending strain.

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS, UnknownTest
+from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS, UnregisteredTestDefinition
 
 #: Kind -> abbreviations that are recognised only in the name of a file.
 _SHORT = {"simple_shear": ("ss",), "uniaxial_tension": ("ut",), "lubricated_compression": ("uc",)}
@@ -57,16 +57,16 @@ class NamedTest:
     word: str
     where: str
     kind: str | None = None
-    unknown: UnknownTest | None = None
+    unknown: UnregisteredTestDefinition | None = None
     is_short: bool = False
 
     @property
-    def test_title(self) -> str:
+    def kind_or_unregistered_title(self) -> str:
         """Name of the test: a kind in `KINDS`, or the title of the unknown test."""
         return self.kind or (self.unknown.title if self.unknown else "")
 
     @property
-    def is_explicit(self) -> bool:
+    def is_named_by_several_words(self) -> bool:
         """Whether the text names the test by several words, as ``uniaxial tension``; one may only name a direction."""
         return " " in self.word
 
@@ -107,7 +107,8 @@ def _iterate_tests_in_line(line: str, hint: KindHint) -> Iterator[NamedTest]:
     """
     text = normalize_text(line)
     matches: list[tuple[int, int, bool, NamedTest]] = []
-    for pattern, kind, unknown, is_short in _compile_word_patterns(_list_registered_kinds()):
+    for pattern, kind, unknown, is_short in _compile_patterns_of_kinds_and_unknown_tests(
+        _list_names_titles_words_of_kinds()):
         if is_short and not hint.is_file_name:
             continue
         for match in pattern.finditer(text):
@@ -116,7 +117,7 @@ def _iterate_tests_in_line(line: str, hint: KindHint) -> Iterator[NamedTest]:
     entry = None if matches else _TEST_ENTRIES.match(text)
     if entry is not None:
         yield from (NamedTest(found[0], hint.where, unknown=unknown)
-                    for unknown in _list_unregistered_tests(_list_registered_kinds())
+                    for unknown in _list_unregistered_tests(_list_names_titles_words_of_kinds())
                     for word in unknown.alone if (found := re.search(rf"\b{word}\b", entry["value"])))
     # Longest match first; of equal lengths, a registered kind first. A match that overlaps a longer one is ignored.
     matches.sort(key=lambda each: (each[0] - each[1], each[2]))
@@ -127,22 +128,27 @@ def _iterate_tests_in_line(line: str, hint: KindHint) -> Iterator[NamedTest]:
     yield from (named for *_, named in sorted(kept, key=lambda each: each[0]))
 
 
-def _list_registered_kinds() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
-    """Return (name, title, title words) of all registered kinds, as a hashable key of `_compile_word_patterns`."""
+def _list_names_titles_words_of_kinds() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+    """Return (name, title, title words) of all registered kinds.
+
+    They are the hashable key of `_compile_patterns_of_kinds_and_unknown_tests`.
+    """
     return tuple((name, kind.title, kind.title_words) for name, kind in KINDS.items())
 
 
-def _list_unregistered_tests(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]) -> tuple[UnknownTest, ...]:
+def _list_unregistered_tests(
+        kinds: tuple[tuple[str, str, tuple[str, ...]], ...]) -> tuple[UnregisteredTestDefinition, ...]:
     """Return the tests of `UNKNOWN_TESTS` under whose name no kind is registered."""
     names = {name for name, *_ in kinds}
     return tuple(test for test in UNKNOWN_TESTS if test.name not in names)
 
 
 @lru_cache(maxsize=8)
-def _compile_word_patterns(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
-              ) -> tuple[tuple[re.Pattern[str], str | None, UnknownTest | None, bool], ...]:
+def _compile_patterns_of_kinds_and_unknown_tests(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
+                                                 ) -> tuple[tuple[re.Pattern[str], str | None,
+                                                                  UnregisteredTestDefinition | None, bool], ...]:
     """Return (pattern, kind, test without a kind, whether the word is an abbreviation) of all words."""
-    words: list[tuple[str, str | None, UnknownTest | None, bool]] = []
+    words: list[tuple[str, str | None, UnregisteredTestDefinition | None, bool]] = []
     for name, title, own in kinds:
         words += [(rf"\b(?:{word})\b", name, None, False)
                   for word in (*own, normalize_text(name), normalize_text(title))]

@@ -13,12 +13,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tissue_sim.recording.formats.number_text import normalize_number_marks, split_number_and_unit
+from tissue_sim.recording.formats.number_text import convert_number_signs_to_ascii, split_number_and_unit
 
 
 @dataclass(frozen=True)
 class LongTextSettings:
-    """Settings of `split_off_trailing_numbers`.
+    """Settings of `try_splitting_off_trailing_numbers`.
 
     Attributes:
         beginning: number of lines that are read cell by cell. These lines determine marks and units, so that fewer
@@ -73,11 +73,11 @@ class TrailingNumberLines:
     units: tuple[str, ...]
 
     @property
-    def cell_count(self) -> int:
+    def cell_count_per_line(self) -> int:
         """Number of cells in each line."""
         return len(self.suffixes)
 
-    def parse_columns(self, positions: Sequence[int], decimal: str) -> np.ndarray | None:
+    def parse_columns_or_none(self, positions: Sequence[int], decimal: str) -> np.ndarray | None:
         """Return the numbers in the given columns, shape (lines, columns); None if a cell is not a number.
 
         Args:
@@ -86,10 +86,10 @@ class TrailingNumberLines:
         """
         separators = [mark for mark in self.marks if mark != decimal]
         found = []
-        for piece in _iterate_line_chunks(self.text, self.start, self.delimiter):
+        for piece in _iterate_chunks_of_plain_tabbed_lines(self.text, self.start, self.delimiter):
             content: bytes | None = _remove_unit_suffixes(piece, self.suffixes)
             for separator in separators:
-                content = None if content is None else _remove_thousands_separators(content, separator, decimal)
+                content = None if content is None else _try_removing_thousands_separators(content, separator, decimal)
             if content is None:
                 return None
             if decimal == ",":
@@ -107,7 +107,7 @@ class TrailingNumberLines:
         return values if np.isfinite(values).all() else None
 
 
-def split_off_trailing_numbers(text: str, skipped: int = 0) -> tuple[str, TrailingNumberLines | None]:
+def try_splitting_off_trailing_numbers(text: str, skipped: int = 0) -> tuple[str, TrailingNumberLines | None]:
     """Divide a text into its beginning and its trailing lines of plain numbers.
 
     Args:
@@ -128,13 +128,13 @@ def split_off_trailing_numbers(text: str, skipped: int = 0) -> tuple[str, Traili
         return text, None
     try:
         # A quoted cell of the last line of the beginning may continue in the next line.
-        _remove_quotation_marks(_normalize_characters(text[last:start]), delimiter)
-        return text[:start], _parse_trailing_lines(text, start, delimiter)
+        _unquote_cells_and_separate_by_tabs(_encode_with_ascii_marks_and_line_feeds(text[last:start]), delimiter)
+        return text[:start], _make_verified_trailing_number_lines(text, start, delimiter)
     except NotPlainNumbersError:
         return text, None
 
 
-def _parse_trailing_lines(text: str, start: int, delimiter: str) -> TrailingNumberLines:
+def _make_verified_trailing_number_lines(text: str, start: int, delimiter: str) -> TrailingNumberLines:
     """Return the lines of a text from position `start` on, after a check that all cells are numbers.
 
     Raises:
@@ -143,9 +143,9 @@ def _parse_trailing_lines(text: str, start: int, delimiter: str) -> TrailingNumb
     found: set[str] = set()
     suffixes: tuple[bytes, ...] = ()
     units: tuple[str, ...] = ()
-    for piece in _iterate_line_chunks(text, start, delimiter):
+    for piece in _iterate_chunks_of_plain_tabbed_lines(text, start, delimiter):
         if not suffixes:
-            quantities = [_split_unit_suffix(cell) for cell in piece[:piece.index(b"\n")].split(_CELL_END)]
+            quantities = [_get_text_after_number_and_unit(cell) for cell in piece[:piece.index(b"\n")].split(_CELL_END)]
             suffixes = tuple(suffix for suffix, _ in quantities)
             units = tuple(unit for _, unit in quantities)
             if len(suffixes) < 2:
@@ -155,19 +155,19 @@ def _parse_trailing_lines(text: str, start: int, delimiter: str) -> TrailingNumb
             raise NotPlainNumbersError
         found |= {chr(mark) for mark in _MARKS if mark in numbers}
         # A cell between two adjacent delimiters is empty.
-        if (np.diff(_find_cell_ends(numbers, len(suffixes)).ravel(), prepend=-1) == 1).any():
+        if (np.diff(_find_cell_ends_per_line(numbers, len(suffixes)).ravel(), prepend=-1) == 1).any():
             raise NotPlainNumbersError
     return TrailingNumberLines(text, start, delimiter, "".join(sorted(found)), suffixes, units)
 
 
-def _split_unit_suffix(cell: bytes) -> tuple[bytes, str]:
+def _get_text_after_number_and_unit(cell: bytes) -> tuple[bytes, str]:
     """Return the text after the number in a cell, and its unit; both are empty without a known unit."""
     text = cell.decode("latin-1")
     pair = split_number_and_unit(text)
     return (b"", "") if pair is None else (text[len(pair[0]):].encode("latin-1"), pair[1])
 
 
-def _find_cell_ends(piece: bytes, cells: int) -> np.ndarray:
+def _find_cell_ends_per_line(piece: bytes, cells: int) -> np.ndarray:
     """Return the positions of the delimiters and line ends of a piece, shape (lines, cells).
 
     Raises:
@@ -191,7 +191,7 @@ def _remove_unit_suffixes(piece: bytes, suffixes: Sequence[bytes]) -> bytes:
         return piece
     letters = np.frombuffer(piece, dtype=np.uint8)
     kept = np.ones(letters.size, dtype=bool)
-    ends = _find_cell_ends(piece, len(suffixes))
+    ends = _find_cell_ends_per_line(piece, len(suffixes))
     for column, suffix in enumerate(suffixes):
         for distance, letter in enumerate(reversed(suffix), start=1):
             positions = ends[:, column] - distance
@@ -201,10 +201,10 @@ def _remove_unit_suffixes(piece: bytes, suffixes: Sequence[bytes]) -> bytes:
     return letters[kept].tobytes()
 
 
-def _remove_thousands_separators(piece: bytes, separator: str, decimal: str) -> bytes | None:
+def _try_removing_thousands_separators(piece: bytes, separator: str, decimal: str) -> bytes | None:
     """Remove a thousands separator from a piece; None if a separator is not between groups of three digits.
 
-    As in `tissue_sim.recording.formats.number_text.parse_number`, a number begins with one to three digits. The
+    As in `tissue_sim.recording.formats.number_text.parse_number_or_nan`, a number begins with one to three digits. The
     first digit is not zero, and all further groups have three digits up to the decimal mark or the end of the cell.
     """
     edge = b"\n" * (_SETTINGS.group_digits + 1)
@@ -227,14 +227,14 @@ def _remove_thousands_separators(piece: bytes, separator: str, decimal: str) -> 
     return piece.replace(separator.encode(), b"")
 
 
-def _normalize_characters(text: str) -> bytes:
+def _encode_with_ascii_marks_and_line_feeds(text: str) -> bytes:
     """Convert minus signs, blanks and apostrophes to ASCII, and line ends to line feeds; the result is Latin-1."""
     if not text.isascii():
-        text = normalize_number_marks(text)
+        text = convert_number_signs_to_ascii(text)
     return text.encode("latin-1", "replace").replace(b"\r\n", b"\n")
 
 
-def _remove_quotation_marks(piece: bytes, delimiter: str) -> bytes:
+def _unquote_cells_and_separate_by_tabs(piece: bytes, delimiter: str) -> bytes:
     """Replace the delimiters of a piece by tabs, and remove the quotation marks of quoted cells.
 
     Raises:
@@ -263,18 +263,18 @@ def _remove_quotation_marks(piece: bytes, delimiter: str) -> bytes:
     return letters[~is_quote].tobytes()
 
 
-def _iterate_line_chunks(text: str, start: int, delimiter: str) -> Iterator[bytes]:
+def _iterate_chunks_of_plain_tabbed_lines(text: str, start: int, delimiter: str) -> Iterator[bytes]:
     """Yield complete lines from a position on, with tabs between cells and line feeds at their ends.
 
     Cells have neither quotation marks nor blanks at their ends. Blanks, apostrophes and minus signs are ASCII; any
     other character outside of Latin-1 is a question mark.
 
     Raises:
-        NotPlainNumbersError: an invalid quotation mark or tab; see `_remove_quotation_marks`.
+        NotPlainNumbersError: an invalid quotation mark or tab; see `_unquote_cells_and_separate_by_tabs`.
     """
     while start < len(text):
         end = text.find("\n", start + _SETTINGS.chunk_characters) + 1 or len(text)
-        piece = _remove_quotation_marks(_normalize_characters(text[start:end]), delimiter)
+        piece = _unquote_cells_and_separate_by_tabs(_encode_with_ascii_marks_and_line_feeds(text[start:end]), delimiter)
         if b" " in piece and any(pair in piece for pair in _AT_EDGES):
             piece = _BLANKS.sub(rb"\1", piece)
         piece = piece.strip(b" ")

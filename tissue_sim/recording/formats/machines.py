@@ -17,8 +17,8 @@ from tissue_sim.recording.formats.vocabulary import MACHINES
 from tissue_sim.recording.recording import Recording
 
 
-def read_table(path: str | Path, *, sheet: Sheets | None = None, curve: int | None = None) -> tuple[Recording,
-                                                                                                          ...]:
+def read_table(path: str | Path, *, sheet: Sheets | None = None,
+               curve: int | None = None) -> tuple[Recording, ...]:
     """Read the recordings in a text, spreadsheet or container of any machine.
 
     The metadata of the recordings have the interpretation of the columns under ``understood``: header, unit, sign and
@@ -32,25 +32,27 @@ def read_table(path: str | Path, *, sheet: Sheets | None = None, curve: int | No
     Raises:
         InputError: the file has no recording, or information is missing; the message lists all missing information.
     """
-    return _read_machine_file(path, None, sheet, curve)
+    return _read_file_of_given_or_any_machine(path, None, sheet, curve)
 
 
 def _make_machine_reader(machine: str) -> Callable[..., tuple[Recording, ...]]:
     """Return the function ``read_<machine>`` for a name in `MACHINES`."""
-    def read_file(path: str | Path, *, sheet: Sheets | None = None, curve: int | None = None) -> tuple[Recording, ...]:
-        return _read_machine_file(path, machine, sheet, curve)
+    def read_file_of_given_machine(path: str | Path, *, sheet: Sheets | None = None,
+                                   curve: int | None = None) -> tuple[Recording, ...]:
+        return _read_file_of_given_or_any_machine(path, machine, sheet, curve)
 
-    read_file.__name__ = read_file.__qualname__ = f"read_{machine}"
-    read_file.__doc__ = f"Read the recordings in a file of {MACHINES[machine].title}; see `read_table`."
-    return read_file
+    read_file_of_given_machine.__name__ = read_file_of_given_machine.__qualname__ = f"read_{machine}"
+    title = MACHINES[machine].title
+    read_file_of_given_machine.__doc__ = f"Read the recordings in a file of {title}; see `read_table`."
+    return read_file_of_given_machine
 
 
-def _read_machine_file(path: str | Path, machine: str | None, sheet: Sheets | None, curve: int | None
-                       ) -> tuple[Recording, ...]:
+def _read_file_of_given_or_any_machine(path: str | Path, machine: str | None, sheet: Sheets | None, curve: int | None
+                                       ) -> tuple[Recording, ...]:
     """Read the recordings in a file; `machine` is a name in `MACHINES` (None: any machine)."""
     path = Path(path)
     understood = interpret_file(path, ColumnHints(format=machine, sheet=sheet, any_test=True))
-    missing = [what for reading in understood.readings for what in reading.missing_information]
+    missing = [what for reading in understood.readings for what in reading.missing_units_and_scales]
     if missing:
         raise InputError(f"does not state {', nor '.join(missing)}; give columns with unit or scale instead of the "
                          "format", file=path, line=understood.readings[0].line)

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
 from tissue_sim.recording.formats.guesses import ColumnHints, TableGroup
 from tissue_sim.recording.formats.pairing import RecordingColumns
 from tissue_sim.recording.formats.sizes import make_size_signature
-from tissue_sim.recording.formats.statements import FileStatements
-from tissue_sim.recording.formats.titles import derive_material_names, find_block_title
+from tissue_sim.recording.formats.statements import FileStatementsByKey
+from tissue_sim.recording.formats.titles import derive_material_name_of_each_title, find_block_title_or_empty
 
 #: Subject of the assumption about different titles.
 _SUBJECT = "titles of the tables"
 
 
-def split_by_material(reading: TableGroup, groups: Sequence[RecordingColumns], places: Sequence[tuple[str, int]],
-                hints: ColumnHints) -> list[TableGroup]:
+def split_table_group_by_material_and_size(reading: TableGroup, groups: Sequence[RecordingColumns],
+                                           places: Sequence[tuple[str, int]], hints: ColumnHints) -> list[TableGroup]:
     """Split a group of tables into one group for each pair of material (by title) and specimen size.
 
     Args:
@@ -30,21 +30,21 @@ def split_by_material(reading: TableGroup, groups: Sequence[RecordingColumns], p
     Returns:
         The groups, or the one unchanged group. Several materials add a question to the user to each group.
     """
-    tables = _match_tables_to_recordings(groups, places)
+    tables = _find_table_and_title_of_each_recording(groups, places)
     # A recording may continue below a repeated header, and its size may be stated below any of its parts. Statements
     # about several equal tables may contradict each other.
-    reading = replace(reading, stated=make_read_only_copy(_merge_table_statements(groups)))
+    reading = replace(reading, stated=make_shallow_read_only_copy(_merge_table_statements(groups)))
     if tables is None:
         return [reading]
     titles = [title for _, title in tables]
-    materials = [""] * len(titles) if hints.one_material else derive_material_names(titles)
+    materials = [""] * len(titles) if hints.one_material else derive_material_name_of_each_title(titles)
     keys = [(material, make_size_signature(group.stated, reading.kind.kind))
             for material, (group, _) in zip(materials, tables, strict=True)]
     if len(set(keys)) < 2:
         return [reading]
     numbers = _list_curve_numbers(reading, len(places))
     different = list(dict.fromkeys(materials))
-    question = _make_material_question(different, titles, materials, numbers) if len(different) > 1 else ()
+    question = _make_different_materials_assumption(different, titles, materials, numbers) if len(different) > 1 else ()
     found = []
     for key in dict.fromkeys(keys):
         chosen = [i for i, each in enumerate(keys) if each == key]
@@ -52,15 +52,15 @@ def split_by_material(reading: TableGroup, groups: Sequence[RecordingColumns], p
         name = materials[chosen[0]] or titles[chosen[0]] or f"table {curves[0]}"
         found.append(replace(
             reading, name=name, recordings=tuple(reading.recordings[i] for i in chosen),
-            stated=make_read_only_copy(_merge_table_statements([tables[i][0] for i in chosen])),
-            options=make_read_only_copy({**reading.options, "curve": curves if len(curves) > 1 else curves[0]}),
+            stated=make_shallow_read_only_copy(_merge_table_statements([tables[i][0] for i in chosen])),
+            options=make_shallow_read_only_copy({**reading.options, "curve": curves if len(curves) > 1 else curves[0]}),
             assumptions=(*reading.assumptions, *question)))
     return found
 
 
-def add_material_question(readings: Sequence[TableGroup], tables: Sequence[Sequence[RecordingColumns]],
-                          hints: ColumnHints
-                          ) -> tuple[TableGroup, ...]:
+def add_material_question_if_titles_differ(readings: Sequence[TableGroup], tables: Sequence[Sequence[RecordingColumns]],
+                                           hints: ColumnHints
+                                           ) -> tuple[TableGroup, ...]:
     """Add a question to groups of tables of one kind of test with different columns and titles of different materials.
 
     Args:
@@ -71,9 +71,10 @@ def add_material_question(readings: Sequence[TableGroup], tables: Sequence[Seque
     alike = {(reading.kind.kind, *sorted(column.channel for column in reading.columns)) for reading in readings}
     if len(tables) < 2 or len(alike) > 1 or hints.one_material:
         return tuple(readings)
-    titles = [find_block_title(group.numbers, [column.place - 1 for column in group.columns], side_by_side=False)
+    titles = [find_block_title_or_empty(group.numbers, [column.place - 1 for column in group.columns],
+                                        side_by_side=False)
               for group, *_ in tables]
-    materials = derive_material_names(titles)
+    materials = derive_material_name_of_each_title(titles)
     different = list(dict.fromkeys(materials))
     if len(different) < 2 or any(each.subject == _SUBJECT for reading in readings for each in reading.assumptions):
         return tuple(readings)
@@ -87,16 +88,17 @@ def add_material_question(readings: Sequence[TableGroup], tables: Sequence[Seque
 
 def _merge_table_statements(groups: Sequence[RecordingColumns]) -> dict[str, str]:
     """Return the statements (key -> value) about all of the tables."""
-    found = FileStatements(groups[0].stated)
+    found = FileStatementsByKey(groups[0].stated)
     for group in groups[1:]:
         for key, value in group.stated.items():
-            found.add_statement(key, value, f"line {group.first_line_number}")
+            found.add_statement_with_location_if_repeated(key, value,
+                                                          f"line {group.line_number_of_header_or_first_row}")
     return found
 
 
-def _make_material_question(different: Sequence[str], titles: Sequence[str], materials: Sequence[str],
-                            numbers: Sequence[int]
-              ) -> tuple[Assumption, ...]:
+def _make_different_materials_assumption(different: Sequence[str], titles: Sequence[str], materials: Sequence[str],
+                                         numbers: Sequence[int]
+                                         ) -> tuple[Assumption, ...]:
     """Return a tuple of one assumption: different names are different materials; alternatively, one material."""
     flags = {each: " ".join(f"--curve {number}" for number, material in zip(numbers, materials, strict=True)
                             if material == each) for each in different}
@@ -113,8 +115,9 @@ def _list_curve_numbers(reading: TableGroup, count: int) -> list[int]:
     return list(range(1, count + 1)) if curve is None else [curve] if isinstance(curve, int) else list(curve)
 
 
-def _match_tables_to_recordings(groups: Sequence[RecordingColumns],
-                                places: Sequence[tuple[str, int]]) -> list[tuple[RecordingColumns, str]] | None:
+def _find_table_and_title_of_each_recording(
+        groups: Sequence[RecordingColumns],
+        places: Sequence[tuple[str, int]]) -> list[tuple[RecordingColumns, str]] | None:
     """Return table and title of each recording; None if a recording has no table in `groups`.
 
     Args:
@@ -123,7 +126,7 @@ def _match_tables_to_recordings(groups: Sequence[RecordingColumns],
     """
     tables: dict[tuple[str, int], list[RecordingColumns]] = {}
     for group in groups:
-        tables.setdefault((group.numbers.table.name, group.first_line_number), []).append(group)
+        tables.setdefault((group.numbers.table.name, group.line_number_of_header_or_first_row), []).append(group)
     several_sheets = len({sheet for sheet, _ in places}) > 1
     seen: dict[tuple[str, int], int] = {}
     found: list[tuple[RecordingColumns, str]] = []
@@ -133,7 +136,7 @@ def _match_tables_to_recordings(groups: Sequence[RecordingColumns],
         if number >= len(shared):
             return None
         group = shared[number]
-        title = find_block_title(group.numbers, [column.place - 1 for column in group.columns],
-                                 side_by_side=len(shared) > 1)
+        title = find_block_title_or_empty(group.numbers, [column.place - 1 for column in group.columns],
+                                          side_by_side=len(shared) > 1)
         found.append((group, f"{place[0]} {title}".strip() if several_sheets else title))
     return found

@@ -7,11 +7,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.errors import InputError, suggest_known_word
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import Curves, Sheets, read_recordings_from_columns
-from tissue_sim.recording.formats.long_text import NotPlainNumbersError, TrailingNumberLines, split_off_trailing_numbers
-from tissue_sim.recording.formats.number_text import is_number
+from tissue_sim.recording.formats.long_text import (
+    NotPlainNumbersError,
+    TrailingNumberLines,
+    try_splitting_off_trailing_numbers,
+)
+from tissue_sim.recording.formats.number_text import is_number_with_either_mark
 from tissue_sim.recording.formats.table import (
     ChannelColumn,
     TableRow,
@@ -52,16 +56,16 @@ def read_native(path: str | Path, *, columns: Mapping[str, Any] | None = None, s
     if columns is not None:
         return read_recordings_from_columns(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet,
                                             curve=curve,
-                           decimal=decimal)
+                                            decimal=decimal)
     for key, value in (("sheet", sheet), ("curve", curve), ("decimal", decimal)):
         if value is not None:
             raise InputError(f"files of format 'native' have no {key}; leave it out", field=key)
     text = read_text(path, f"a recording with the header {EXAMPLE!r}")
-    beginning, end = split_off_trailing_numbers(text)
+    beginning, end = try_splitting_off_trailing_numbers(text)
     if end is not None and not any(end.units):
         with suppress(InputError, NotPlainNumbersError):
-            return read_native_rows(_split_native_rows(beginning, path), path, end)
-    return read_native_rows(_split_native_rows(text, path), path)
+            return read_native_rows(_split_at_commas_without_comments(beginning, path), path, end)
+    return read_native_rows(_split_at_commas_without_comments(text, path), path)
 
 
 def read_native_rows(rows: Sequence[TableRow], path: Path, end: TrailingNumberLines | None = None) -> Recording:
@@ -82,7 +86,7 @@ def read_native_rows(rows: Sequence[TableRow], path: Path, end: TrailingNumberLi
     return read_recording_table(header, data, _identify_columns(header, path), file=path, end=end)
 
 
-def _split_native_rows(text: str, path: Path) -> list[TableRow]:
+def _split_at_commas_without_comments(text: str, path: Path) -> list[TableRow]:
     """Split the lines of a text into cells at commas; lines that begin with ``#`` are omitted."""
     # Comments become empty lines, so that the line numbers remain those of the file.
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
@@ -103,7 +107,7 @@ def _identify_columns(header: TableRow, path: Path) -> list[ChannelColumn]:
         if len(header.cells) == 1 and delimiter in header.cells[0]:
             raise make_header_error(f"the columns are separated by {word}, expected commas; replace the {word}, or "
                                     "name the columns with columns = {...}, which finds the delimiter")
-    if all(is_number(cell) for cell in header.cells if cell):
+    if all(is_number_with_either_mark(cell) for cell in header.cells if cell):
         raise make_header_error(f"the header is missing; expected a line such as {EXAMPLE!r} above the numbers")
     if not any(_find_channel_of_header(cell) for cell in header.cells) and len(header.cells) < 2:
         raise make_header_error(f"the header of a recording is missing; expected a line such as {EXAMPLE!r}. For a "
@@ -113,7 +117,8 @@ def _identify_columns(header: TableRow, path: Path) -> list[ChannelColumn]:
         name, unit = split_header_with_brackets(cell)
         channel = _find_channel_of_header(cell)
         if channel is None:
-            raise make_header_error(f"unknown column {name!r}{suggest_known_word(name, _NAMES.values())}")
+            raise make_header_error(
+                f"unknown column {name!r}{make_hint_with_similar_or_known_words(name, _NAMES.values())}")
         if channel in [column.channel for column in columns]:
             raise make_header_error(f"column {channel!r} appears twice; remove or rename one")
         try:

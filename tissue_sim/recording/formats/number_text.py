@@ -23,7 +23,7 @@ _QUANTITY = re.compile(r"(?P<number>[-+\u2212]?[\d.,](?:[\d.,'\u2019\u00a0\u202f
                        r"\s*(?P<unit>[\[(]?(?:[^\W\d_]\S*|%|\u00b0C)[\])]?)")
 #: A number with an exponent that `float` does not read: ``1.2D-03`` of Fortran, ``1.2 x 10^-3``.
 _EXPONENT_PATTERN = re.compile(r"(?P<number>[+-]?(?:\d+[.,]?\d*|[.,]\d+))(?: ?(?P<letter>[eEdD]) ?| ?[x*] ?10\^)"
-                       r"(?P<power>[+-]?\d{1,3})", re.ASCII)
+                               r"(?P<power>[+-]?\d{1,3})", re.ASCII)
 
 
 def _compile_grouped_pattern(decimal: str) -> re.Pattern[str]:
@@ -38,13 +38,13 @@ def _compile_grouped_pattern(decimal: str) -> re.Pattern[str]:
 _GROUPED_PATTERNS = {mark: _compile_grouped_pattern(mark) for mark in DECIMAL_MARKS}
 
 
-class ExactNumber(str):
+class TextOfNumericCell(str):
     """Text of a number that the file stores as a number; its decimal mark is a point."""
 
     __slots__ = ()
 
 
-def normalize_number_marks(text: str) -> str:
+def convert_number_signs_to_ascii(text: str) -> str:
     """Replace minus signs, blanks and apostrophes in a text by ASCII characters."""
     # For a long text, a few calls of str.replace take a tenth of the time of str.translate.
     for spelling, plain in _SPELLINGS.items():
@@ -52,7 +52,7 @@ def normalize_number_marks(text: str) -> str:
     return text
 
 
-def parse_number(cell: str, decimal: str = ".") -> float:
+def parse_number_or_nan(cell: str, decimal: str = ".") -> float:
     """Return the number in a cell; NaN if the cell is not a number with this decimal mark.
 
     A thousands separator is the other decimal mark, a blank, or an apostrophe. Thousands separators must separate
@@ -63,29 +63,29 @@ def parse_number(cell: str, decimal: str = ".") -> float:
         cell: text without blanks at its ends.
         decimal: decimal mark, ``"."`` or ``","``.
     """
-    if isinstance(cell, ExactNumber):
+    if isinstance(cell, TextOfNumericCell):
         decimal = "."
     plain = cell if cell.isascii() else cell.translate(_SPELLING_TABLE)
     # float() also accepts 1_000 and digits of other scripts, which are typing errors in a table.
     if "_" in plain or not plain.isascii():
         return math.nan
     if decimal != "." and "." in plain:
-        return _parse_grouped_number(plain, decimal)
+        return _parse_grouped_number_or_nan(plain, decimal)
     try:
         return float(plain if decimal == "." else plain.replace(decimal, ".", 1))
     except ValueError:
-        return _parse_unusual_number(plain, decimal)
+        return _parse_grouped_or_exponent_number_or_nan(plain, decimal)
 
 
-def find_thousands_separator(cell: str, decimal: str) -> str:
+def find_thousands_separator_or_empty(cell: str, decimal: str) -> str:
     """Return the thousands separator of a number as an ASCII character; empty without a separator."""
-    if isinstance(cell, ExactNumber):
+    if isinstance(cell, TextOfNumericCell):
         return ""
     match = _GROUPED_PATTERNS[decimal].fullmatch(cell.translate(_SPELLING_TABLE))
     return match["separator"] if match else ""
 
 
-def is_number(cell: str) -> bool:
+def is_number_with_either_mark(cell: str) -> bool:
     """Return whether a cell is a number with one of the two decimal marks, with or without thousands separators."""
     try:
         float(cell.replace(",", "."))
@@ -93,28 +93,29 @@ def is_number(cell: str) -> bool:
         if not cell[-1:].isdigit() and cell[-1:] not in DECIMAL_MARKS:
             return False
         plain = cell.translate(_SPELLING_TABLE)
-        return any(pattern.fullmatch(plain) or not math.isnan(parse_number(cell, mark))
+        return any(pattern.fullmatch(plain) or not math.isnan(parse_number_or_nan(cell, mark))
                    for mark, pattern in _GROUPED_PATTERNS.items())
     return True
 
 
-def parse_any_number(cell: str) -> float:
+def parse_number_preferring_point_or_nan(cell: str) -> float:
     """Return the number in a single cell; the decimal mark is a point if both decimal marks are possible."""
-    value = parse_number(cell, ".")
-    return value if math.isfinite(value) and not find_thousands_separator(cell, ".") else _choose_finite_value(
-        parse_number(cell, ","), value)
+    value = parse_number_or_nan(cell, ".")
+    return value if math.isfinite(value) and not find_thousands_separator_or_empty(cell, ".") \
+        else _get_first_if_finite_else_second(
+        parse_number_or_nan(cell, ","), value)
 
 
-def _choose_finite_value(first: float, second: float) -> float:
+def _get_first_if_finite_else_second(first: float, second: float) -> float:
     """Return `first` if it is finite, else `second`."""
     return first if math.isfinite(first) else second
 
 
-def _parse_unusual_number(plain: str, decimal: str) -> float:
+def _parse_grouped_or_exponent_number_or_nan(plain: str, decimal: str) -> float:
     """Parse a number with thousands separators or an exponent that `float` rejects; NaN: not a number."""
     match = _EXPONENT_PATTERN.fullmatch(plain)
     if match is None:
-        return _parse_grouped_number(plain, decimal)
+        return _parse_grouped_number_or_nan(plain, decimal)
     has_mark = not set(match["number"]).isdisjoint(DECIMAL_MARKS)
     # Fortran always writes a decimal mark: "3D10" is the name of a specimen.
     if (has_mark and decimal not in match["number"]) or (not has_mark and match["letter"] in ("d", "D")):
@@ -122,7 +123,7 @@ def _parse_unusual_number(plain: str, decimal: str) -> float:
     return float(f"{match['number'].replace(decimal, '.')}e{match['power']}")
 
 
-def _parse_grouped_number(plain: str, decimal: str) -> float:
+def _parse_grouped_number_or_nan(plain: str, decimal: str) -> float:
     """Return a number with thousands separators; NaN: not such a number."""
     match = _GROUPED_PATTERNS[decimal].fullmatch(plain)
     if match is None:
@@ -134,6 +135,6 @@ def split_number_and_unit(cell: str) -> tuple[str, str] | None:
     """Return the number and the name of the unit in a cell, ``("12.3", "N")``; None: not a number with a known unit."""
     match = _QUANTITY.fullmatch(cell)
     unit = None if match is None else find_known_unit(match["unit"])
-    if match is None or unit is None or not is_number(match["number"]):
+    if match is None or unit is None or not is_number_with_either_mark(match["number"]):
         return None
     return match["number"], unit

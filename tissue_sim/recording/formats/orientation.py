@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissue_sim.recording.formats.guesses import ColumnGuess
-from tissue_sim.recording.oscillation import find_oscillation
+from tissue_sim.recording.oscillation import find_final_oscillation_or_none
 from tissue_sim.recording.recording import Recording
 
 
@@ -32,7 +32,7 @@ _SETTINGS = OrientationSettings()
 
 def set_column_signs_and_zeros(columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
                                starts: Sequence[float | None],
-             kind: str | None, stated: Collection[str]) -> tuple[ColumnGuess, ...]:
+                               kind: str | None, stated: Collection[str]) -> tuple[ColumnGuess, ...]:
     """Set signs and zeros of columns: displacement and force increase under load; stretch and stress keep their sign.
 
     Args:
@@ -46,38 +46,39 @@ def set_column_signs_and_zeros(columns: Sequence[ColumnGuess], recordings: Seque
     turned: dict[str, ColumnGuess] = {}
     for column in columns:
         if column.channel == "displacement":
-            column = _orient_displacement(column, recordings, starts, stated)
+            column = _set_sign_and_zero_of_displacement_column(column, recordings, starts, stated)
         elif column.channel == "stretch" and column.role != "stretch" and kind == "lubricated_compression" \
                 and "stretch" not in stated \
                 and _is_majority_true(each.channel("stretch").max() - 1.0 > 1.0 - each.channel("stretch").min()
-                          for each in recordings):
+                                      for each in recordings):
             column = replace(column, sign=-1, reason=f"{column.reason}; positive in compression, so turned")
         turned[column.channel] = column
     for channel in ("force", "nominal stress"):
         if channel in turned and channel not in stated:
-            turned[channel] = _orient_load(turned[channel], recordings, starts, turned)
+            turned[channel] = _set_sign_of_load_column(turned[channel], recordings, starts, turned)
     return tuple(turned.values())
 
 
-def _orient_displacement(column: ColumnGuess, recordings: Sequence[Recording], starts: Sequence[float | None],
-                         stated: Collection[str]) -> ColumnGuess:
+def _set_sign_and_zero_of_displacement_column(column: ColumnGuess, recordings: Sequence[Recording],
+                                              starts: Sequence[float | None], stated: Collection[str]) -> ColumnGuess:
     """Return the column of the displacement with its sign and zero; see `set_column_signs_and_zeros`."""
     displacements = [each.channel("displacement") for each in recordings]
-    static = [offset for each in recordings if (offset := _compute_static_offset(each)) is not None]
+    static = [offset for each in recordings if (offset := _compute_mean_displacement_if_oscillating(each)) is not None]
     if 2 * len(static) > len(recordings):
         return column if "displacement" in stated or sum(static) >= 0 else replace(
             column, sign=-1, reason=f"{column.reason}; it oscillates around a negative offset, so turned")
-    if "displacement" not in stated and _is_majority_true(find_largest_excursion(each) < 0 for each in displacements):
+    if "displacement" not in stated \
+        and _is_majority_true(compute_largest_deviation_from_first_value(each) < 0 for each in displacements):
         column = replace(column, sign=-1, reason=f"{column.reason}; it falls under load, so turned")
     begins = [float(each[0]) if start is None else start for each, start in zip(displacements, starts, strict=True)]
     if any(abs(start) > _SETTINGS.start_offset * np.ptp(each)
            for each, start in zip(displacements, begins, strict=True)):
         column = replace(column, offset="start", reason=f"{column.reason}; begins away from zero, so counted from the "
-                                                        "first sample")
+                         "first sample")
     return column
 
 
-def _compute_static_offset(recording: Recording) -> float | None:
+def _compute_mean_displacement_if_oscillating(recording: Recording) -> float | None:
     """Return the mean displacement, m, of a recording that oscillates from its first sample on.
 
     The result is 0 for an oscillation around zero, and None without an oscillation or for a start from rest.
@@ -87,14 +88,14 @@ def _compute_static_offset(recording: Recording) -> float | None:
         return None
     load = recording.channel("force" if "force" in recording else "nominal stress")
     time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
-    found = find_oscillation(displacement, load, time)
+    found = find_final_oscillation_or_none(displacement, load, time)
     if found is None or found.returns or abs(displacement[0] - found.mean) > 1.1 * found.amplitude:
         return None
     return found.mean if abs(found.mean) > found.amplitude else 0.0
 
 
-def _orient_load(column: ColumnGuess, recordings: Sequence[Recording], starts: Sequence[float | None],
-          columns: Mapping[str, ColumnGuess]) -> ColumnGuess:
+def _set_sign_of_load_column(column: ColumnGuess, recordings: Sequence[Recording], starts: Sequence[float | None],
+                             columns: Mapping[str, ColumnGuess]) -> ColumnGuess:
     """Return the column of a load with the sign for which load and motion, measured from rest, are correlated."""
     rest = {"stretch": 1.0, "shear strain": 0.0}
     # Without a column of the motion, the displacement is that of a constant speed.
@@ -124,7 +125,7 @@ def _is_majority_true(answers: Iterable[bool]) -> bool:
     return 2 * sum(answers) > len(answers)
 
 
-def find_largest_excursion(values: np.ndarray) -> float:
+def compute_largest_deviation_from_first_value(values: np.ndarray) -> float:
     """Return the deviation from the first value with the largest magnitude, with its sign."""
     away = values - values[0]
     return float(away[np.argmax(np.abs(away))])

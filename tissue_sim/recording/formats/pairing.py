@@ -7,24 +7,29 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.formats.cell_units import ExtractedUnitRow
-from tissue_sim.recording.formats.column_options import parse_column_number
+from tissue_sim.recording.formats.cell_units import UnitRowExtractedFromCells
+from tissue_sim.recording.formats.column_options import parse_column_number_or_letters
 from tissue_sim.recording.formats.gauge_length import (
-    convert_displacement_to_stretch,
-    convert_strain_to_displacement,
-    find_gauge_length,
+    find_gauge_length_and_source_or_none,
+    make_displacement_column_from_strain,
+    make_stretch_column_from_displacement,
 )
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
 from tissue_sim.recording.formats.header import find_matching_cells
-from tissue_sim.recording.formats.kind_hints import collect_title_hints
+from tissue_sim.recording.formats.kind_hints import make_hints_from_text_above_and_sheet_name
 from tissue_sim.recording.formats.kind_words import find_named_tests
 from tissue_sim.recording.formats.sizes import make_size_signature
 from tissue_sim.recording.formats.sources import NumberTable
-from tissue_sim.recording.formats.speed_text import find_loading_speeds
-from tissue_sim.recording.formats.statements import find_constant_size_columns
-from tissue_sim.recording.formats.temperature import has_temperature
-from tissue_sim.recording.formats.vocabulary import MachineFormat, find_role, find_source, normalize_words
-from tissue_sim.recording.measures import ENGINEERING, MEASURES, find_measure
+from tissue_sim.recording.formats.speed_text import find_loading_speeds_and_their_lines
+from tissue_sim.recording.formats.statements import iterate_constant_size_columns
+from tissue_sim.recording.formats.temperature import has_temperature_in_all_rows
+from tissue_sim.recording.formats.vocabulary import (
+    MachineFormat,
+    classify_column_source_or_empty,
+    find_role_and_rank_or_none,
+    normalize_header_text,
+)
+from tissue_sim.recording.measures import ENGINEERING, MEASURES, find_measure_name_in_header_or_none
 from tissue_sim.recording.recording import CHANNELS
 from tissue_sim.units import UNITS, find_known_unit
 
@@ -38,13 +43,13 @@ _SPEED_TOLERANCE = 0.01
 _CHANNEL_OF_MEASURE = {"shear strain": "stretch"}
 
 
-class ColumnWithKnownRole(NamedTuple):
+class ColumnPositionWithRole(NamedTuple):
     """A column whose header determines its role.
 
     Attributes:
         position: position of the column, from 0.
-        role: role; see `find_role`.
-        rank: rank; see `find_role`.
+        role: role; see `find_role_and_rank_or_none`.
+        rank: rank; see `find_role_and_rank_or_none`.
         variant: source and measure of the column. Columns with one role and different variants belong to one
             recording.
     """
@@ -77,24 +82,23 @@ class RecordingColumns:
     stated: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def first_line_number(self) -> int:
+    def line_number_of_header_or_first_row(self) -> int:
         """Line number in the file (from 1) of the header or, without a header, of the first row of numbers."""
         return (self.numbers.header or self.numbers.rows[0]).line
 
     @property
-    def replicate_signature(self) -> tuple:
+    def signature_of_columns_sizes_and_tests(self) -> tuple:
         """Hashable key of columns, sizes and words for a test; the signatures of replicates are equal."""
-        sheet = self.numbers.table.name
-        sizes = make_size_signature(self.stated) if sheet else ()
-        tests = sorted({each.test_title
-                        for each in find_named_tests(collect_title_hints(self.numbers))}) if sheet else ()
-        return (*sizes, *tests, self.speed,
-                *((each.channel, each.header or each.place, each.unit) for each in self.columns))
+        columns = [(each.channel, each.header or each.place, each.unit) for each in self.columns]
+        if not self.numbers.table.name:
+            return (self.speed, *columns)
+        named = find_named_tests(make_hints_from_text_above_and_sheet_name(self.numbers))
+        tests = sorted({each.kind_or_unregistered_title for each in named})
+        return (*make_size_signature(self.stated), *tests, self.speed, *columns)
 
 
 def find_recording_columns(numbers: NumberTable, machine: MachineFormat | None, hints: ColumnHints,
-                           statements: Mapping[str, str]
-                ) -> list[RecordingColumns]:
+                           statements: Mapping[str, str]) -> list[RecordingColumns]:
     """Return the columns of each recording in a table with one or several recordings side by side.
 
     Args:
@@ -105,72 +109,70 @@ def find_recording_columns(numbers: NumberTable, machine: MachineFormat | None, 
     """
     if hints.columns:
         named = [column for channel, name in hints.columns.items()
-                 if (column := find_named_column(numbers, channel, name, hints))]
-        return [_build_from_named_columns(numbers, named, hints,
-                                          statements)] if len(named) == len(hints.columns) else []
+                 if (column := find_column_named_by_user_or_none(numbers, channel, name, hints))]
+        return [_build_user_columns(numbers, named, hints, statements)] if len(named) == len(hints.columns) else []
     # A constant column "Height" is the size of the specimen, not the position of the crosshead.
-    sizes = {position for position, _ in find_constant_size_columns(numbers)}
-    roles = [ColumnWithKnownRole(position, *known, _get_column_variant(numbers, position, known[0]))
+    sizes = {position for position, _ in iterate_constant_size_columns(numbers)}
+    roles = [ColumnPositionWithRole(position, *known, _find_source_and_measure_in_header(numbers, position, known[0]))
              for position in numbers.columns if position not in sizes
-             and (known := find_role(numbers.get_header_without_unit(position), numbers.get_column_unit(position),
-                                     machine))]
+             and (known := find_role_and_rank_or_none(numbers.get_header_without_unit(position),
+                                                      numbers.get_unit_in_header_or_unit_row(position), machine))]
     groups: list[RecordingColumns] = []
     time = None
     for part in _split_adjacent_recordings(roles):
-        chosen = _select_columns(part)
+        chosen = _select_best_column_position_per_role(part)
         speed, gauge = None, None
-        pair: tuple[str, ...] | None = _find_motion_load_pair(chosen, hints)
-        if pair is None and (speed := _find_constant_speed(chosen, numbers, hints)):
+        pair: tuple[str, ...] | None = _select_motion_and_load_roles_or_none(chosen, hints)
+        if pair is None and (speed := _get_stated_constant_speed_or_none(chosen, numbers, hints)):
             pair = ("force",)
         elif derived := _find_pair_by_gauge_length(part, chosen, pair):
-            gauge = find_gauge_length(numbers, statements, hints)
+            gauge = find_gauge_length_and_source_or_none(numbers, statements, hints)
             pair = derived if gauge is not None else pair
         if pair is None:
             continue
         time = chosen.get("time", time)
         wanted = {**({"time": time} if time is not None else {}), **{role: chosen[role] for role in pair},
-                  **({"temperature": chosen["temperature"]} if has_temperature(numbers, chosen) else {})}
+                  **({"temperature": chosen["temperature"]} if has_temperature_in_all_rows(numbers, chosen) else {})}
         rank = {each.position: each.rank for each in part}
-        columns = tuple(replace(_interpret_column(numbers, position, role, machine, hints), rank=rank.get(position, 0))
-                        for role, position in wanted.items())
+        columns = tuple(replace(_interpret_column_of_known_role(numbers, position, role, machine, hints),
+                                rank=rank.get(position, 0)) for role, position in wanted.items())
         if gauge is not None:
-            columns = tuple(_convert_by_gauge_length(column, pair[0], gauge) for column in columns)
-        others = tuple(numbers.get_column_header(each.position) for each in part
-                       if each.position not in wanted.values())
+            columns = tuple(_convert_motion_column_by_gauge_length(column, pair[0], gauge) for column in columns)
+        unread = [each for each in part if each.position not in wanted.values()]
+        others = tuple(numbers.get_column_header(each.position) for each in unread)
         same = {*pair, *(("displacement",) if gauge is not None and pair[1] == "force" else ())}
-        rivals = tuple(replace(_interpret_column(numbers, each.position, each.role, machine, hints), rank=each.rank)
-                       for each in sorted(part, key=lambda each: each.rank)
-                       if each.role in same and each.position not in wanted.values())
+        rivals = tuple(replace(_interpret_column_of_known_role(numbers, each.position, each.role, machine, hints),
+                               rank=each.rank)
+                       for each in sorted(unread, key=lambda each: each.rank) if each.role in same)
         if gauge is not None:
-            rivals = tuple(_convert_by_gauge_length(column, pair[0], gauge) for column in rivals)
+            rivals = tuple(_convert_motion_column_by_gauge_length(column, pair[0], gauge) for column in rivals)
         elif pair == ("displacement", "force") and (
-                length := find_gauge_length(numbers, statements, hints)) is not None:
+                length := find_gauge_length_and_source_or_none(numbers, statements, hints)) is not None:
             # A strain that differs from displacement / gauge length was measured by another sensor.
-            strains = [_interpret_column(numbers, each.position, each.role, machine, hints) for each in part
-                       if each.role in ("strain", "shear strain") and each.variant[1] not in MEASURES]
+            strains = [_interpret_column_of_known_role(numbers, each.position, each.role, machine, hints)
+                       for each in part if each.role in ("strain", "shear strain") and each.variant[1] not in MEASURES]
             rivals = (*rivals,
-                      *(replace(convert_strain_to_displacement(strain, length), rank=rank[chosen["displacement"]])
-                                 for strain in strains if not strain.missing_information))
+                      *(replace(make_displacement_column_from_strain(strain, length), rank=rank[chosen["displacement"]])
+                        for strain in strains if not strain.missing_unit_or_scale_or_none))
         groups.append(RecordingColumns(numbers, columns, others, rivals, speed))
     return groups
 
 
-def _build_from_named_columns(numbers: NumberTable, named: Sequence[ColumnGuess], hints: ColumnHints,
-                  statements: Mapping[str, str]) -> RecordingColumns:
+def _build_user_columns(numbers: NumberTable, named: Sequence[ColumnGuess], hints: ColumnHints,
+                        statements: Mapping[str, str]) -> RecordingColumns:
     """Return the columns of the one recording whose columns the user names with flags."""
     roles = {column.role: column for column in named}
     motion = next((role for role, load in (("strain", "force"), ("shear strain", "force"), ("displacement", "stress"))
                    if {role, load} <= roles.keys()), None)
     mechanical = {"displacement", "force"} <= roles.keys()
-    gauge = find_gauge_length(numbers, statements, hints) if motion is not None and not mechanical else None
+    gauge = find_gauge_length_and_source_or_none(numbers, statements, hints) if motion and not mechanical else None
     if gauge is not None and motion is not None and roles[motion].measure is None:
-        named = [_convert_by_gauge_length(column, motion, gauge) for column in named]
-    return RecordingColumns(numbers, tuple(named), (), (), _find_constant_speed(roles, numbers, hints))
+        named = [_convert_motion_column_by_gauge_length(column, motion, gauge) for column in named]
+    return RecordingColumns(numbers, tuple(named), (), (), _get_stated_constant_speed_or_none(roles, numbers, hints))
 
 
-def _find_pair_by_gauge_length(part: Sequence[ColumnWithKnownRole], chosen: Mapping[str, int],
-                               pair: tuple[str, ...] | None
-                  ) -> tuple[str, str] | None:
+def _find_pair_by_gauge_length(part: Sequence[ColumnPositionWithRole], chosen: Mapping[str, int],
+                               pair: tuple[str, ...] | None) -> tuple[str, str] | None:
     """Return roles of motion and load that match only with a known gauge length; None: no such columns.
 
     The roles are a strain and a force, or a displacement and a stress. A strain that was measured on the specimen
@@ -190,24 +192,26 @@ def _find_pair_by_gauge_length(part: Sequence[ColumnWithKnownRole], chosen: Mapp
     return ("displacement", "stress") if pair is None and {"displacement", "stress"} <= chosen.keys() else None
 
 
-def _convert_by_gauge_length(column: ColumnGuess, motion: str, gauge: tuple[float, str]) -> ColumnGuess:
+def _convert_motion_column_by_gauge_length(column: ColumnGuess, motion: str, gauge: tuple[float, str]) -> ColumnGuess:
     """Convert a column of the motion by the gauge length (m, source); other columns are returned unchanged.
 
     A displacement becomes a stretch, and a strain a displacement.
     """
-    if column.role != motion or column.missing_information:
+    if column.role != motion or column.missing_unit_or_scale_or_none:
         return column
-    convert = convert_displacement_to_stretch if motion == "displacement" else convert_strain_to_displacement
-    return convert(column, gauge)
+    if motion == "displacement":
+        return make_stretch_column_from_displacement(column, gauge)
+    return make_displacement_column_from_strain(column, gauge)
 
 
-def _get_column_variant(numbers: NumberTable, position: int, role: str) -> tuple[str, str]:
+def _find_source_and_measure_in_header(numbers: NumberTable, position: int, role: str) -> tuple[str, str]:
     """Return source and measure that the header of a column names; empty texts for missing words."""
-    words = normalize_words(numbers.get_column_header(position))
-    return find_source(words), find_measure(words, role) or ""
+    words = normalize_header_text(numbers.get_column_header(position))
+    return classify_column_source_or_empty(words), find_measure_name_in_header_or_none(words, role) or ""
 
 
-def _find_constant_speed(roles: Collection[str], numbers: NumberTable, hints: ColumnHints) -> tuple[float, str] | None:
+def _get_stated_constant_speed_or_none(roles: Collection[str], numbers: NumberTable,
+                                       hints: ColumnHints) -> tuple[float, str] | None:
     """Return constant speed (m/s) and its source for a table of time and force without a motion.
 
     Returns:
@@ -218,7 +222,7 @@ def _find_constant_speed(roles: Collection[str], numbers: NumberTable, hints: Co
     """
     if not {"time", "force"} <= set(roles) or set(roles) & {"displacement", "stretch", "strain", "shear strain"}:
         return None
-    speeds = find_loading_speeds((*numbers.above, *numbers.below))
+    speeds = find_loading_speeds_and_their_lines((*numbers.above, *numbers.below))
     if hints.speed is not None:
         if speeds and not any(abs(speed / hints.speed - 1.0) <= _SPEED_TOLERANCE for speed in speeds):
             lines = "; ".join(speeds.values())
@@ -228,15 +232,15 @@ def _find_constant_speed(roles: Collection[str], numbers: NumberTable, hints: Co
     return next(((speed, f"in the file: {line}") for speed, line in speeds.items()), None) if len(speeds) == 1 else None
 
 
-def _split_adjacent_recordings(roles: Sequence[ColumnWithKnownRole]) -> list[list[ColumnWithKnownRole]]:
+def _split_adjacent_recordings(roles: Sequence[ColumnPositionWithRole]) -> list[list[ColumnPositionWithRole]]:
     """Split the columns of a table into recordings side by side.
 
     A recording begins at a column that repeats a role and variant with an equal or a higher rank, if the previous
     columns have a motion and a load, and the following columns have a motion and a load, too.
     """
-    parts: list[list[ColumnWithKnownRole]] = [[]]
+    parts: list[list[ColumnPositionWithRole]] = [[]]
     for i, known in enumerate(roles):
-        is_repeated = any(_get_general_role(each.role) == _get_general_role(known.role) and each.rank <= known.rank
+        is_repeated = any(_unify_role(each.role) == _unify_role(known.role) and each.rank <= known.rank
                           and each.variant == known.variant for each in parts[-1])
         if is_repeated and _has_motion_and_load(parts[-1]) and _has_motion_and_load(
                 _take_columns_before_repeated_role(roles[i:])):
@@ -245,41 +249,40 @@ def _split_adjacent_recordings(roles: Sequence[ColumnWithKnownRole]) -> list[lis
     return parts
 
 
-def _take_columns_before_repeated_role(roles: Sequence[ColumnWithKnownRole]) -> list[ColumnWithKnownRole]:
+def _take_columns_before_repeated_role(roles: Sequence[ColumnPositionWithRole]) -> list[ColumnPositionWithRole]:
     """Return the columns before the first column that repeats role and variant of any earlier column.
 
     Strain, stretch and shear strain count as one role.
     """
-    seen: list[ColumnWithKnownRole] = []
+    seen: list[ColumnPositionWithRole] = []
     for each in roles:
-        if any(_get_general_role(other.role) == _get_general_role(each.role) and other.variant == each.variant
-               for other in seen):
+        if any(_unify_role(other.role) == _unify_role(each.role) and other.variant == each.variant for other in seen):
             break
         seen.append(each)
     return seen
 
 
-def _get_general_role(role: str) -> str:
+def _unify_role(role: str) -> str:
     """Return ``strain`` for the role of any measure of deformation, else the role without a change."""
     return "strain" if role in ("strain", "stretch", "shear strain") else role
 
 
-def _has_motion_and_load(part: Sequence[ColumnWithKnownRole]) -> bool:
+def _has_motion_and_load(part: Sequence[ColumnPositionWithRole]) -> bool:
     """Return whether the columns include a motion and a load."""
-    roles = {_get_general_role(each.role) for each in part}
+    roles = {_unify_role(each.role) for each in part}
     return bool(roles & {"displacement", "strain"}) and bool(roles & {"force", "stress"})
 
 
-def _select_columns(part: Sequence[ColumnWithKnownRole]) -> dict[str, int]:
+def _select_best_column_position_per_role(part: Sequence[ColumnPositionWithRole]) -> dict[str, int]:
     """Return role -> position of the column with the lowest rank; the first one of columns with equal ranks."""
-    best: dict[str, ColumnWithKnownRole] = {}
+    best: dict[str, ColumnPositionWithRole] = {}
     for each in part:
         if each.role not in best or each.rank < best[each.role].rank:
             best[each.role] = each
     return {role: each.position for role, each in best.items()}
 
 
-def _find_motion_load_pair(chosen: Mapping[str, int], hints: ColumnHints) -> tuple[str, str] | None:
+def _select_motion_and_load_roles_or_none(chosen: Mapping[str, int], hints: ColumnHints) -> tuple[str, str] | None:
     """Return matching roles of motion and load; None: no such columns.
 
     Displacement and force, the measured quantities, are preferred unless `ColumnHints.direct` is true.
@@ -291,9 +294,8 @@ def _find_motion_load_pair(chosen: Mapping[str, int], hints: ColumnHints) -> tup
     return next((pair for pair in pairs if set(pair) <= set(chosen)), None)
 
 
-def _interpret_column(numbers: NumberTable, position: int, role: str, machine: MachineFormat | None, hints: ColumnHints,
-                      *,
-                  is_named: bool = False) -> ColumnGuess:
+def _interpret_column_of_known_role(numbers: NumberTable, position: int, role: str, machine: MachineFormat | None,
+                                    hints: ColumnHints, *, is_named: bool = False) -> ColumnGuess:
     """Return the interpretation of a column with a given role.
 
     Args:
@@ -305,7 +307,7 @@ def _interpret_column(numbers: NumberTable, position: int, role: str, machine: M
         is_named: whether the user names the column.
     """
     channel = _CHANNEL_OF_ROLE[role]
-    unit, header = numbers.get_column_unit(position), numbers.get_column_header(position)
+    unit, header = numbers.get_unit_in_header_or_unit_row(position), numbers.get_column_header(position)
     reason = f"header {header!r}" if header else f"column {position + 1}"
     if is_named:
         reason = f"stated ({reason})" if header else "stated"
@@ -316,19 +318,19 @@ def _interpret_column(numbers: NumberTable, position: int, role: str, machine: M
     elif unit is None and machine is not None and role in machine.units:
         unit, reason = machine.units[role], f"{reason} without unit: {machine.title} writes {machine.units[role]}"
     elif numbers.units is not None:
-        reason += ", unit after each number" if isinstance(numbers.units,
-                                                           ExtractedUnitRow) else ", unit in the row below"
+        is_from_cells = isinstance(numbers.units, UnitRowExtractedFromCells)
+        reason += ", unit after each number" if is_from_cells else ", unit in the row below"
     if unit is not None and said["unit"] is None and unit not in UNITS and _is_bracket_remark(unit, role):
         # "Strain (true)", "Load (corrected)", "ln(lambda)": the brackets hold no unit.
         unit = "-" if CHANNELS[channel] == "ratio" else None
+    other_unit = None if said["unit"] is not None else _find_unit_below_differing_from_header(numbers, position, unit)
     column = ColumnGuess(channel, header, position + 1, unit, role, int(said["sign"] or 1),
                          None if said["scale"] is None else float(said["scale"]), None, bool(header), reason,
-                         other_unit=None
-                         if said["unit"] is not None else _find_contradicting_unit(numbers, position, unit))
+                         other_unit=other_unit)
     return apply_measure_conversion(column, hints.measures.get(role, hints.measures.get(channel)))
 
 
-def _find_contradicting_unit(numbers: NumberTable, position: int, unit: str | None) -> str | None:
+def _find_unit_below_differing_from_header(numbers: NumberTable, position: int, unit: str | None) -> str | None:
     """Return the unit in the row of units if its size differs from the unit in the header; None: no contradiction."""
     cells = () if numbers.units is None else numbers.units.cells
     below = find_known_unit(cells[position]) if position < len(cells) else None
@@ -339,8 +341,9 @@ def _find_contradicting_unit(numbers: NumberTable, position: int, unit: str | No
 
 def _is_bracket_remark(text: str, role: str) -> bool:
     """Return whether a text in brackets is a measure, a source or a symbol instead of a unit."""
-    words = normalize_words(text)
-    return bool(find_measure(words, role) or find_source(words)) or words in ("lambda", "λ")
+    words = normalize_header_text(text)
+    return bool(find_measure_name_in_header_or_none(words, role) or classify_column_source_or_empty(words)) \
+        or words in ("lambda", "λ")
 
 
 def apply_measure_conversion(column: ColumnGuess, stated_measure: str | None = None) -> ColumnGuess:
@@ -350,7 +353,7 @@ def apply_measure_conversion(column: ColumnGuess, stated_measure: str | None = N
         column: column without offset and measure.
         stated_measure: measure that replaces the measure in the header; None: the measure in the header.
     """
-    measure = stated_measure or find_measure(normalize_words(column.header), column.role)
+    measure = stated_measure or find_measure_name_in_header_or_none(normalize_header_text(column.header), column.role)
     if column.role == "stretch" and measure == ENGINEERING and not stated_measure:
         measure = None
     own = MEASURES.get(measure or "")
@@ -364,31 +367,32 @@ def apply_measure_conversion(column: ColumnGuess, stated_measure: str | None = N
     return replace(column, reason=reason)
 
 
-def find_named_column(numbers: NumberTable, channel: str, name: str | int, hints: ColumnHints) -> ColumnGuess | None:
+def find_column_named_by_user_or_none(numbers: NumberTable, channel: str, name: str | int,
+                                      hints: ColumnHints) -> ColumnGuess | None:
     """Return the column that the user names; None: this table has no such column."""
-    position = find_column_position(numbers, name)
+    position = find_column_position_or_none(numbers, name)
     if position is None or position not in numbers.columns:
         return None
     role = {"nominal stress": "stress"}.get(channel, channel)
-    return _interpret_column(numbers, position, role, None, hints, is_named=True)
+    return _interpret_column_of_known_role(numbers, position, role, None, hints, is_named=True)
 
 
-def find_column_position(numbers: NumberTable, name: str | int) -> int | None:
+def find_column_position_or_none(numbers: NumberTable, name: str | int) -> int | None:
     """Return the position (from 0) of the column with this header, number (from 1) or letter; None: no such column."""
     if not isinstance(name, int) and numbers.header is not None:
         positions = find_matching_cells(numbers.header.cells, name)
         if positions:
             return positions[0]
     try:
-        position = parse_column_number(int(name) if isinstance(name, str) and name.isdigit() else name) - 1
+        position = parse_column_number_or_letters(int(name) if isinstance(name, str) and name.isdigit() else name) - 1
     except InputError:
         return None
     return position if position < numbers.column_count else None
 
 
-def group_equal_tables(groups: Sequence[RecordingColumns]) -> list[list[RecordingColumns]]:
+def group_replicate_recording_columns(groups: Sequence[RecordingColumns]) -> list[list[RecordingColumns]]:
     """Return lists of tables with equal columns; in a spreadsheet, also with equal sizes of the specimen."""
     together: dict[tuple, list[RecordingColumns]] = {}
     for group in groups:
-        together.setdefault(group.replicate_signature, []).append(group)
+        together.setdefault(group.signature_of_columns_sizes_and_tests, []).append(group)
     return list(together.values())

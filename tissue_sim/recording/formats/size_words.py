@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from tissue_sim.recording.formats.vocabulary import normalize_words
+from tissue_sim.recording.formats.vocabulary import normalize_header_text
 
 #: Size -> pattern of its words; the first matching size is used.
 SIZE_WORDS: dict[str, str] = {
@@ -40,7 +40,7 @@ SENTENCE_WORDS = (
 
 def classify_size_name(key: str) -> str | None:
     """Return the size of a specimen that a key names, such as ``diameter``; None: the key names no size."""
-    words = normalize_words(key.replace("⌀", "ø"))
+    words = normalize_header_text(key.replace("⌀", "ø"))
     if not words or len(words) > 80 or _OTHER_OBJECTS.search(words):
         return None
     if words in _ONE_LETTER_KEYS:

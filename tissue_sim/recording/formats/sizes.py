@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from tissue_sim.recording.formats.number_text import parse_any_number
+from tissue_sim.recording.formats.number_text import parse_number_preferring_point_or_nan
 from tissue_sim.recording.formats.size_words import classify_size_name
-from tissue_sim.recording.formats.vocabulary import normalize_words
-from tissue_sim.units import UNITS, find_known_unit, split_free_form_header
+from tissue_sim.recording.formats.vocabulary import normalize_header_text
+from tissue_sim.units import UNITS, find_known_unit, split_header_and_known_unit
 
 
 @dataclass(frozen=True)
-class SizeSettings:
+class SizeComparisonSettings:
     """Settings of the comparison of two statements of one size.
 
     Attributes:
@@ -29,7 +29,7 @@ class SizeSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = SizeSettings()
+_SETTINGS = SizeComparisonSettings()
 #: A number, and optionally a unit.
 _QUANTITY_PATTERN = re.compile(
     r"^(?P<number>[-+]?\d[\d.,'\u2019\u00a0\u202f]*(?:[eEdD][-+]?\d+)?)\s*(?P<unit>[^\d\s]\S*(?:\s*\^?2)?)?$")
@@ -43,10 +43,10 @@ _SPEED_WORDS = re.compile(r"\b(speed|geschwindigkeit|prüfgeschwindigkeit|vitess
 _OTHER_SPEED_WORDS = re.compile(r"\b(probe|tool|cell|wave|step|data|path|pre)\b")
 #: Unit of speed -> factor to mm/s.
 _SPEED_FACTORS = {"mm/min": 1.0 / 60.0, "mm/s": 1.0, "mm/sec": 1.0, "um/s": 1e-3, "µm/s": 1e-3, "in/min": 25.4 / 60.0,
-           "cm/min": 10.0 / 60.0}
+                  "cm/min": 10.0 / 60.0}
 #: Kind of test -> sizes that may be the height of the specimen; the first stated one is used.
 _HEIGHT_NAMES = {"uniaxial_tension": ("gauge length", "length", "height"),
-            "simple_shear": ("thickness", "height", "length", "gap")}
+                 "simple_shear": ("thickness", "height", "length", "gap")}
 #: Sizes that may be the height in any other kind of test, in the order of preference.
 _DEFAULT_HEIGHT_NAMES = ("height", "thickness", "length", "gauge length", "gap")
 #: Kinds of test with a gripped specimen. The cross-section of a gripped specimen may have any shape.
@@ -56,7 +56,7 @@ _Candidate = tuple[float, float, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
-class SizeOrSpeed:
+class SizeOrSpeedInMillimetres:
     """A size or speed: key of ``[[specimen]]`` or ``[[test]]``, value in the unit of the key, and source in words."""
 
     key: str
@@ -65,7 +65,7 @@ class SizeOrSpeed:
 
 
 @dataclass(frozen=True)
-class _StatedSize:
+class _SizeInSiWithRounding:
     """A stated size: key in the file, value in m or m2, and relative rounding error of the value."""
 
     key: str
@@ -73,50 +73,54 @@ class _StatedSize:
     rounding: float
 
 
-def find_sizes(statements: Mapping[str, str], kind: str | None) -> dict[str, SizeOrSpeed]:
+def find_sizes_and_speed_in_mm(statements: Mapping[str, str], kind: str | None) -> dict[str, SizeOrSpeedInMillimetres]:
     """Return the stated values of ``radius_mm`` or ``area_mm2``, ``height_mm`` and ``speed_mm_s``.
 
     Args:
-        statements: key -> value; see `tissue_sim.recording.formats.statements.find_table_statements`.
+        statements: key -> value; see `tissue_sim.recording.formats.statements.collect_statements_about_table`.
         kind: kind of test; None: unknown.
 
     Returns:
         Key -> size, for the sizes that the file states.
     """
-    found = {key: several[0] for key, several in find_distinct_sizes(statements, kind).items()}
+    found = {key: several[0] for key, several in find_used_and_contradicting_sizes_in_mm(statements, kind).items()}
     for key, text in statements.items():
-        if _SPEED_WORDS.search(normalize_words(key)) and not _OTHER_SPEED_WORDS.search(normalize_words(key)):
-            value, unit = _parse_speed(key, text)
+        if _SPEED_WORDS.search(normalize_header_text(key)) \
+            and not _OTHER_SPEED_WORDS.search(normalize_header_text(key)):
+            value, unit = _parse_speed_number_and_unit(key, text)
             if value is not None and unit in _SPEED_FACTORS and value > 0:
-                found.setdefault("speed_mm_s", SizeOrSpeed("speed_mm_s", value * _SPEED_FACTORS[unit],
-                                                           f"in the file: {key}: {text}"))
+                found.setdefault("speed_mm_s", SizeOrSpeedInMillimetres("speed_mm_s", value * _SPEED_FACTORS[unit],
+                                                                        f"in the file: {key}: {text}"))
     return found
 
 
-def find_distinct_sizes(statements: Mapping[str, str], kind: str | None) -> dict[str, tuple[SizeOrSpeed, ...]]:
+def find_used_and_contradicting_sizes_in_mm(statements: Mapping[str, str],
+                                            kind: str | None) -> dict[str, tuple[SizeOrSpeedInMillimetres, ...]]:
     """Return the stated radius or cross-section and the height, each with the statements that contradict it.
 
     Args:
-        statements: key -> value; see `tissue_sim.recording.formats.statements.find_table_statements`.
+        statements: key -> value; see `tissue_sim.recording.formats.statements.collect_statements_about_table`.
         kind: kind of test; None: unknown.
 
     Returns:
         ``radius_mm`` or ``area_mm2``, and ``height_mm`` -> sizes whose relative difference exceeds
-        `SizeSettings.contradiction`. The first size is used; the others contradict it.
+        `SizeComparisonSettings.contradiction`. The first size is used; the others contradict it.
     """
-    known: dict[str, list[_StatedSize]] = {}
+    known: dict[str, list[_SizeInSiWithRounding]] = {}
     for key, text in statements.items():
         name = classify_size_name(key)
-        one = None if name is None else _parse_area(key, text) if name == "area" else _parse_length(key, text)
+        one = None if name is None else _parse_stated_area_or_none(key, text) if name == "area" \
+            else _parse_stated_length_or_none(key, text)
         if name is not None and one is not None:
             known.setdefault(name, []).append(one)
-    found: dict[str, tuple[SizeOrSpeed, ...]] = {}
+    found: dict[str, tuple[SizeOrSpeedInMillimetres, ...]] = {}
     height = next((name for name in _HEIGHT_NAMES.get(kind or "", _DEFAULT_HEIGHT_NAMES) if name in known), None)
     if height is not None:
-        found["height_mm"] = _select_distinct_sizes("height_mm", [(1e3 * each.value, each.rounding, (each.key,))
-                                                      for each in known[height]], statements)
+        found["height_mm"] = _make_sizes_of_distinct_candidates("height_mm",
+                                                                [(1e3 * each.value, each.rounding, (each.key,))
+                                                                 for each in known[height]], statements)
     flat = kind in _GRIPPED_KINDS
-    rectangles = _compute_rectangular_areas(known, kind, height)
+    rectangles = _compute_rectangular_areas_mm2(known, kind, height)
     radii: list[_Candidate] = [
              (1e3 * factor * each.value, each.rounding, (each.key,))
              for name, factor in (("diameter", 0.5), ("radius", 1.0), ("circumference", 0.5 / math.pi))
@@ -125,14 +129,14 @@ def find_distinct_sizes(statements: Mapping[str, str], kind: str | None) -> dict
              (1e6 * each.value, each.rounding, (each.key,)) for each in known.get("area", ())] + rectangles
     if radii or (areas and not flat):
         radii += [(math.sqrt(area / math.pi), 0.5 * rounding, keys) for area, rounding, keys in areas]
-        found["radius_mm"] = _select_distinct_sizes("radius_mm", radii, statements)
+        found["radius_mm"] = _make_sizes_of_distinct_candidates("radius_mm", radii, statements)
     elif areas:
-        found["area_mm2"] = _select_distinct_sizes("area_mm2", areas, statements)
+        found["area_mm2"] = _make_sizes_of_distinct_candidates("area_mm2", areas, statements)
     return found
 
 
-def _compute_rectangular_areas(known: Mapping[str, Sequence[_StatedSize]], kind: str | None, height: str | None
-                ) -> list[_Candidate]:
+def _compute_rectangular_areas_mm2(known: Mapping[str, Sequence[_SizeInSiWithRounding]], kind: str | None,
+                                   height: str | None ) -> list[_Candidate]:
     """Return cross-sections of rectangular specimens, mm2: width * thickness, or width * length of a block.
 
     Args:
@@ -153,12 +157,12 @@ def _compute_rectangular_areas(known: Mapping[str, Sequence[_StatedSize]], kind:
             for (width, rounding, keys), (length, also, others) in pairs]
 
 
-def _select_distinct_sizes(key: str, candidates: Sequence[_Candidate], statements: Mapping[str, str]
-               ) -> tuple[SizeOrSpeed, ...]:
-    """Return the first candidate as a `SizeOrSpeed`, and each candidate that contradicts all previous ones."""
+def _make_sizes_of_distinct_candidates(key: str, candidates: Sequence[_Candidate], statements: Mapping[str, str]
+                                       ) -> tuple[SizeOrSpeedInMillimetres, ...]:
+    """Return the first candidate as a `SizeOrSpeedInMillimetres`, and each one that contradicts all previous ones."""
     # Rounded to whole nanometres: 25 mm must not become 25.000000000000004 mm.
-    return tuple(SizeOrSpeed(key, round(value, 6),
-                             "in the file: " + ", ".join(f"{name}: {statements[name]}" for name in keys))
+    return tuple(SizeOrSpeedInMillimetres(key, round(value, 6),
+                                          "in the file: " + ", ".join(f"{name}: {statements[name]}" for name in keys))
                  for value, _, keys in _remove_repeated_sizes(candidates))
 
 
@@ -171,49 +175,50 @@ def _remove_repeated_sizes(candidates: Sequence[_Candidate]) -> list[_Candidate]
     return kept
 
 
-def find_sizes_without_unit(statements: Mapping[str, str]) -> dict[str, str]:
+def find_size_texts_without_known_unit(statements: Mapping[str, str]) -> dict[str, str]:
     """Return name of a size, such as ``diameter`` -> its first statement with a missing or unknown unit."""
     found: dict[str, str] = {}
     for key, text in statements.items():
-        name, pair = classify_size_name(key), parse_quantity(text)
+        name, pair = classify_size_name(key), parse_number_and_optional_unit_or_none(text)
         if name is not None and pair is not None and (
-                (_parse_area if name == "area" else _parse_length)(key, text) is None and pair[0] > 0):
+                (_parse_stated_area_or_none if name == "area" else _parse_stated_length_or_none)(key, text) is None
+                and pair[0] > 0):
             found.setdefault(name, f"{key}: {text}")
     return found
 
 
 def make_size_signature(statements: Mapping[str, str], kind: str | None = None) -> tuple[tuple[str, float], ...]:
     """Return the stated sizes, sorted by key, without the speed; equal for files or sheets with equal specimens."""
-    return tuple(sorted((size.key, size.value) for size in find_sizes(statements, kind).values()
+    return tuple(sorted((size.key, size.value) for size in find_sizes_and_speed_in_mm(statements, kind).values()
                         if size.key != "speed_mm_s"))
 
 
-def parse_quantity(text: str) -> tuple[float, str | None] | None:
+def parse_number_and_optional_unit_or_none(text: str) -> tuple[float, str | None] | None:
     """Return number and unit of a text such as ``50mm`` or ``12,5 mm``; None if the text is not a quantity."""
     match = _QUANTITY_PATTERN.match(text.strip())
-    value = math.nan if match is None else parse_any_number(match["number"].rstrip(",.' "))
+    value = math.nan if match is None else parse_number_preferring_point_or_nan(match["number"].rstrip(",.' "))
     return None if match is None or math.isnan(value) else (value, match["unit"])
 
 
-def _parse_length(key: str, text: str) -> _StatedSize | None:
+def _parse_stated_length_or_none(key: str, text: str) -> _SizeInSiWithRounding | None:
     """Return a stated length, m; None: not a length with a known unit."""
-    pair = parse_quantity(text)
+    pair = parse_number_and_optional_unit_or_none(text)
     unit = None if pair is None or pair[1] is None else find_known_unit(pair[1])
     if pair is None or unit is None or UNITS[unit][0] != "length" or not 0 < pair[0] < 1e9:
         return None
-    return _StatedSize(key, pair[0] * UNITS[unit][1], _compute_relative_rounding(text, pair[0]))
+    return _SizeInSiWithRounding(key, pair[0] * UNITS[unit][1], _compute_relative_rounding(text, pair[0]))
 
 
-def _parse_area(key: str, text: str) -> _StatedSize | None:
+def _parse_stated_area_or_none(key: str, text: str) -> _SizeInSiWithRounding | None:
     """Return a stated area, m2; None: not an area with a known unit."""
     number, _, rest = text.strip().partition(" ")
-    pair = parse_quantity(text) or parse_quantity(number)
+    pair = parse_number_and_optional_unit_or_none(text) or parse_number_and_optional_unit_or_none(number)
     match = (_AREA_UNIT_PATTERN.match((pair[1] or "") if pair else "") or _AREA_UNIT_PATTERN.match(rest.strip())
              or _AREA_UNIT_IN_KEY.search(key))
     if pair is None or match is None or not 0 < pair[0] < 1e9:
         return None
     factor = UNITS[find_known_unit(match["unit"]) or "mm"][1] ** 2
-    return _StatedSize(key, pair[0] * factor, _compute_relative_rounding(text, pair[0]))
+    return _SizeInSiWithRounding(key, pair[0] * factor, _compute_relative_rounding(text, pair[0]))
 
 
 def _compute_relative_rounding(text: str, value: float) -> float:
@@ -222,10 +227,10 @@ def _compute_relative_rounding(text: str, value: float) -> float:
     return min(0.5 * 10.0 ** -len(match[1]) / value, _SETTINGS.largest_rounding) if match else 0.0
 
 
-def _parse_speed(key: str, text: str) -> tuple[float | None, str | None]:
+def _parse_speed_number_and_unit(key: str, text: str) -> tuple[float | None, str | None]:
     """Return number and unit of a stated speed; None for a missing one."""
     words = text.split()
     match = re.search(r"[\[(]([^\])]*)[\])]\s*$", key)
-    unit = match[1] if match else words[1] if len(words) > 1 else split_free_form_header(key)[1]
-    pair = parse_quantity(words[0]) if words else None
+    unit = match[1] if match else words[1] if len(words) > 1 else split_header_and_known_unit(key)[1]
+    pair = parse_number_and_optional_unit_or_none(words[0]) if words else None
     return (None if pair is None else pair[0]), unit

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import read_single_recording
-from tissue_sim.recording.formats.header import find_header, split_text_tables
-from tissue_sim.recording.formats.number_text import is_number, parse_any_number
+from tissue_sim.recording.formats.header import find_table_header_and_data_rows, iterate_table_for_each_delimiter
+from tissue_sim.recording.formats.number_text import is_number_with_either_mark, parse_number_preferring_point_or_nan
 from tissue_sim.recording.formats.table import TableRow
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import split_header_with_brackets
@@ -36,7 +36,8 @@ def read_soft_robotics(path: str | Path) -> Recording:
     """
     path = Path(path)
     text = read_text(path, f"a tensile test with the columns {_STRAIN} and {_STRESS}")
-    _, header, data = find_header(split_text_tables(text, file=path), [_TIME, _STRAIN, _STRESS], file=path)
+    _, header, data = find_table_header_and_data_rows(iterate_table_for_each_delimiter(text, file=path),
+                                                      [_TIME, _STRAIN, _STRESS], file=path)
     lines = [line.split(";") for line in text.splitlines()[1:header.line - 1]]
     parameters = {cells[0].strip(): cells[1].strip() for cells in lines if len(cells) > 1 and cells[0].strip()}
     columns = {"stretch": {"name": _STRAIN, "unit": "-"}, "nominal stress": _STRESS}
@@ -55,5 +56,5 @@ def _does_time_decrease(header: TableRow, rows: list[TableRow]) -> bool:
                  if split_header_with_brackets(cell)[0].casefold() == _TIME.casefold())
     cells = [row.cells[index] for row in rows if len(row.cells) > index]
     # A damaged cell keeps the column, so that the reader reports the line of the cell.
-    return all(map(is_number, cells)) and any(
-        after < before for before, after in pairwise(map(parse_any_number, cells)))
+    return all(map(is_number_with_either_mark, cells)) and any(
+        after < before for before, after in pairwise(map(parse_number_preferring_point_or_nan, cells)))

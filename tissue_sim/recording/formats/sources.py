@@ -9,19 +9,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tissue_sim.errors import InputError
-from tissue_sim.files import decode_text, read_bytes
-from tissue_sim.recording.formats.blocks import is_mostly_units, is_unit_row, row_begins_with_word
-from tissue_sim.recording.formats.cell_units import extract_cell_units, has_units_of_previous_rows
+from tissue_sim.files import decode_text_and_find_encoding, read_bytes
+from tissue_sim.recording.formats.blocks import (
+    has_mostly_units_in_columns,
+    has_only_units_in_columns,
+    row_begins_with_word,
+)
+from tissue_sim.recording.formats.cell_units import has_same_units_in_trailing_lines, move_cell_units_to_unit_row
 from tissue_sim.recording.formats.column_options import validate_delimiter
 from tissue_sim.recording.formats.columns import Sheets
-from tissue_sim.recording.formats.containers import is_container, read_container
-from tissue_sim.recording.formats.long_text import split_off_trailing_numbers
-from tissue_sim.recording.formats.number_text import is_number
+from tissue_sim.recording.formats.containers import is_mat_tdms_or_hdf5_file, read_container_tables_as_sheets
+from tissue_sim.recording.formats.long_text import try_splitting_off_trailing_numbers
+from tissue_sim.recording.formats.number_text import is_number_with_either_mark
 from tissue_sim.recording.formats.size_words import classify_size_name
 from tissue_sim.recording.formats.table import Table, TableRow, split_rows
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheets
 from tissue_sim.recording.recording import MIN_POINTS
-from tissue_sim.units import find_known_unit, split_free_form_header, split_header_with_brackets
+from tissue_sim.units import find_known_unit, split_header_and_known_unit, split_header_with_brackets
 
 #: Expected content of the file, for messages.
 _EXPECTED = "a recording (text, spreadsheet, MATLAB, LabVIEW, HDF5 or AFM)"
@@ -71,7 +75,7 @@ class NumberTable:
     below: tuple[TableRow, ...] = field(default=(), repr=False)
 
     @property
-    def all_rows(self) -> tuple[TableRow, ...]:
+    def all_rows_above_in_and_below(self) -> tuple[TableRow, ...]:
         """All rows around and in the table, in the order of the file: above, header, units, numbers, below."""
         names = [row for row in (self.header, self.units) if row is not None]
         return (*self.above, *sorted(names, key=lambda row: row.line), *self.rows, *self.below)
@@ -87,12 +91,12 @@ class NumberTable:
 
     def get_header_without_unit(self, place: int) -> str:
         """Return the header of a column without the unit."""
-        return split_free_form_header(self.get_column_header(place))[0]
+        return split_header_and_known_unit(self.get_column_header(place))[0]
 
-    def get_column_unit(self, place: int) -> str | None:
+    def get_unit_in_header_or_unit_row(self, place: int) -> str | None:
         """Return the unit in the header or in the row of units; an unknown unit is returned without a change."""
         header = self.get_column_header(place)
-        loose = split_free_form_header(header)[1]
+        loose = split_header_and_known_unit(header)[1]
         below = self.units.cells[place].strip("[]() ") if self.units and place < len(self.units.cells) else None
         return (find_known_unit(loose or "") or find_known_unit(below or "") or split_header_with_brackets(header)[1]
                 or below or None)
@@ -111,41 +115,41 @@ def read_file_content(path: Path, *, delimiter: str | None = None, sheet: Sheets
     Raises:
         InputError: the file does not exist or cannot be read, or a text has no numbers in columns.
     """
-    if is_container(path) or is_workbook(path):
-        kind = "container" if is_container(path) else "workbook"
-        sheets = read_container(path, sheet) if kind == "container" else read_sheets(path, sheet)
-        return FileContent(path, kind, tuple(each.build_table(skip_lines) for each in sheets))
-    text, encoding = decode_text(read_bytes(path, _EXPECTED), path, _EXPECTED)
+    if is_mat_tdms_or_hdf5_file(path) or is_workbook(path):
+        kind = "container" if is_mat_tdms_or_hdf5_file(path) else "workbook"
+        sheets = read_container_tables_as_sheets(path, sheet) if kind == "container" else read_sheets(path, sheet)
+        return FileContent(path, kind, tuple(each.build_table_below_skipped_rows(skip_lines) for each in sheets))
+    text, encoding = decode_text_and_find_encoding(read_bytes(path, _EXPECTED), path, _EXPECTED)
     if delimiter is not None:
         validate_delimiter(delimiter)
-    beginning, end = split_off_trailing_numbers(text, skip_lines)
+    beginning, end = try_splitting_off_trailing_numbers(text, skip_lines)
     if end is not None:
         with suppress(InputError):
-            table = _split_text_to_table(beginning, delimiter, skip_lines, path)
-            runs = [*_iterate_numeric_runs(table)]
+            table = _split_text_to_table_or_raise(beginning, delimiter, skip_lines, path)
+            runs = [*_iterate_runs_of_rows_and_columns(table)]
             # A single run of numbers in all columns, up to the end of the file, needs no further search.
             if table.delimiter == end.delimiter and [columns for _,
-                                                     columns in runs] == [(*range(end.cell_count),)] and (
-                    runs[0][0][-1] is table.rows[-1] and has_units_of_previous_rows(table.rows, end)):
+                                                     columns in runs] == [(*range(end.cell_count_per_line),)] and (
+                    runs[0][0][-1] is table.rows[-1] and has_same_units_in_trailing_lines(table.rows, end)):
                 return FileContent(path, "text", (table,), encoding)
-    return FileContent(path, "text", (_split_text_to_table(text, delimiter, skip_lines, path),), encoding)
+    return FileContent(path, "text", (_split_text_to_table_or_raise(text, delimiter, skip_lines, path),), encoding)
 
 
-def _split_text_to_table(text: str, delimiter: str | None, skip_lines: int, path: Path) -> Table:
+def _split_text_to_table_or_raise(text: str, delimiter: str | None, skip_lines: int, path: Path) -> Table:
     """Return the table of a text; the skipped lines become empty, so that line numbers are preserved."""
     lines = text.splitlines()
     lines[:skip_lines] = [""] * min(skip_lines, len(lines))
-    found = _find_delimiter(lines, path) if delimiter is None else delimiter
-    return _split_lines_to_rows(lines, found, path)
+    found = _find_delimiter_with_most_numbers(lines, path) if delimiter is None else delimiter
+    return _split_lines_and_move_units_to_row(lines, found, path)
 
 
-def _split_lines_to_rows(lines: list[str], delimiter: str, path: Path) -> Table:
+def _split_lines_and_move_units_to_row(lines: list[str], delimiter: str, path: Path) -> Table:
     """Return the table of lines split at the delimiter; units after the numbers are moved to a row of units."""
     text = "\n".join(lines)
-    return Table(extract_cell_units(split_rows(text, delimiter, file=path), text), delimiter)
+    return Table(move_cell_units_to_unit_row(split_rows(text, delimiter, file=path), text), delimiter)
 
 
-def _find_delimiter(lines: list[str], path: Path) -> str:
+def _find_delimiter_with_most_numbers(lines: list[str], path: Path) -> str:
     """Return the delimiter with the largest number of numeric cells minus other cells, in runs of numeric rows.
 
     Raises:
@@ -155,13 +159,14 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
         scores = {}
         for delimiter in _DELIMITERS:
             try:
-                table = _split_lines_to_rows(sample, delimiter, path)
+                table = _split_lines_and_move_units_to_row(sample, delimiter, path)
             except InputError:
                 continue
-            scores[delimiter] = sum(max(score, 1) for _, _, score in _iterate_scored_runs(table))
+            scores[delimiter] = sum(max(score, 1) for _, _, score in _iterate_runs_with_numeric_cell_surplus(table))
             # A blank between digits is a thousands separator if another delimiter gives a table of the same lines.
             if delimiter == " " and scores[delimiter] > max([0, *scores.values()][:-1]) and any(
-                    scores.get(other) and _has_same_rows(sample, other, table, path) for other in _DELIMITERS[:-1]):
+                    scores.get(other) and _does_delimiter_explain_blanks_in_numbers(
+                        sample, other, table, path) for other in _DELIMITERS[:-1]):
                 del scores[delimiter]
         # Cells contain blanks, but no tabs: a tab in every line separates, also if a damaged number contains a blank.
         if scores.get("\t") and len({line.count("\t") for line in sample if line.strip()}) == 1:
@@ -173,41 +178,44 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
                      "by tabs, semicolons, commas, bars or blanks", file=path)
 
 
-def _has_same_rows(lines: list[str], delimiter: str, blank: Table, path: Path) -> bool:
+def _does_delimiter_explain_blanks_in_numbers(lines: list[str], delimiter: str, blank: Table, path: Path) -> bool:
     """Return whether a delimiter gives at least as many rows of numbers as blanks, with numbers that contain blanks."""
-    table = _split_lines_to_rows(lines, delimiter, path)
-    runs, of_blanks = [*_iterate_numeric_runs(table)], [*_iterate_numeric_runs(blank)]
-    grouped = any(" " in cell and is_number(cell) for run, _ in runs for row in run for cell in row.cells)
+    table = _split_lines_and_move_units_to_row(lines, delimiter, path)
+    runs, of_blanks = [*_iterate_runs_of_rows_and_columns(table)], [*_iterate_runs_of_rows_and_columns(blank)]
+    grouped = any(" " in cell and is_number_with_either_mark(cell) for run,
+                  _ in runs for row in run for cell in row.cells)
     return grouped and sum(len(run) for run, _ in runs) >= sum(len(run) for run, _ in of_blanks)
 
 
-def find_number_tables(source: FileContent) -> list[NumberTable]:
+def list_all_number_tables(source: FileContent) -> list[NumberTable]:
     """Return all tables of numbers in a file: runs of consecutive rows of numbers."""
-    return [numbers for table in source.tables for numbers in _find_runs_in_table(table)]
+    return [numbers for table in source.tables for numbers in _iterate_number_tables_of_table(table)]
 
 
-def _find_runs_in_table(table: Table) -> Iterator[NumberTable]:
+def _iterate_number_tables_of_table(table: Table) -> Iterator[NumberTable]:
     """Yield each run of consecutive rows of numbers in a table, with its header and the rows around the run."""
     begin = 0
     place = {id(row): i for i, row in enumerate(table.rows)}
-    runs = [*_iterate_numeric_runs(table)]
+    runs = [*_iterate_runs_of_rows_and_columns(table)]
     for number, (run, columns) in enumerate(runs, start=1):
         first = place[id(run[0])]
         above = [row for row in table.rows[begin:first] if re.search(r"\w", "".join(row.cells))]
         begin = place[id(run[-1])] + 1
-        header, units, rest = _split_name_and_unit_rows(above, columns)
+        header, units, rest = _find_name_row_unit_row_and_count_above(above, columns)
         below = table.rows[begin:] if number == len(runs) else ()
         yield NumberTable(table, tuple(run), columns, header, units, tuple(above[:rest]), tuple(below))
 
 
-def _split_name_and_unit_rows(above: list[TableRow], columns: Sequence[int]) -> tuple[TableRow | None, TableRow | None,
-                                                                                      int]:
+def _find_name_row_unit_row_and_count_above(above: list[TableRow],
+                                            columns: Sequence[int]) -> tuple[TableRow | None, TableRow | None, int]:
     """Return the rows of names and of units directly above the numbers, and the number of rows above both."""
     header, units, rest = None, None, len(above)
     for number, row in enumerate(reversed(above[-3:]), start=1):
-        named = [i for i in columns if i < len(row.cells) and row.cells[i] and not is_number(row.cells[i])]
-        if units is None and named and (is_unit_row(row, columns) or (
-                header is None and is_mostly_units(row, columns) and _is_column_name_row(above[:-number], columns))):
+        named = [i for i in columns if i < len(row.cells) and row.cells[i]
+                 and not is_number_with_either_mark(row.cells[i])]
+        if units is None and named and (has_only_units_in_columns(row, columns) or (
+                header is None and has_mostly_units_in_columns(row, columns) and _does_last_row_name_all_columns(
+                    above[:-number], columns))):
             units = row
         elif header is None and not _is_size_statement(row) and 2 * len(named) >= len(columns) and len(named) >= 2:
             header = row
@@ -219,31 +227,32 @@ def _split_name_and_unit_rows(above: list[TableRow], columns: Sequence[int]) -> 
     return header, units, rest
 
 
-def _is_column_name_row(above: Sequence[TableRow], columns: Sequence[int]) -> bool:
+def _does_last_row_name_all_columns(above: Sequence[TableRow], columns: Sequence[int]) -> bool:
     """Return whether the last of the rows above the numbers has a name for each of the columns."""
-    return bool(above) and all(i < len(above[-1].cells) and above[-1].cells[i] and not is_number(above[-1].cells[i])
-                               for i in columns)
+    return bool(above) \
+        and all(i < len(above[-1].cells) and above[-1].cells[i] and not is_number_with_either_mark(above[-1].cells[i])
+                for i in columns)
 
 
 def _is_size_statement(row: TableRow) -> bool:
     """Return whether a row states a size, such as ``Height 12 mm``, and not names."""
     cells = [cell for cell in row.cells if cell]
-    return len(cells) > 1 and is_number(cells[1]) and classify_size_name(cells[0]) is not None
+    return len(cells) > 1 and is_number_with_either_mark(cells[1]) and classify_size_name(cells[0]) is not None
 
 
-def _iterate_numeric_runs(table: Table) -> Iterator[tuple[list[TableRow], tuple[int, ...]]]:
+def _iterate_runs_of_rows_and_columns(table: Table) -> Iterator[tuple[list[TableRow], tuple[int, ...]]]:
     """Yield runs of at least `MIN_POINTS` rows with two or more numbers and little else, and their columns."""
-    for run, columns, _ in _iterate_scored_runs(table):
+    for run, columns, _ in _iterate_runs_with_numeric_cell_surplus(table):
         yield run, columns
 
 
-def _iterate_scored_runs(table: Table) -> Iterator[tuple[list[TableRow], tuple[int, ...], int]]:
-    """Yield the runs of `_iterate_numeric_runs` with a score: cells that are numbers minus other cells."""
+def _iterate_runs_with_numeric_cell_surplus(table: Table) -> Iterator[tuple[list[TableRow], tuple[int, ...], int]]:
+    """Yield the runs of `_iterate_runs_of_rows_and_columns` with a score: cells that are numbers minus other cells."""
     run: list[TableRow] = []
     counts: dict[int, int] = {}
     score = 0
     for row in (*table.rows, TableRow(0, ())):
-        numeric = [i for i, cell in enumerate(row.cells) if cell and is_number(cell)]
+        numeric = [i for i, cell in enumerate(row.cells) if cell and is_number_with_either_mark(cell)]
         filled = sum(map(bool, row.cells))
         if len(numeric) >= 2 and 2 * len(numeric) >= filled:
             run.append(row)

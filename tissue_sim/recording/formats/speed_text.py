@@ -24,7 +24,7 @@ _OTHER_SPEED = re.compile(r"\b(approach|return|retract\w*|unload\w*|pre\w*|jog|m
                           r"vor(kraft|last|weg|spann)\w*|anfahr\w*|retour)\b", re.IGNORECASE)
 
 
-def find_loading_speeds(rows: Sequence[TableRow]) -> dict[float, str]:
+def find_loading_speeds_and_their_lines(rows: Sequence[TableRow]) -> dict[float, str]:
     """Return speed of loading, m/s -> line, for each speed that the rows state."""
     found: dict[float, str] = {}
     for row in rows:

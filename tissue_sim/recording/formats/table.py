@@ -17,9 +17,9 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.decimal_mark import DECIMAL_WORDS, NumberMarks, detect_number_marks
 from tissue_sim.recording.formats.long_text import NotPlainNumbersError, TrailingNumberLines
-from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, parse_number
+from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, parse_number_or_nan
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
-from tissue_sim.units import find_quantity_of_unit, get_si_factor_and_offset
+from tissue_sim.units import find_quantity_of_unit_or_none, get_si_factor_and_offset
 
 #: Consecutive blanks and tabs.
 _BLANK_RUN = re.compile(r"[ \t]+")
@@ -92,7 +92,7 @@ def split_rows(text: str, delimiter: str, *, file: Path) -> list[TableRow]:
     """
     line = 0
 
-    def iterate_lines():
+    def iterate_and_count_normalized_lines():
         """Yield the lines with their ends, and count them in `line`; a blank delimiter may be several blanks."""
         nonlocal line
         for content in io.StringIO(text, newline=None):
@@ -101,7 +101,7 @@ def split_rows(text: str, delimiter: str, *, file: Path) -> list[TableRow]:
             yield _BLANK_RUN.sub(" ", content.strip(" \t\r\n")) + "\n" if delimiter == " " else content
 
     rows: list[TableRow] = []
-    reader = csv.reader(iterate_lines(), delimiter=delimiter, skipinitialspace=delimiter != " ")
+    reader = csv.reader(iterate_and_count_normalized_lines(), delimiter=delimiter, skipinitialspace=delimiter != " ")
     while True:
         start = line + 1
         try:
@@ -119,7 +119,7 @@ def split_rows(text: str, delimiter: str, *, file: Path) -> list[TableRow]:
             rows.append(row)
 
 
-def select_cells(rows: Iterable[TableRow], places: Sequence[int]) -> list[TableRow]:
+def select_cells_and_drop_blank_rows(rows: Iterable[TableRow], places: Sequence[int]) -> list[TableRow]:
     """Return rows with only the cells at the given positions (from 0), without rows that are then blank."""
     chosen = (TableRow(row.line, tuple(row.cells[i] if i < len(row.cells) else "" for i in places)) for row in rows)
     return [row for row in chosen if not row.is_blank]
@@ -157,12 +157,12 @@ def read_recording_table(header: TableRow, rows: Sequence[TableRow], columns: Se
                          f"at least {MIN_POINTS}", file=file)
     numeric = [column for column in columns if column.channel not in LABELS]
     if marks is None:
-        marks = detect_number_marks(collect_column_cells(rows, numeric), delimiter=delimiter)
+        marks = detect_number_marks(list_cells_of_each_number_column(rows, numeric), delimiter=delimiter)
         if marks.is_open:
             raise InputError(f"{marks.question_text}; expected numbers with one reading", file=file, line=header.line)
-    values = _parse_columns(rows, numeric, marks, file)
+    values = _parse_number_matrix_in_file_units(rows, numeric, marks, file)
     if end is not None:
-        values = np.concatenate([values, _parse_trailing_numbers(end, columns, width, delimiter, marks)])
+        values = np.concatenate([values, _parse_trailing_numbers_in_file_units(end, columns, width, delimiter, marks)])
     channels = {column.channel: values[:, i] * column.factor + column.offset for i, column in enumerate(numeric)}
     if "time" in channels:
         back = np.flatnonzero(np.diff(channels["time"]) < 0)
@@ -173,7 +173,8 @@ def read_recording_table(header: TableRow, rows: Sequence[TableRow], columns: Se
             before, after = (rows[i].cells[column.index] for i in (back[0], back[0] + 1))
             raise InputError(f"time runs backwards from {before} to {after} in column {column.header!r}; expected "
                              "times that do not decrease", file=file, line=rows[back[0] + 1].line)
-    labels = {column.channel: _parse_labels(rows, column, file) for column in columns if column.channel in LABELS}
+    labels = {column.channel: _parse_segment_names_or_whole_numbers(rows, column, file) for column in columns
+              if column.channel in LABELS}
     return Recording(channels, labels, metadata or {})
 
 
@@ -187,27 +188,27 @@ def _hint_at_split_thousands(row: TableRow, width: int, delimiter: str) -> str:
             "or export without thousands separators")
 
 
-def collect_column_cells(rows: Sequence[TableRow], columns: Iterable[ChannelColumn]) -> list[list[str]]:
+def list_cells_of_each_number_column(rows: Sequence[TableRow], columns: Iterable[ChannelColumn]) -> list[list[str]]:
     """Return the cells of each column of numbers; columns of labels are omitted."""
     return [[row.cells[column.index] if column.index < len(row.cells) else "" for row in rows] for column in columns
             if column.channel not in LABELS]
 
 
-def _parse_trailing_numbers(end: TrailingNumberLines, columns: Sequence[ChannelColumn], width: int, delimiter: str,
-                            marks: NumberMarks
-                            ) -> np.ndarray:
+def _parse_trailing_numbers_in_file_units(end: TrailingNumberLines, columns: Sequence[ChannelColumn], width: int,
+                                          delimiter: str, marks: NumberMarks ) -> np.ndarray:
     """Return the numbers of the trailing lines in the units of the file, shape (rows, columns).
 
     Raises:
         NotPlainNumbersError: labels, another delimiter or width, or marks that differ from those of the rows.
     """
-    if any(column.channel in LABELS for column in columns) or (end.delimiter, end.cell_count) != (delimiter, width):
+    if any(column.channel in LABELS for column in columns) or (end.delimiter, end.cell_count_per_line) \
+        != (delimiter, width):
         raise NotPlainNumbersError
     # An additional mark may be a thousands separator: all rows are then needed to find the marks.
     others, is_sure = set(end.marks) - {marks.decimal}, marks.is_certain or marks.is_stated
     if others - set(marks.thousands) or (not is_sure and not set(end.marks).isdisjoint(DECIMAL_MARKS)):
         raise NotPlainNumbersError
-    values = end.parse_columns([column.index for column in columns], marks.decimal)
+    values = end.parse_columns_or_none([column.index for column in columns], marks.decimal)
     if values is None:
         raise NotPlainNumbersError
     return values
@@ -218,8 +219,8 @@ def _format_count_with_noun(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _parse_columns(rows: Sequence[TableRow], columns: Sequence[ChannelColumn], marks: NumberMarks,
-                   file: Path) -> np.ndarray:
+def _parse_number_matrix_in_file_units(rows: Sequence[TableRow], columns: Sequence[ChannelColumn], marks: NumberMarks,
+                                       file: Path) -> np.ndarray:
     """Return the numbers of the columns in the units of the file, shape (rows, columns).
 
     Raises:
@@ -229,17 +230,17 @@ def _parse_columns(rows: Sequence[TableRow], columns: Sequence[ChannelColumn], m
     for i, row in enumerate(rows):
         for j, column in enumerate(columns):
             cell = row.cells[column.index]
-            values[i, j] = number = parse_number(cell, marks.decimal)
+            values[i, j] = number = parse_number_or_nan(cell, marks.decimal)
             if not math.isfinite(number):
                 found = f"holds {cell[:40]!r}" if cell else "is empty"
                 mixed = (f" with {DECIMAL_WORDS[marks.decimal]}; the table mixes decimal points and decimal commas"
-                         if math.isfinite(parse_number(cell, marks.other_decimal_mark)) else "")
+                         if math.isfinite(parse_number_or_nan(cell, marks.other_decimal_mark)) else "")
                 raise InputError(f"column {column.header!r} {found}, expected a finite number{mixed}", file=file,
                                  line=row.line)
     return values
 
 
-def _parse_labels(rows: Sequence[TableRow], column: ChannelColumn, file: Path) -> np.ndarray:
+def _parse_segment_names_or_whole_numbers(rows: Sequence[TableRow], column: ChannelColumn, file: Path) -> np.ndarray:
     """Return the labels of a column, shape (rows,): text for the segment, else whole numbers.
 
     Raises:
@@ -269,12 +270,12 @@ def get_si_conversion(channel: str, unit: str | None, scale: float | None = None
     quantity = CHANNELS[channel]
     if unit is None and quantity == "ratio":
         unit = "-"
-    if scale is not None and (unit is None or find_quantity_of_unit(unit) == "signal"):
+    if scale is not None and (unit is None or find_quantity_of_unit_or_none(unit) == "signal"):
         return scale, 0.0
     if scale is not None:
         factor, offset = get_si_factor_and_offset(unit or "-", quantity)
         return scale * factor, offset
-    if unit is not None and find_quantity_of_unit(unit) == "signal":
+    if unit is not None and find_quantity_of_unit_or_none(unit) == "signal":
         raise InputError(f"{unit} is the signal of a sensor; give scale, the {_SI_UNIT_WORDS[quantity]} in 1 {unit}")
     if unit is None:
         example = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "kPa", "temperature": "degC"}

@@ -11,7 +11,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.constant_speed import complete_motion_from_speed
-from tissue_sim.recording.formats.columns import MarkedRecording, read_marked_recordings
+from tissue_sim.recording.formats.columns import RecordingWithDecimalMark, read_recordings_with_decimal_mark
 from tissue_sim.recording.formats.guesses import ColumnGuess
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import UNITS
@@ -21,7 +21,7 @@ _LARGEST_VALUE = 1e20
 
 
 @dataclass(frozen=True)
-class TableReader:
+class FileReaderForChosenColumns:
     """Reader of the tables of one file for any choice of columns.
 
     Attributes:
@@ -34,7 +34,7 @@ class TableReader:
     options: Mapping[str, Any]
     speed: float | None = None
 
-    def read_marked_recordings(self, columns: Sequence[ColumnGuess]) -> tuple[MarkedRecording, ...]:
+    def read_recordings_with_decimal_mark(self, columns: Sequence[ColumnGuess]) -> tuple[RecordingWithDecimalMark, ...]:
         """Read the recordings with the marks of their numbers.
 
         Raises:
@@ -43,13 +43,13 @@ class TableReader:
         entries = {}
         for column in columns:
             entries[column.channel] = column.to_campaign_entry()
-            if column.missing_information:
+            if column.missing_unit_or_scale_or_none:
                 # The kind of test is found from numbers without a unit, too.
                 entries[column.channel]["scale"] = column.scale or 1.0
                 if column.unit not in UNITS:
                     entries[column.channel].pop("unit", None)
-        marked = tuple(self._add_displacement_from_speed(each)
-                       for each in read_marked_recordings(self.path, entries, **self.options))
+        marked = tuple(self._add_displacement_from_speed_if_stated(each)
+                       for each in read_recordings_with_decimal_mark(self.path, entries, **self.options))
         for each in marked:
             for channel, values in each.recording.channels.items():
                 largest = values[np.argmax(np.abs(values))]
@@ -58,18 +58,19 @@ class TableReader:
                                      file=self.path)
         return marked
 
-    def _add_displacement_from_speed(self, marked: MarkedRecording) -> MarkedRecording:
+    def _add_displacement_from_speed_if_stated(self, marked: RecordingWithDecimalMark) -> RecordingWithDecimalMark:
         """Return the recording with a displacement of speed times time; unchanged if `speed` is None."""
         if self.speed is None:
             return marked
         return replace(marked, recording=complete_motion_from_speed(marked.recording, self.speed, self.path))
 
     def read_recordings(self, columns: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
-        """Read the recordings of the columns, without the marks; see `read_marked_recordings`."""
-        return tuple(each.recording for each in self.read_marked_recordings(columns))
+        """Read the recordings of the columns, without the marks; see `read_recordings_with_decimal_mark`."""
+        return tuple(each.recording for each in self.read_recordings_with_decimal_mark(columns))
 
-    def read_corrected_recordings(self, columns: tuple[ColumnGuess, ...]
-                 ) -> tuple[tuple[ColumnGuess, ...], tuple[MarkedRecording, ...], tuple[str, ...]]:
+    def read_repairing_time_and_stretch(self, columns: tuple[ColumnGuess, ...]
+                                        ) -> tuple[tuple[ColumnGuess, ...], tuple[RecordingWithDecimalMark, ...],
+                                                   tuple[str, ...]]:
         """Read the recordings after the correction of two faults of a file.
 
         A time that decreases is omitted, and a stretch that is not positive is read as a strain.
@@ -79,23 +80,23 @@ class TableReader:
         """
         remarks: tuple[str, ...] = ()
         try:
-            marked = self.read_marked_recordings(columns)
+            marked = self.read_recordings_with_decimal_mark(columns)
         except InputError as error:
             if not error.problem.startswith("time runs backwards"):
                 raise
             columns = tuple(column for column in columns if column.channel != "time")
-            marked = self.read_marked_recordings(columns)
+            marked = self.read_recordings_with_decimal_mark(columns)
             remarks = (f"the time is omitted: line {error.line}: {error.problem.split(' in column')[0]}",)
         if any(column.role == "stretch" for column in columns) and min(
                 each.recording.channel("stretch").min() for each in marked) <= 0:
             columns = tuple(replace(column, role="strain", offset=1.0, reason=f"{column.reason}; not positive, unlike "
                                     "a stretch; a strain, which 1 makes a stretch")
                             if column.role == "stretch" else column for column in columns)
-            marked = self.read_marked_recordings(columns)
+            marked = self.read_recordings_with_decimal_mark(columns)
         return columns, marked, remarks
 
-    def change_column_signs(self, recordings: tuple[Recording, ...], before: Sequence[ColumnGuess],
-               after: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
+    def negate_or_reread_changed_channels(self, recordings: tuple[Recording, ...], before: Sequence[ColumnGuess],
+                                          after: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
         """Return the recordings after a change of the signs of some columns.
 
         Args:

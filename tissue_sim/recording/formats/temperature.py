@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from tissue_sim.recording.formats.number_text import is_number
+from tissue_sim.recording.formats.number_text import is_number_with_either_mark
 from tissue_sim.recording.formats.sources import NumberTable
-from tissue_sim.units import find_quantity_of_unit
+from tissue_sim.units import find_quantity_of_unit_or_none
 
 
-def has_temperature(numbers: NumberTable, places: Mapping[str, int]) -> bool:
+def has_temperature_in_all_rows(numbers: NumberTable, places: Mapping[str, int]) -> bool:
     """Return whether a table has a temperature in all rows.
 
     Args:
@@ -19,7 +19,7 @@ def has_temperature(numbers: NumberTable, places: Mapping[str, int]) -> bool:
     if "temperature" not in places:
         return False
     place = places["temperature"]
-    unit = numbers.get_column_unit(place)
-    if unit is not None and find_quantity_of_unit(unit) != "temperature":
+    unit = numbers.get_unit_in_header_or_unit_row(place)
+    if unit is not None and find_quantity_of_unit_or_none(unit) != "temperature":
         return False
-    return all(place < len(row.cells) and is_number(row.cells[place]) for row in numbers.rows)
+    return all(place < len(row.cells) and is_number_with_either_mark(row.cells[place]) for row in numbers.rows)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from tissue_sim.recording.formats.sources import NumberTable
-from tissue_sim.recording.formats.vocabulary import normalize_words
+from tissue_sim.recording.formats.vocabulary import normalize_header_text
 
 #: Words for one of several replicates. A number or a single letter after such a word is a running number.
 _REPLICATE_WORDS = re.compile(
@@ -34,7 +34,7 @@ _MATERIAL_UNITS = re.compile(r"^(%|kpa|pa|mpa|mm|um|mg|g|ml|wt|vol|mol|mm/s|°c|
 _TITLE_ROWS = 12
 
 
-def find_block_title(numbers: NumberTable, places: Sequence[int], *, side_by_side: bool) -> str:
+def find_block_title_or_empty(numbers: NumberTable, places: Sequence[int], *, side_by_side: bool) -> str:
     """Return the title of a table; empty without a title.
 
     Args:
@@ -45,13 +45,13 @@ def find_block_title(numbers: NumberTable, places: Sequence[int], *, side_by_sid
     for row in reversed(numbers.above[-_TITLE_ROWS:]):
         cells = [cell for i, cell in enumerate(row.cells)
                  if cell and (not side_by_side or min(places) <= i <= max(places))]
-        title = _get_row_title(cells)
+        title = _get_title_of_one_or_two_cells(cells)
         if title and not _DATE.search(title):
             return title
     return ""
 
 
-def _get_row_title(cells: Sequence[str]) -> str:
+def _get_title_of_one_or_two_cells(cells: Sequence[str]) -> str:
     """Return the title in a row of one or two cells; empty without a title."""
     if not cells or len(cells) > 2:
         return ""
@@ -59,17 +59,17 @@ def _get_row_title(cells: Sequence[str]) -> str:
     match = _KEY_VALUE.match(first) if len(cells) == 1 else None
     key, value = (match["key"], match["value"]) if match else (first, cells[1] if len(cells) == 2 else "")
     if value:
-        return f"{key} {value}" if _NAMING_KEYS.search(normalize_words(key)) else ""
+        return f"{key} {value}" if _NAMING_KEYS.search(normalize_header_text(key)) else ""
     return first if re.search(r"[^\W\d_]", first) else ""
 
 
-def derive_material_names(titles: Sequence[str]) -> list[str]:
+def derive_material_name_of_each_title(titles: Sequence[str]) -> list[str]:
     """Return the name of the specimen or material for each title; replicates have equal names.
 
     The titles of replicates differ only in a running number or a word for replicate. A title without a name has the
     name of the previous title.
     """
-    named = [_split_running_number(title) for title in titles]
+    named = [_split_material_name_and_running_number(title) for title in titles]
     numbers: dict[str, list[int]] = {}
     for name, number in named:
         if number is not None:
@@ -85,9 +85,9 @@ def derive_material_names(titles: Sequence[str]) -> list[str]:
     return [name or first for name in found]
 
 
-def _split_running_number(title: str) -> tuple[str, int | None]:
+def _split_material_name_and_running_number(title: str) -> tuple[str, int | None]:
     """Return the name in a title without words for replicates, and the running number; None: no number."""
-    words, kept, number = normalize_words(title).split(), [], None
+    words, kept, number = normalize_header_text(title).split(), [], None
     for i, word in enumerate(words):
         unit = i + 1 < len(words) and _MATERIAL_UNITS.match(words[i + 1]) is not None
         after = i > 0 and _REPLICATE_WORDS.match(words[i - 1]) is not None

@@ -11,44 +11,59 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.errors import InputError, add_location_to_errors
-from tissue_sim.frozen_mapping import make_read_only_copy
-from tissue_sim.recording.cleaning import find_start_value, remove_outliers_and_saturation, subtract_start_values
-from tissue_sim.recording.formats.columns import MarkedRecording
-from tissue_sim.recording.formats.decimal_mark import NumberMarks, detect_number_marks, resolve_marks_by_text
+from tissue_sim.errors import InputError, located_and_converted_errors
+from tissue_sim.frozen_mapping import make_shallow_read_only_copy
+from tissue_sim.recording.cleaning import (
+    find_first_sample_value_or_none,
+    remove_outliers_and_saturation,
+    subtract_start_values,
+)
+from tissue_sim.recording.formats.columns import RecordingWithDecimalMark
+from tissue_sim.recording.formats.decimal_mark import (
+    NumberMarks,
+    detect_number_marks,
+    resolve_marks_by_quantities_outside_table,
+)
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints, FileInterpretation, TableGroup
 from tissue_sim.recording.formats.header import find_matching_cells
 from tissue_sim.recording.formats.interpretation import (
-    compare_columns_of_same_quantity,
-    list_column_assumptions,
+    compare_columns_and_replace_constant_ones,
+    iterate_column_assumptions,
     make_constant_speed_assumption,
     make_machine_assumption,
 )
-from tissue_sim.recording.formats.kind_guess import guess_kind, make_kind_assumption, require_same_test_in_all_tables
+from tissue_sim.recording.formats.kind_guess import check_kind_and_list_remarks, guess_kind, make_kind_assumption
 from tissue_sim.recording.formats.kind_hints import (
-    collect_file_hints,
     collect_label_hints,
-    collect_title_hints,
-    make_header_hint,
+    make_header_hint_without_unknown_tests,
+    make_hints_from_file_top_and_text_sheets,
+    make_hints_from_text_above_and_sheet_name,
 )
 from tissue_sim.recording.formats.kind_words import KindHint
-from tissue_sim.recording.formats.materials import add_material_question, split_by_material
+from tissue_sim.recording.formats.materials import (
+    add_material_question_if_titles_differ,
+    split_table_group_by_material_and_size,
+)
 from tissue_sim.recording.formats.missing_columns import explain_missing_columns
 from tissue_sim.recording.formats.orientation import set_column_signs_and_zeros
-from tissue_sim.recording.formats.pairing import RecordingColumns, find_recording_columns, group_equal_tables
-from tissue_sim.recording.formats.sources import FileContent, NumberTable, find_number_tables, read_file_content
+from tissue_sim.recording.formats.pairing import (
+    RecordingColumns,
+    find_recording_columns,
+    group_replicate_recording_columns,
+)
+from tissue_sim.recording.formats.sources import FileContent, NumberTable, list_all_number_tables, read_file_content
 from tissue_sim.recording.formats.statements import (
-    FileStatements,
-    add_missing_statements,
-    add_row_statements,
-    find_listed_sizes,
-    find_table_statements,
-    merge_statements,
-    states_sizes,
+    FileStatementsByKey,
+    add_missing_sizes_to_second_statements,
+    add_rows_statements_except_known_sizes,
+    add_statements_of_rows,
+    collect_statements_about_table,
+    do_rows_state_specimen_size,
+    find_listed_sizes_of_one_recording,
 )
 from tissue_sim.recording.formats.sweeps import explain_refused_sweep, is_frequency_or_amplitude_sweep
 from tissue_sim.recording.formats.table import TableRow
-from tissue_sim.recording.formats.table_reader import TableReader
+from tissue_sim.recording.formats.table_reader import FileReaderForChosenColumns
 from tissue_sim.recording.formats.vocabulary import MACHINES, MachineFormat, identify_machine
 
 #: Number of rows of a table that determine the decimal mark of the lines above and below the table.
@@ -69,37 +84,36 @@ def interpret_file(path: str | Path, hints: ColumnHints | None = None) -> FileIn
     """
     path, hints = Path(path), hints or ColumnHints()
     source = read_file_content(path, delimiter=hints.delimiter, sheet=hints.sheet, skip_lines=hints.skip_lines)
-    found = find_number_tables(source)
+    found = list_all_number_tables(source)
     if not found:
         raise InputError("holds no table of numbers in columns; expected rows of numbers below a header", file=path)
-    words = "\n".join(text for numbers in found[:8] for text in _format_rows_above_numbers(numbers))
+    words = "\n".join(text for numbers in found[:8] for text in _list_text_of_rows_above_and_header(numbers))
     machine = MACHINES.get(hints.format or "") or (None if hints.format == "table" else identify_machine(words))
     found, warnings = _remove_sweeps(found, path)
     tables = [group for numbers in found
-              for group in find_recording_columns(numbers, machine, hints,
-                                                  _find_statements(numbers, numbers.columns, hints))]
-    titles = collect_file_hints(source, found)
+              for group in find_recording_columns(numbers, machine, hints, _find_statements(numbers, hints))]
+    titles = make_hints_from_file_top_and_text_sheets(source, found)
     if not tables:
-        kind = guess_kind((), (), [*collect_title_hints(found[0]), *titles], machine, hints.kind)
+        kind = guess_kind((), (), [*make_hints_from_text_above_and_sheet_name(found[0]), *titles], machine, hints.kind)
         if kind.refused is not None:
             raise kind.refused.make_refusal_error().with_location(file=path)
-        raise InputError(explain_missing_columns(
-            found, machine, hints, lambda each: _find_statements(each, each.columns, hints)), file=path)
-    tables = _add_statements(source, found, tables, hints)
-    with add_location_to_errors(file=path):
-        together = group_equal_tables(tables)
-        parts = [_read_tables(source, group, hints, machine, titles, _list_unused_headers(group[0].numbers, tables))
-                 for group in together]
+        text = explain_missing_columns(found, machine, hints, lambda each: _find_statements(each, hints))
+        raise InputError(text, file=path)
+    tables = _make_tables_with_statements(source, found, tables, hints)
+    with located_and_converted_errors(file=path):
+        together = group_replicate_recording_columns(tables)
+        parts = [_read_and_interpret_equal_tables(source, group, hints, machine, titles,
+                                                  _list_unused_headers(group[0].numbers, tables)) for group in together]
         readings, refused = _remove_unknown_tests([reading for several, _ in parts for reading in several], hints)
-        readings = add_material_question(readings, together, hints)
+        readings = add_material_question_if_titles_differ(readings, together, hints)
     every = [marks for _, marks in parts]
     marks = next((each for each in every if each.is_open), next((each for each in every if each.thousands), every[0]))
     if len(readings) > 1:
         readings = _name_readings(readings)
     return FileInterpretation(path, machine.name if machine else "table", source.kind, source.tables[0].delimiter,
-                         marks.decimal if source.kind == "text" else None, source.encoding, readings,
-                         (*warnings, *refused, *_make_empty_sheet_warnings(source, readings)),
-                         (make_machine_assumption(machine, hints), *marks.list_assumptions()))
+                              marks.decimal if source.kind == "text" else None, source.encoding, readings,
+                              (*warnings, *refused, *_make_empty_sheet_warnings(source, readings)),
+                              (make_machine_assumption(machine, hints), *marks.list_assumptions()))
 
 
 def _remove_sweeps(found: Sequence[NumberTable], path: Path) -> tuple[list[NumberTable], tuple[str, ...]]:
@@ -112,9 +126,8 @@ def _remove_sweeps(found: Sequence[NumberTable], path: Path) -> tuple[list[Numbe
     sweeps = [names for names in headers if is_frequency_or_amplitude_sweep(names)]
     if len(sweeps) == len(found):
         raise InputError(explain_refused_sweep(sweeps[0]), file=path, line=found[0].rows[0].line)
-    return ([numbers for numbers, names in zip(found, headers, strict=True)
-             if not is_frequency_or_amplitude_sweep(names)],
-            tuple(f"a table is omitted: {explain_refused_sweep(names)}" for names in sweeps[:1]))
+    kept = [numbers for numbers, names in zip(found, headers, strict=True) if names not in sweeps]
+    return kept, tuple(f"a table is omitted: {explain_refused_sweep(names)}" for names in sweeps[:1])
 
 
 def _remove_unknown_tests(readings: Sequence[TableGroup], hints: ColumnHints
@@ -133,40 +146,39 @@ def _remove_unknown_tests(readings: Sequence[TableGroup], hints: ColumnHints
     return kept, tuple(dict.fromkeys(f"a table is omitted: {each.problem}" for each in refused))
 
 
-def _add_statements(source: FileContent, found: Sequence[NumberTable], groups: Sequence[RecordingColumns],
-                    hints: ColumnHints
-                     ) -> list[RecordingColumns]:
+def _make_tables_with_statements(source: FileContent, found: Sequence[NumberTable], groups: Sequence[RecordingColumns],
+                                 hints: ColumnHints) -> list[RecordingColumns]:
     """Return the tables with their statements; a table without sizes has the sizes of the previous table."""
     sheets = {id(numbers.table) for numbers in found}
     elsewhere = [row for table in source.tables if id(table) not in sheets for row in table.rows]
     read = {id(group.numbers) for group in groups}
     # A table of numbers without a recording may be a list of specimens.
-    elsewhere += [row for numbers in found if id(numbers) not in read for row in numbers.all_rows]
+    elsewhere += [row for numbers in found if id(numbers) not in read for row in numbers.all_rows_above_in_and_below]
     # Rows below the last table may state the sizes of all tables.
     trailing = [row for group in groups[-1:] for row in group.numbers.below]
-    around = _assign_surrounding_rows([group.numbers for group in groups])
+    around, count = _get_rows_above_and_below_each_table([group.numbers for group in groups]), len(groups)
     complete: list[RecordingColumns] = []
     for i, group in enumerate(groups):
         above, below, shared = around[id(group.numbers)]
         positions = [column.place - 1 for column in group.columns]
-        decimal = hints.decimal or _find_decimal_mark(group.numbers, positions)
+        decimal = hints.decimal or _find_supported_decimal_mark_or_none(group.numbers, positions)
         own = replace(group.numbers, above=above, below=() if shared else below)
-        statements: Mapping[str, str] = find_table_statements(own, positions, decimal=decimal, table=i,
-                                                              tables=len(groups))
+        nearby = collect_statements_about_table(own, positions, decimal=decimal, table=i, tables=count)
         # The rows above a table have precedence over a list with one row for each table.
-        lists = find_listed_sizes((*groups[0].numbers.above, *trailing, *elsewhere), decimal, i, len(groups))
-        statements = merge_statements(lists, statements)
-        every = FileStatements(merge_statements(complete[-1].stated if complete else {}, statements))
+        lists = find_listed_sizes_of_one_recording((*groups[0].numbers.above, *trailing, *elsewhere), decimal, i, count)
+        statements = add_missing_sizes_to_second_statements(lists, nearby)
+        previous = complete[-1].stated if complete else {}
+        every = FileStatementsByKey(add_missing_sizes_to_second_statements(previous, statements))
         if shared:
-            add_row_statements(below, every, decimal, i, len(groups))
+            add_statements_of_rows(below, every, decimal, i, count)
         last = group.numbers is groups[-1].numbers
-        add_missing_statements(elsewhere if last else [*trailing, *elsewhere], every, decimal, i, len(groups))
+        add_rows_statements_except_known_sizes(elsewhere if last else [*trailing, *elsewhere], every, decimal, i, count)
         complete.append(replace(group, stated=every))
     return complete
 
 
-def _assign_surrounding_rows(tables: Sequence[NumberTable]) -> dict[int, tuple[tuple[TableRow, ...],
-                                                                               tuple[TableRow, ...], bool]]:
+def _get_rows_above_and_below_each_table(tables: Sequence[NumberTable]
+                                         ) -> dict[int, tuple[tuple[TableRow, ...], tuple[TableRow, ...], bool]]:
     """Assign the rows between the tables of a sheet to the tables.
 
     Rows between two tables belong to the lower table. Exception: if no size is stated above the first table, and sizes
@@ -180,36 +192,31 @@ def _assign_surrounding_rows(tables: Sequence[NumberTable]) -> dict[int, tuple[t
     for sheet in dict.fromkeys(id(numbers.table) for numbers in tables):
         blocks = list({id(each): each for each in tables if id(each.table) == sheet}.values())
         after = [*(each.above for each in blocks[1:]), blocks[-1].below]
-        if len(blocks) > 1 and not states_sizes(blocks[0].above) and all(map(states_sizes, after)):
+        if len(blocks) > 1 and not do_rows_state_specimen_size(blocks[0].above) \
+            and all(map(do_rows_state_specimen_size, after)):
             found |= {id(each): ((), rows, False) for each, rows in zip(blocks, after, strict=True)}
             continue
         found |= {id(each): (each.above, each.below, bool(each.below) and len(blocks) > 1) for each in blocks}
     return found
 
 
-def _find_statements(numbers: NumberTable, positions: Sequence[int], hints: ColumnHints) -> Mapping[str, str]:
-    """Return the statements (key -> value with unit) about a table; see `find_table_statements`.
-
-    Args:
-        numbers: table of numbers.
-        positions: positions (from 0) of the columns that determine the decimal mark.
-        hints: hints of the user.
-    """
-    return find_table_statements(numbers, (), decimal=hints.decimal or _find_decimal_mark(numbers, positions))
+def _find_statements(numbers: NumberTable, hints: ColumnHints) -> Mapping[str, str]:
+    """Return the statements (key -> value with unit) about a table; see `collect_statements_about_table`."""
+    decimal = hints.decimal or _find_supported_decimal_mark_or_none(numbers, numbers.columns)
+    return collect_statements_about_table(numbers, (), decimal=decimal)
 
 
-def _find_decimal_mark(numbers: NumberTable, positions: Sequence[int]) -> str | None:
+def _find_supported_decimal_mark_or_none(numbers: NumberTable, positions: Sequence[int]) -> str | None:
     """Return the decimal mark of the first rows of a table; None: no marks, or both decimal marks are possible."""
     rows = numbers.rows[:_MARKED_ROWS]
-    marks = detect_number_marks([[row.cells[position] for row in rows if position < len(row.cells)]
-                                 for position in positions],
-                       delimiter=numbers.table.delimiter)
+    cells = [[row.cells[position] for row in rows if position < len(row.cells)] for position in positions]
+    marks = detect_number_marks(cells, delimiter=numbers.table.delimiter)
     return marks.decimal if (marks.evidence or marks.is_certain) and not marks.is_open else None
 
 
-def _read_tables(source: FileContent, groups: Sequence[RecordingColumns], hints: ColumnHints,
-                 machine: MachineFormat | None,
-             titles: Sequence[KindHint], unused: tuple[str, ...]) -> tuple[list[TableGroup], NumberMarks]:
+def _read_and_interpret_equal_tables(source: FileContent, groups: Sequence[RecordingColumns], hints: ColumnHints,
+                                     machine: MachineFormat | None, titles: Sequence[KindHint], unused: tuple[str, ...]
+                                     ) -> tuple[list[TableGroup], NumberMarks]:
     """Read tables with equal columns; return one group for each material and size, and the decimal mark of the numbers.
 
     The signs are chosen so that the load is positive. Each material that the titles name is a separate group.
@@ -224,69 +231,61 @@ def _read_tables(source: FileContent, groups: Sequence[RecordingColumns], hints:
     """
     first = groups[0]
     sheets = tuple(dict.fromkeys(group.numbers.table.name for group in groups if group.numbers.table.name))
-    by_name = _has_unique_headers(groups)
+    by_name = _do_headers_identify_columns(groups)
     columns = tuple(replace(column, by_name=by_name) for column in first.columns)
-    options = _build_read_options(source, first, hints, sheets, by_name=by_name)
-    reader = TableReader(source.file, options, None if first.speed is None else first.speed[0])
-    columns, marked, remarks = reader.read_corrected_recordings(_check_shear_measures(columns))
-    marks = _resolve_marks(marked, groups)
+    options = _build_read_options_without_columns(source, first, hints, sheets, by_name=by_name)
+    reader = FileReaderForChosenColumns(source.file, options, None if first.speed is None else first.speed[0])
+    columns, marked, remarks = reader.read_repairing_time_and_stretch(_require_no_measure_of_shear_strain(columns))
+    marks = _resolve_marks_by_numbers_outside_table(marked, groups)
     if marks.decimal != marked[0].marks.decimal:
-        columns, marked, remarks = TableReader(source.file, {**options, "decimal": marks.decimal},
-                                               reader.speed).read_corrected_recordings(columns)
+        again = FileReaderForChosenColumns(source.file, {**options, "decimal": marks.decimal}, reader.speed)
+        columns, marked, remarks = again.read_repairing_time_and_stretch(columns)
     if marks.thousands or (marks.example and not marks.is_certain):
         options["decimal"] = marks.decimal
     recordings = tuple(each.recording for each in marked)
     screened, before = [remove_outliers_and_saturation(each) for each in recordings], recordings
     kind = guess_kind([rest for rest, _ in screened], columns, _collect_kind_hints(source, first, columns, titles),
-                      machine,
-                      hints.kind)
-    if kind.is_stated and kind.against:
-        remarks = (*remarks, f"kind of test as stated ({kind.kind}), though {'; '.join(kind.against)}")
-    elif not kind.is_stated and not hints.any_test:
-        require_same_test_in_all_tables([collect_title_hints(group.numbers) for group in groups
-                                         if kind.refused is None])
-    if kind.kind == "simple_shear" and any(_was_recorded_as_strain(column) for column in columns):
-        columns = tuple(replace(column, channel="shear strain", offset=None,
-                                reason=column.reason.replace("; a strain, which 1 makes a stretch", "; sheared"))
-                        if _was_recorded_as_strain(column) else column for column in columns)
-        recordings = reader.read_recordings(_check_shear_measures(columns))
+                      machine, hints.kind)
+    remarks = (*remarks, *check_kind_and_list_remarks(kind, [each.numbers for each in groups], any_test=hints.any_test))
+    if kind.kind == "simple_shear" and any(_is_stretch_from_strain_or_displacement(column) for column in columns):
+        columns = _change_stretch_to_shear_strain(columns)
+        recordings = reader.read_recordings(_require_no_measure_of_shear_strain(columns))
     signed = {column.channel for column in columns if hints.signs.keys() & {column.channel, column.role}}
-    columns, recordings, rivals, compared = compare_columns_of_same_quantity(reader.read_recordings, columns,
-                                                                             recordings, first.rivals)
+    columns, recordings, rivals, compared = compare_columns_and_replace_constant_ones(
+        reader.read_recordings, columns, recordings, first.rivals)
     # Signs and zeros are determined without outliers and saturated samples.
     screened = screened if recordings is before else [remove_outliers_and_saturation(each) for each in recordings]
-    turned = set_column_signs_and_zeros(columns, [rest for rest, _ in screened],
-                      [find_start_value(each, found, "displacement") if "displacement" in each else None
-                       for each, (_, found) in zip(recordings, screened, strict=True)], kind.kind, signed)
-    recordings = reader.change_column_signs(recordings, columns, turned)
+    remaining = [rest for rest, _ in screened]
+    starts = [find_first_sample_value_or_none(each, found, "displacement") if "displacement" in each else None
+              for each, (_, found) in zip(recordings, screened, strict=True)]
+    turned = set_column_signs_and_zeros(columns, remaining, starts, kind.kind, signed)
+    recordings = reader.negate_or_reread_changed_channels(recordings, columns, turned)
     columns, zeroed = turned, [column.channel for column in turned if column.offset == "start"]
     recordings = tuple(subtract_start_values(each, zeroed) for each in recordings)
-    moved = () if first.speed is None else (make_constant_speed_assumption(first.speed,
-                                                                           [rest for rest, _ in screened]),)
+    moved = () if first.speed is None else (make_constant_speed_assumption(first.speed, remaining),)
     remarks = (*remarks, *(sentence for each in moved for sentence in each.against))
-    assumptions = (*list_column_assumptions(reader.read_recordings, columns, recordings, first.rivals, hints),
+    assumptions = (*iterate_column_assumptions(reader.read_recordings, columns, recordings, first.rivals, hints),
                    *moved, *rivals, make_kind_assumption(kind))
     kept = {**options, "columns": {column.channel: column.to_campaign_entry() for column in columns}}
-    if marks.is_open:
-        # An ambiguous decimal mark is a question to the user.
+    if marks.is_open:  # an ambiguous decimal mark is a question to the user
         kept.pop("decimal", None)
-    reading = TableGroup("", columns, first.others, make_read_only_copy(kept), recordings, kind,
-                         first.first_line_number, sheets, make_read_only_copy(first.stated), (*remarks, *compared),
-                         assumptions=assumptions, unused=unused, speed=first.speed)
-    return split_by_material(reading, groups, [(each.sheet, each.line) for each in marked], hints), marks
+    reading = TableGroup("", columns, first.others, make_shallow_read_only_copy(kept), recordings, kind,
+                         first.line_number_of_header_or_first_row, sheets, make_shallow_read_only_copy(first.stated),
+                         (*remarks, *compared), assumptions=assumptions, unused=unused, speed=first.speed)
+    lines = [(each.sheet, each.line) for each in marked]
+    return split_table_group_by_material_and_size(reading, groups, lines, hints), marks
 
 
-def _build_read_options(source: FileContent, first: RecordingColumns, hints: ColumnHints, sheets: Sequence[str], *,
-                        by_name: bool
-             ) -> dict[str, Any]:
+def _build_read_options_without_columns(source: FileContent, first: RecordingColumns, hints: ColumnHints,
+                                        sheets: Sequence[str], *, by_name: bool) -> dict[str, Any]:
     """Return the options of `tissue_sim.read_recordings` except the columns."""
     options: dict[str, Any] = {}
     if sheets and (len(source.tables) > 1 or hints.sheet is not None):
         options["sheet"] = list(sheets) if len(sheets) > 1 else sheets[0]
     if source.kind == "text" and first.numbers.table.delimiter in ("|", " "):
         options["delimiter"] = first.numbers.table.delimiter
-    if not by_name and first.first_line_number > 1:
-        options["skip_lines"] = first.first_line_number - (1 if first.numbers.header is None else 0)
+    if not by_name and first.line_number_of_header_or_first_row > 1:
+        options["skip_lines"] = first.line_number_of_header_or_first_row - (1 if first.numbers.header is None else 0)
     elif hints.skip_lines:
         options["skip_lines"] = hints.skip_lines
     if hints.decimal is not None:
@@ -296,31 +295,39 @@ def _build_read_options(source: FileContent, first: RecordingColumns, hints: Col
     return options
 
 
-def _resolve_marks(marked: Sequence[MarkedRecording], groups: Sequence[RecordingColumns]) -> NumberMarks:
+def _resolve_marks_by_numbers_outside_table(marked: Sequence[RecordingWithDecimalMark],
+                                            groups: Sequence[RecordingColumns]) -> NumberMarks:
     """Return the marks of the numbers; ambiguous marks are resolved by numbers outside of the table if possible."""
     every = [each.marks for each in marked]
     found = next((marks for marks in every if marks.is_open or marks.thousands), every[0])
     if not found.is_open:
         return found
     rows = [row for group in groups for row in (*group.numbers.above, *group.numbers.below)]
-    return resolve_marks_by_text(found, "\n".join(" ".join(row.cells) for row in rows))
+    return resolve_marks_by_quantities_outside_table(found, "\n".join(" ".join(row.cells) for row in rows))
 
 
 def _collect_kind_hints(source: FileContent, first: RecordingColumns, columns: Sequence[ColumnGuess],
                         titles: Sequence[KindHint]) -> list[KindHint]:
     """Return the texts with words for a test in the order of decreasing reliability; the last is the file name."""
-    above, sheet = collect_title_hints(first.numbers)
-    return [make_header_hint([each.header for each in columns], first.others), above, sheet,
+    above, sheet = make_hints_from_text_above_and_sheet_name(first.numbers)
+    return [make_header_hint_without_unknown_tests([each.header for each in columns], first.others), above, sheet,
             *(title for title in titles if title.text != above.text), *collect_label_hints(first.numbers),
             KindHint(source.file.stem, "in the name of the file", is_file_name=True)]
 
 
-def _was_recorded_as_strain(column: ColumnGuess) -> bool:
+def _is_stretch_from_strain_or_displacement(column: ColumnGuess) -> bool:
     """Return whether a stretch was recorded as a strain or a displacement."""
     return column.channel == "stretch" and column.role != "stretch"
 
 
-def _check_shear_measures(columns: tuple[ColumnGuess, ...]) -> tuple[ColumnGuess, ...]:
+def _change_stretch_to_shear_strain(columns: tuple[ColumnGuess, ...]) -> tuple[ColumnGuess, ...]:
+    """Return the columns with shear strain in place of each stretch that was recorded as a strain or a displacement."""
+    return tuple(replace(column, channel="shear strain", offset=None,
+                         reason=column.reason.replace("; a strain, which 1 makes a stretch", "; sheared"))
+                 if _is_stretch_from_strain_or_displacement(column) else column for column in columns)
+
+
+def _require_no_measure_of_shear_strain(columns: tuple[ColumnGuess, ...]) -> tuple[ColumnGuess, ...]:
     """Return the columns unchanged, after a check that no shear strain has a measure that requires a conversion.
 
     Raises:
@@ -340,7 +347,7 @@ def _list_unused_headers(numbers: NumberTable, tables: Sequence[RecordingColumns
                  for position in numbers.columns if position + 1 not in used)
 
 
-def _has_unique_headers(groups: Sequence[RecordingColumns]) -> bool:
+def _do_headers_identify_columns(groups: Sequence[RecordingColumns]) -> bool:
     """Return whether the headers of the columns identify exactly the columns of these tables."""
     for group in groups:
         header = group.numbers.header
@@ -375,7 +382,7 @@ def _find_common_prefix(heads: Sequence[str]) -> str:
     return common[:cut].strip(" -_.") if cut > 0 else ""
 
 
-def _format_rows_above_numbers(numbers: NumberTable) -> list[str]:
+def _list_text_of_rows_above_and_header(numbers: NumberTable) -> list[str]:
     """Return the rows above the numbers as lines of text."""
     rows = [*numbers.above[-40:], *(row for row in (numbers.header, numbers.units) if row is not None)]
     return [" ".join(row.cells) for row in rows]
@@ -383,9 +390,8 @@ def _format_rows_above_numbers(numbers: NumberTable) -> list[str]:
 
 def _make_empty_sheet_warnings(source: FileContent, readings: Sequence[TableGroup]) -> tuple[str, ...]:
     """Return a warning if sheets have no recording."""
-    found = []
     tables = {name for reading in readings for name in reading.sheets}
     empty = [table.name for table in source.tables if table.name and table.name not in tables]
-    if empty and len(source.tables) > 1:
-        found.append(f"no recording in {'sheet' if len(empty) == 1 else 'sheets'} {', '.join(map(repr, empty))}")
-    return tuple(found)
+    if not empty or len(source.tables) < 2:
+        return ()
+    return (f"no recording in {'sheet' if len(empty) == 1 else 'sheets'} {', '.join(map(repr, empty))}",)

@@ -13,8 +13,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from tissue_sim.recording.measures import MEASURES, find_measure
-from tissue_sim.units import find_quantity_of_unit
+from tissue_sim.recording.measures import MEASURES, find_measure_name_in_header_or_none
+from tissue_sim.units import find_quantity_of_unit_or_none
 
 #: Words of columns that are not fitted: derived or commanded quantities, amplitudes, other directions.
 _OTHER = re.compile(
@@ -131,12 +131,13 @@ def identify_machine(text: str) -> MachineFormat | None:
     return next((machine for machine in MACHINES.values() if re.search(machine.marks, text, re.MULTILINE)), None)
 
 
-def normalize_words(name: str) -> str:
+def normalize_header_text(name: str) -> str:
     """Return a header in lower case with single blanks between the words."""
     return " ".join(re.sub(r"[^\w%]+|_", " ", name.casefold()).split())
 
 
-def find_role(name: str, unit: str | None, machine: MachineFormat | None = None) -> tuple[str, int] | None:
+def find_role_and_rank_or_none(name: str, unit: str | None,
+                               machine: MachineFormat | None = None) -> tuple[str, int] | None:
     """Return the role of a column, and its rank among columns of this role; the column with the lowest rank is read.
 
     The rank is 0 for the preferred name, -1 for a column that is measured on the specimen or corrected, 4 and more for
@@ -151,49 +152,49 @@ def find_role(name: str, unit: str | None, machine: MachineFormat | None = None)
         A role: ``time``, ``displacement``, ``force``, ``stretch``, ``strain``, ``shear strain``, ``stress`` or
         ``temperature``. None: none of them.
     """
-    words, quantity = normalize_words(name), find_quantity_of_unit(unit)
+    words, quantity = normalize_header_text(name), find_quantity_of_unit_or_none(unit)
     role = machine.roles.get(words) if machine else None
     rank = 0
     if role is None:
         if _OTHER.search(words):
             return None
-        hits = [(rank, -_longest_match_length(pattern, words), role) for role, patterns in _PATTERNS.items()
+        hits = [(rank, -_compute_longest_match_length(pattern, words), role) for role, patterns in _PATTERNS.items()
                 for rank, pattern in enumerate(patterns) if pattern.search(words)]
         # The longest words are the most specific: "shear strain" is no strain, "strain (extension)" no extension.
         hits.sort(key=lambda hit: (hit[1], hit[0]))
         if hits and quantity not in (None, "signal"):
-            fitting = [hit for hit in hits if _find_role_with_unit(hit[2], quantity)]
+            fitting = [hit for hit in hits if _get_role_fitting_unit_or_empty(hit[2], quantity)]
             hits = fitting[:1]
         rank, _, role = hits[0] if hits else (9, 0, _NAMELESS.get(quantity or "", ""))
     if quantity not in (None, "signal"):
-        role = _find_role_with_unit(role, quantity)
+        role = _get_role_fitting_unit_or_empty(role, quantity)
     if role == "strain" and _SHEAR.search(words):
         role = "shear strain"
     if role not in _QUANTITY:
         return None
     if role in ("stress", "strain", "shear strain", "stretch"):
-        rank += _SETTINGS.other_measure * (find_measure(words, role) in MEASURES)
+        rank += _SETTINGS.other_measure * (find_measure_name_in_header_or_none(words, role) in MEASURES)
     elif _TRUE.search(words):
         return None
-    source = find_source(words)
+    source = classify_column_source_or_empty(words)
     if source in ("specimen", "corrected"):
         rank = min(rank - 1, -1) if rank < _SETTINGS.other_measure else rank - 1
     return role, rank + _SETTINGS.by_machine * (source == "machine")
 
 
-def find_source(words: str) -> str:
+def classify_column_source_or_empty(words: str) -> str:
     """Return the source of a column by its header in lower case: ``specimen``, ``machine``, ``corrected`` or empty."""
     if _CORRECTED.search(words):
         return "corrected"
     return next((name for name, pattern in _SOURCES.items() if pattern.search(words)), "")
 
 
-def _find_role_with_unit(role: str, quantity: str | None) -> str:
+def _get_role_fitting_unit_or_empty(role: str, quantity: str | None) -> str:
     """Return the role of a column with a unit of this quantity; empty without a role."""
     role = _BY_UNIT.get((role, quantity or ""), role)
     return role if _QUANTITY.get(role) == quantity else ""
 
 
-def _longest_match_length(pattern: re.Pattern[str], words: str) -> int:
+def _compute_longest_match_length(pattern: re.Pattern[str], words: str) -> int:
     """Return the length of the longest match, characters; 0 without a match."""
     return max((len(match[0]) for match in pattern.finditer(words)), default=0)

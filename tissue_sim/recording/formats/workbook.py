@@ -14,10 +14,15 @@ from typing import Any
 import python_calamine as calamine
 import xlrd
 
-from tissue_sim.errors import InputError, add_location_to_errors, format_exception, suggest_known_word
-from tissue_sim.files import ZIP_MAGIC, read_bytes, read_first_bytes
-from tissue_sim.recording.formats.cell_units import extract_cell_units
-from tissue_sim.recording.formats.number_text import ExactNumber
+from tissue_sim.errors import (
+    InputError,
+    format_foreign_exception_message,
+    located_and_converted_errors,
+    make_hint_with_similar_or_known_words,
+)
+from tissue_sim.files import ZIP_MAGIC, read_bytes, read_first_bytes_or_empty
+from tissue_sim.recording.formats.cell_units import move_cell_units_to_unit_row
+from tissue_sim.recording.formats.number_text import TextOfNumericCell
 from tissue_sim.recording.formats.table import Table, TableRow
 
 #: Expected content of the file, for messages.
@@ -38,19 +43,19 @@ class Sheet:
     name: str
     rows: tuple[TableRow, ...]
 
-    def build_table(self, skip_rows: int = 0) -> Table:
+    def build_table_below_skipped_rows(self, skip_rows: int = 0) -> Table:
         """Return the rows below the first `skip_rows` rows; units after the numbers are moved to a row of units."""
-        return Table(extract_cell_units([row for row in self.rows if row.line > skip_rows]), name=self.name)
+        return Table(move_cell_units_to_unit_row([row for row in self.rows if row.line > skip_rows]), name=self.name)
 
     def add_location_to_errors(self) -> AbstractContextManager[None]:
         """Return a context manager that adds the file and the name of this sheet to an `InputError` raised in it."""
-        return add_location_to_errors(file=self.file, part=f"sheet {self.name!r}")
+        return located_and_converted_errors(file=self.file, part=f"sheet {self.name!r}")
 
 
 def is_workbook(path: Path) -> bool:
     """Return whether a file is a spreadsheet by its first bytes or by its suffix."""
     with_name = path.suffix.lower() in SUFFIXES
-    return read_first_bytes(path, len(ZIP_MAGIC)) in (ZIP_MAGIC, OLE_MAGIC) or with_name
+    return read_first_bytes_or_empty(path, len(ZIP_MAGIC)) in (ZIP_MAGIC, OLE_MAGIC) or with_name
 
 
 def read_sheets(path: Path, sheet: str | int | Sequence[str | int] | None = None) -> tuple[Sheet, ...]:
@@ -70,15 +75,17 @@ def read_sheets(path: Path, sheet: str | int | Sequence[str | int] | None = None
                              "begin with 1.", file=path, field="sheet")
     data = read_bytes(path, EXPECTED_SPREADSHEET)
     try:
-        found = list((_read_xls if data.startswith(OLE_MAGIC) else _read_xlsx_or_ods)(data, path, wanted))
+        iterate_sheets = _iterate_xls_sheets if data.startswith(OLE_MAGIC) else _iterate_xlsx_or_ods_sheets
+        found = list(iterate_sheets(data, path, wanted))
     except InputError:
         raise
     # A damaged archive may cause a panic of the parser (Rust), which derives from BaseException.
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt | SystemExit | GeneratorExit | MemoryError):
             raise
-        raise InputError(f"cannot be read as {EXPECTED_SPREADSHEET}: {format_exception(error)}; open the file in a "
-                         "spreadsheet program and save the file again", file=path) from None
+        raise InputError(
+            f"cannot be read as {EXPECTED_SPREADSHEET}: {format_foreign_exception_message(error)}; open the file in a "
+            "spreadsheet program and save the file again", file=path) from None
     filled = tuple(each for each in found if each.rows)
     if not filled:
         raise InputError(f"is empty, expected {EXPECTED_SPREADSHEET} with a table", file=path,
@@ -103,16 +110,16 @@ def read_sheet(path: Path, sheet: str | int | None = None) -> Sheet:
     return filled[0]
 
 
-def _read_xlsx_or_ods(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
+def _iterate_xlsx_or_ods_sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
     """Yield the requested sheets of an xlsx or ods file; all sheets without a request."""
-    _check_extent(data, path)
+    _require_limited_cell_counts(data, path)
     with calamine.load_workbook(io.BytesIO(data)) as book:
         for name in _select_sheet_names(path, wanted, book.sheet_names):
             yield Sheet(path, name,
                         _convert_cells_to_rows(book.get_sheet_by_name(name).to_python(skip_empty_area=False)))
 
 
-def _read_xls(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
+def _iterate_xls_sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
     """Yield the requested sheets of an xls file; all sheets without a request."""
     try:
         book = xlrd.open_workbook(file_contents=data, logfile=io.StringIO(), ragged_rows=True)
@@ -128,7 +135,7 @@ def _read_xls(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[
             for i in range(sheet.nrows)))
 
 
-def _check_extent(data: bytes, path: Path) -> None:
+def _require_limited_cell_counts(data: bytes, path: Path) -> None:
     """Check the number of cells of each sheet, because calamine aborts the process if the memory does not suffice.
 
     Raises:
@@ -156,10 +163,10 @@ def _convert_cells_to_rows(cells: Iterable[Iterable[Any]]) -> tuple[TableRow, ..
 
 def _select_sheet_names(path: Path, wanted: Sequence[str | int], names: list[str]) -> Iterable[str]:
     """Return the names of the requested sheets without repetitions; all names without a request."""
-    return dict.fromkeys(_find_sheet_name(path, each, names) for each in wanted) if wanted else names
+    return dict.fromkeys(_get_sheet_name_by_name_or_number(path, each, names) for each in wanted) if wanted else names
 
 
-def _find_sheet_name(path: Path, sheet: str | int, names: list[str]) -> str:
+def _get_sheet_name_by_name_or_number(path: Path, sheet: str | int, names: list[str]) -> str:
     """Return the name of a sheet by name or number (from 1).
 
     Raises:
@@ -171,12 +178,13 @@ def _find_sheet_name(path: Path, sheet: str | int, names: list[str]) -> str:
                              file=path, field="sheet")
         return names[sheet - 1]
     if sheet not in names:
-        raise InputError(f"there is no sheet {sheet!r}{suggest_known_word(sheet, names)}", file=path, field="sheet")
+        raise InputError(f"there is no sheet {sheet!r}{make_hint_with_similar_or_known_words(sheet, names)}", file=path,
+                         field="sheet")
     return sheet
 
 
 def _format_cell_value(value: Any) -> str:
-    """Return a value as text with single blanks; a number as `ExactNumber`."""
+    """Return a value as text with single blanks; a number as `TextOfNumericCell`."""
     if isinstance(value, int | float) and not isinstance(value, bool):
-        return ExactNumber(repr(value))
+        return TextOfNumericCell(repr(value))
     return " ".join(str(value).split())

@@ -8,7 +8,7 @@ from typing import Any
 
 from tissue_sim.recording.formats.columns import Sheets, read_recordings_from_columns
 from tissue_sim.recording.formats.native import read_native_rows
-from tissue_sim.recording.formats.table import select_cells
+from tissue_sim.recording.formats.table import select_cells_and_drop_blank_rows
 from tissue_sim.recording.formats.workbook import Sheet, read_sheet, read_sheets
 from tissue_sim.recording.recording import Recording
 
@@ -41,4 +41,4 @@ def _read_native_sheet(found: Sheet) -> Recording:
         rows = [row for row in found.rows if not row.cells[0].startswith("#")]
         # Columns without a name are not part of the table.
         named = [i for i, cell in enumerate(rows[0].cells) if cell] if rows else []
-        return read_native_rows(select_cells(rows, named), found.file)
+        return read_native_rows(select_cells_and_drop_blank_rows(rows, named), found.file)
