@@ -137,6 +137,12 @@ def test_old_names_of_calibration_give_the_new_members_and_warn(old, new):
 @pytest.mark.parametrize(("module", "owner", "old", "new"), [
     ("calibration.importing.imported", "ImportResult", "complete", "is_complete"),
     ("calibration.effects.situation", "Situation", "curves", "fitted_curves"),
+    ("tissue_sim", "Experiment", "with_free_faces", "with_slipping_faces_frictionless"),
+    ("tissue_sim", "Experiment", "base_interface", "resolved_base_interface"),
+    ("tissue_sim", "Material", "instantaneous_factor", "instantaneous_over_law_modulus_ratio"),
+    ("tissue_sim", "Material", "reduced_effects", "list_acting_reduced_effects"),
+    ("tissue_sim", "Prony", "instantaneous_factor", "instantaneous_over_law_modulus_ratio"),
+    ("tissue_sim", "MeshSpecimen", "mesh_of_file", "loaded_file_mesh"),
     ("calibration.effects.situation", "Situation", "require_new", "require_unused_parameter"),
     ("calibration.effects.situation", "Situation", "step_and_duration", "sampling_interval_and_duration")])
 def test_old_members_of_a_class_give_the_new_members_and_warn(module, owner, old, new):

@@ -66,6 +66,8 @@ class Experiment:
     slip: float | None = parameter("s", "1", key="slip", bounds=(0.0, 1.0), absent=0.0, default=None)
     contact_laws: Mapping[str, ContactLaw] = field(default_factory=dict)
     approach: Approach | None = None
+    with_free_faces = OldName("with_slipping_faces_frictionless")
+    base_interface = OldName("resolved_base_interface")
 
     def __post_init__(self):
         if not isinstance(self.tool, Tool):

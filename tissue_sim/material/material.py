@@ -20,6 +20,7 @@ from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
 from tissue_sim.parameters import Declaration
+from tissue_sim.public_names import OldName
 
 #: Range of K / mu0 for which the finite elements are verified, 1; 2.17 is a Poisson's ratio of 0.3.
 BULK_RATIOS = (2.0, 1e6)
@@ -134,6 +135,8 @@ class Material:
     puncture: Puncture | None = None
     effects: Mapping[str, TissueEffect] = field(default_factory=dict)
     regions: Mapping[str, Material] = field(default_factory=dict)
+    instantaneous_factor = OldName("instantaneous_over_law_modulus_ratio")
+    reduced_effects = OldName("list_acting_reduced_effects")
 
     def __post_init__(self):
         object.__setattr__(self, "regions", make_shallow_read_only_copy(dict(self.regions)))

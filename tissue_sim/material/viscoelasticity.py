@@ -59,6 +59,7 @@ class Prony:
 
     terms: tuple[PronyTerm, ...]
     moduli: Literal["instantaneous", "long_term"] = "instantaneous"
+    instantaneous_factor = OldName("instantaneous_over_law_modulus_ratio")
 
     def __post_init__(self):
         object.__setattr__(self, "terms", tuple(self.terms))

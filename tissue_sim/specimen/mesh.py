@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from tissue_sim.errors import InputError
+from tissue_sim.public_names import OldName
 from tissue_sim.specimen.specimen import Specimen
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ class MeshSpecimen(Specimen):
     mesh_base: str | None = None
     mesh_top: str | None = None
     content: FileMesh | None = field(default=None, repr=False, compare=False)
+    mesh_of_file = OldName("loaded_file_mesh")
 
     def __post_init__(self):
         super().__post_init__()
