@@ -88,7 +88,8 @@ def test_a_history_that_has_no_closed_form_is_refused():
 
 def test_names_and_sizes_need_no_numpy():
     """Help lists kinds, shapes and sizes."""
-    code = ("import sys; from scenes.catalogue import SCENES; from tissue_sim.experiment.tools.tool import tool_sizes; "
-            "print(len(SCENES), len(tool_sizes()), 'numpy' in sys.modules)")
+    code = ("import sys; from scenes.catalogue import SCENES; "
+            "from tissue_sim.experiment.tools.tool import list_all_tool_sizes_by_key; "
+            "print(len(SCENES), len(list_all_tool_sizes_by_key()), 'numpy' in sys.modules)")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, encoding="utf-8", check=True)
     assert done.stdout.split() == ["4", "4", "False"]

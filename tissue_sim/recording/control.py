@@ -202,11 +202,11 @@ def _iterate_creeping_holds_with_gain(motion: np.ndarray, load: np.ndarray,
             continue
         gain = float(np.median(motion[last - _SETTINGS.end_samples:last]) - motion[first])
         duration = clock[last - 1] - clock[first]
-        gain -= _compute_elastic_gain(motion, load, first, last)
-        if gain <= 0 or not duration > 0 or gain < 6 * estimate_noise_deviation(motion) or motion[first] <= 0:
+        creep = gain - _compute_elastic_gain(motion, load, first, last)
+        if creep <= 0 or not duration > 0 or creep < 6 * estimate_noise_deviation(motion) or motion[first] <= 0:
             continue
         if _is_motion_slowing_as_in_creep(motion, clock, first, last, gain / duration):
-            yield first, last, gain / float(motion[first])
+            yield first, last, creep / float(motion[first])
 
 
 def _compute_elastic_gain(motion: np.ndarray, load: np.ndarray, first: int, last: int) -> float:
