@@ -292,7 +292,8 @@ class TestFirstSample:
     def test_a_noisy_ramp_is_no_creep(self, seed):
         """The force of a needle is almost linear, and each part of the ramp lies in the band of a held force."""
         depth = np.linspace(0.0, 10.0, 401)
-        load = np.polyval([8e-4, -2.7e-3, 0.1856, 0.0], depth) + np.random.default_rng(seed).normal(0.0, 0.02, depth.size)
+        noise = np.random.default_rng(seed).normal(0.0, 0.02, depth.size)
+        load = np.polyval([8e-4, -2.7e-3, 0.1856, 0.0], depth) + noise
         assert analyse_control_and_creep(1e-3 * depth, load).creep == 0.0
 
     def test_the_number_of_equal_loads_does_not_depend_on_the_thinning(self):
