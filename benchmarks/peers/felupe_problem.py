@@ -143,7 +143,7 @@ def solid(law: fem.Material, field: fem.FieldContainer, bulk_modulus: float):
     """Return the body of a law on `unknowns`, condensed for displacements only. `bulk_modulus`: Pa."""
     if len(field.fields) == 1:
         return fem.SolidBodyNearlyIncompressible(law, field, bulk=bulk_modulus * 1e-6)
-    return fem.ThreeDimensionalMeshBody(fem.NearlyIncompressible(law, bulk=bulk_modulus * 1e-6), field)
+    return fem.SolidBody(fem.NearlyIncompressible(law, bulk=bulk_modulus * 1e-6), field)
 
 
 def boundary(field: fem.FieldContainer, mesh: Mesh, name: str, held: str) -> fem.Boundary:

@@ -310,7 +310,7 @@ def felupe_forces(depths):
     cube = felupe.Cube(n=8)
     fine = 10e-3 * (1.0 - (1.0 - cube.points) ** 2.2)  # towards the faces
     field = felupe.FieldsMixed(felupe.RegionHexahedron(felupe.Mesh(fine, cube.cells, "hexahedron")), n=3)
-    body = felupe.ThreeDimensionalMeshBody(felupe.ThreeFieldVariation(felupe.NeoHooke(mu=900.0, bulk=900e3)), field)
+    body = felupe.SolidBody(felupe.ThreeFieldVariation(felupe.NeoHooke(mu=900.0, bulk=900e3)), field)
     planes = {axis: felupe.Boundary(field[0], **{f"f{axis}": 0.0}, skip=skip) for axis, skip in (
         ("x", (0, 1, 1)), ("y", (1, 0, 1)), ("z", (1, 1, 0)))}
     tool = felupe.Boundary(field[0], fz=10e-3, skip=(1, 1, 0))

@@ -31,7 +31,7 @@ def felupe_force(mesh, held):
     order = [int(np.abs(HEX8P0.reference_nodes - place).sum(axis=1).argmin()) for place in felupe.Hexahedron().points]
     region = felupe.RegionHexahedron(felupe.Mesh(mesh.nodes, mesh.connectivity[:, order], "hexahedron"))
     field = felupe.FieldsMixed(region, n=3)
-    body = felupe.ThreeDimensionalMeshBody(felupe.ThreeFieldVariation(felupe.NeoHooke(mu=MODULUS, bulk=BULK)), field)
+    body = felupe.SolidBody(felupe.ThreeFieldVariation(felupe.NeoHooke(mu=MODULUS, bulk=BULK)), field)
 
     def boundary(nodes, **options):
         mask = np.zeros(len(mesh.nodes), dtype=bool)

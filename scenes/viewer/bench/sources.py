@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import dataclass, field
@@ -25,10 +24,13 @@ class BenchCurveSettings:
     Attributes:
         points: Approximate number of points of a curve; more points show shorter peaks and load the browser more.
         time_span: Time span of the samples of a sensor, s.
+        compared_bytes: Number of bytes before the end of the last read by which a new file of the same name is
+            recognised: about two rows, whose times and noisy forces differ.
     """
 
     points: int = 600
     time_span: float = 20.0
+    compared_bytes: int = 64
 
 
 #: Curves of every bench.
@@ -82,7 +84,7 @@ class RecordRunSource(BenchSource):
     def __init__(self, folder: Path):
         self._folder = folder
         self._partial: Path | None = None
-        self._file_number = 0
+        self._last_read = b""
         self._rows: list[tuple[float, float, float]] = []
         self._read = 0
 
@@ -120,16 +122,17 @@ class RecordRunSource(BenchSource):
         """
         partial = max(self._folder.glob(f"*{PARTIAL_SUFFIX}"), key=_modification_time_or_zero, default=None)
         if partial is not None and partial != self._partial:
-            self._partial, self._rows, self._read = partial, [], 0
+            self._partial, self._rows, self._read, self._last_read = partial, [], 0, b""
         if self._partial is not None and self._partial.exists():
             with self._partial.open("rb") as file:
-                state = os.fstat(file.fileno())
-                # A recording that starts again has the name of the stopped one.
-                if state.st_ino != self._file_number or state.st_size < self._read:
-                    self._rows, self._read, self._file_number = [], 0, state.st_ino
+                # A recording that starts again has the name of the stopped one, but other rows.
+                file.seek(self._read - len(self._last_read))
+                if file.read(len(self._last_read)) != self._last_read:
+                    self._rows, self._read, self._last_read = [], 0, b""
                 file.seek(self._read)
                 whole, newline, _ = file.read().rpartition(b"\n")
             self._read += len(whole) + len(newline)
+            self._last_read = (whole + newline)[-CURVE.compared_bytes:] or self._last_read
             for line in whole.decode("utf-8", "replace").splitlines():
                 cells = line.split(",")
                 with contextlib.suppress(ValueError, IndexError):  # skips the header
