@@ -58,9 +58,11 @@ def list_diagnosis_result_file_paths(campaign: Campaign, folder: Path) -> list[P
             folder / DIAGNOSIS_FILE]
 
 
-def claim_output_folder(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign],
-                        recordings: Sequence[MeasuredCurve], digests: Mapping[str, str], overwrite: bool,
-                        files_of: Callable[[Campaign, Path], list[Path]] = list_calibration_file_paths) -> None:
+def remove_earlier_results_and_claim_folder(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign],
+                                            recordings: Sequence[MeasuredCurve], digests: Mapping[str, str],
+                                            overwrite: bool,
+                                            files_of: Callable[[Campaign, Path],
+                                                               list[Path]] = list_calibration_file_paths) -> None:
     """Prepare the output folder for these campaigns: check it, remove earlier results, and write ``work.json``.
 
     Results of the same campaigns stay. Files of an earlier calibration are removed if ``work.json`` lists them; other

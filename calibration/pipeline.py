@@ -12,9 +12,9 @@ from calibration.campaign.planned import PLANNED, read_or_plan_curves_of_all_tes
 from calibration.output_folder import (
     PICTURE_FORMATS,
     SUMMARY_FILE,
-    claim_output_folder,
     has_figure_files_of_all_tests,
     list_calibration_file_paths,
+    remove_earlier_results_and_claim_folder,
 )
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
@@ -190,9 +190,10 @@ def _run_campaigns_and_collect_failures(parts: Sequence[Any], output: Path, read
     for part, result in zip(parts, finished, strict=True):
         if result is None:
             part.check_start_values_before_writing()
-    claim_output_folder(output, {part.campaign.name: part.folder for part in parts}, [part.campaign for part in parts],
-                        [recording for part in parts for recording in part.recordings],
-                        {part.campaign.name: part.digest for part in parts}, overwrite, files_of)
+    remove_earlier_results_and_claim_folder(output, {part.campaign.name: part.folder for part in parts},
+                                            [part.campaign for part in parts],
+                                            [recording for part in parts for recording in part.recordings],
+                                            {part.campaign.name: part.digest for part in parts}, overwrite, files_of)
     results, failures = [], []
     for part, result in zip(parts, finished, strict=True):
         try:

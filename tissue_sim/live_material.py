@@ -11,7 +11,7 @@ from tissue_sim.parameters import parameters
 
 
 @dataclass(frozen=True)
-class ModulusRange:
+class AcceptedModulusRange:
     """Moduli that a real-time simulation accepts.
 
     Attributes:
@@ -24,7 +24,7 @@ class ModulusRange:
 
 
 #: Range of every real-time simulation.
-MODULI = ModulusRange()
+MODULI = AcceptedModulusRange()
 
 
 def require_no_tilt_or_partial_slip(experiment: Experiment) -> None:
@@ -45,7 +45,8 @@ def require_tissue_moduli(material: Material) -> None:
     """Check that the moduli of a material are in the range of tissues and gels.
 
     Raises:
-        InputError: a modulus above `ModulusRange.largest`, or a shear modulus below `ModulusRange.smallest`.
+        InputError: a modulus above `AcceptedModulusRange.largest`, or a shear modulus below
+            `AcceptedModulusRange.smallest`.
     """
     for each in parameters(material).values():
         if each.declaration.unit == "Pa" and not abs(each.value) <= MODULI.largest:

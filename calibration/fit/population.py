@@ -105,6 +105,10 @@ def determine_population_and_left_out_specimens(space: ParameterSpace, theta: np
         theta: free parameters, SI, shape (p,).
         covariance: covariance of the free parameters, shape (p, p).
         errors: standard errors, shape (p,); not finite for undetermined parameters and those on a bound.
+
+    Returns:
+        The population, None with fewer than `PopulationSettings.min_specimens` determined specimens; the specimens
+        that represent the material; and the reason for each specimen that is left out.
     """
     index_of = {(each.path, each.specimen): index for index, each in enumerate(space.free_parameters)
                 if each.specimen is not None and each.of_material}

@@ -169,7 +169,7 @@ def _evaluate_contact_clause(evidence: UsabilityEvidence) -> UsabilityClauseResu
     return _clause_from_reason("contact", "not_determined",
                                describe_worst_uncertain_contact_or_empty(evidence.estimate),
                                "set offset = \"fit\" in [fit], state the contact in mm, or record more air with less "
-                                "noise")
+                               "noise")
 
 
 def list_screening_contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
@@ -326,7 +326,7 @@ def _evaluate_modulus_precision_clause(evidence: UsabilityEvidence) -> Usability
                                f"the tests do not determine the shear modulus mu0: {error}, and the limit is "
                                f"{DETERMINATION.relative_error:.0%}",
                                "add a test or a longer recording, fix a parameter in fit.fixed, or use a law with "
-                                "fewer")
+                               "fewer")
 
 
 def _describe_fast_relaxation(evidence: UsabilityEvidence) -> str:
@@ -350,7 +350,7 @@ def _describe_fast_relaxation(evidence: UsabilityEvidence) -> str:
             f"{', '.join(found)} is shorter than the sampling interval, {interval:.3g} s") if found else ""
 
 
-def _evaluate_uniqueness_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
+def _evaluate_unique_material_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause that no other parameters fit equally well and describe another material."""
     sentence = describe_alternative_minima(evidence.alternatives, evidence.symbols, evidence.units)
     remedy = f"add a test such as {evidence.alternatives[0].separated_by}, or bound the parameters in fit.bounds" \
@@ -368,4 +368,5 @@ _CHECKS = (_evaluate_positive_shear_modulus_clause, _evaluate_minimiser_converge
            _evaluate_screening_clause, _evaluate_contact_clause,
            _evaluate_replicate_and_same_kind_clause, _evaluate_residual_clause, _evaluate_explained_variance_clause,
            _evaluate_force_control_displacement_clause, _evaluate_modulus_unstated_bounds_clause,
-           _evaluate_modulus_precision_clause, _evaluate_uniqueness_clause, _evaluate_population_mean_exists_clause)
+           _evaluate_modulus_precision_clause, _evaluate_unique_material_clause,
+           _evaluate_population_mean_exists_clause)

@@ -219,7 +219,7 @@ class ClosedFormTest:
             Name of the parameter -> derivative, shape (n,).
         """
         prony = material.viscoelastic
-        if prony is None or not self._is_uniaxial_or_simple_shear or (
+        if prony is None or not self._has_homogeneous_closed_form or (
                 not answer.space.has_only_shared_material_parameters) or (
                 material.effects or material.softening is not None or material.poroelasticity is not None) or (
                 material.instantaneous_over_law_modulus_ratio != 1.0):
@@ -266,7 +266,7 @@ class ClosedFormTest:
         """Return the force of a material with memory at the samples of a recording, N, shape (n,)."""
         measured, factor = self.measured[recording], self.kind.sign * self.area
         with np.errstate(all="ignore"):
-            if not self._is_uniaxial_or_simple_shear or material.effects:
+            if not self._has_homogeneous_closed_form or material.effects:
                 strain = self.convert_displacement_to_stretch_or_shear(measured.displacement - offset)
                 return factor * self.closed_form.history(material, measured.required_sample_times, strain,
                                                          self.equivalent_radius)
@@ -275,7 +275,7 @@ class ClosedFormTest:
                 material.instantaneous_over_law_modulus_ratio)
 
     @property
-    def _is_uniaxial_or_simple_shear(self) -> bool:
+    def _has_homogeneous_closed_form(self) -> bool:
         """Whether `HomogeneousHistory` can compute the stress: uniaxial loading or simple shear."""
         return type(self.closed_form) is ClosedForm and self.closed_form.law_mode in ("uniaxial", "simple_shear")
 

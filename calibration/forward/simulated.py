@@ -281,7 +281,8 @@ class SimulatedTest(SimulatedMotions):
         """
         measured, readout = self.measured[recording], answer.readouts[recording]
         rig = readout.rig
-        values, rate = answer.curves[recording](self._convert_to_motion_time(recording), measured.displacement, offset)
+        values, rate = answer.curves[recording](self._convert_to_motion_time_or_none(recording), measured.displacement,
+                                                offset)
         if answer.effects[recording].effects:
             values, rate = self._scale_force_and_derivatives_by_effects(answer, recording, offset, values, rate)
         simulated = values[:, 0]
@@ -345,13 +346,13 @@ class SimulatedTest(SimulatedMotions):
                                     for offset in offsets])
         measured = self.measured[recording]
         curve, effects = answer.curves[recording], answer.effects[recording]
-        forces = curve.compute_force_column_per_offset(self._convert_to_motion_time(recording), measured.displacement,
-                                                       offsets)
+        forces = curve.compute_force_column_per_offset(self._convert_to_motion_time_or_none(recording),
+                                                       measured.displacement, offsets)
         # A jump occurs at a true depth, so the contact offset determines its sample.
         return effects.compute_force_factor(measured, compute_depth_in_tissue(curve, measured, offsets)) * forces \
             if effects.effects else forces
 
-    def _convert_to_motion_time(self, recording: int) -> np.ndarray | None:
+    def _convert_to_motion_time_or_none(self, recording: int) -> np.ndarray | None:
         """Return the times of the samples in the time scale of the simulated motion, s, shape (n,); None without times.
 
         Recordings with equivalent motions share one simulated motion and may have begun at other times.

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from calibration.importing.decimal_marks import explain_why_campaign_states_decimal_mark
-from calibration.importing.flags import applies_to_test_kind
+from calibration.importing.flags import is_test_key_used_by_kind
 from calibration.importing.imported import CampaignLine, ImportedTest, ImportOptions, ReplicateFile
 from calibration.importing.signal_lines import (
     make_contact_offset_lines,
@@ -111,7 +111,7 @@ def make_test_lines_and_missing(parts: Sequence[ReplicateFile],
     lines += make_outlier_leave_out_lines(parts)
     lines += _make_speed_lines(parts, test.pop("speed_mm_s", None))
     lines += [CampaignLine(key, value, "stated") for key,
-              value in test.items() if applies_to_test_kind(key, value, kind)]
+              value in test.items() if is_test_key_used_by_kind(key, value, kind)]
     return lines, missing
 
 

@@ -55,7 +55,7 @@ def reject_unused_options(wishes: ImportOptions, files: Sequence[FileInterpretat
         raise InputError(f"{reason}. Leave out the flag.", field=flag)
 
 
-def applies_to_test_kind(key: str, value: Any, kind: TestKind | None) -> bool:
+def is_test_key_used_by_kind(key: str, value: Any, kind: TestKind | None) -> bool:
     """Return whether a key of ``[[test]]`` with this value is valid for a kind of test; True for an unknown kind."""
     if kind is None:
         return True
@@ -79,7 +79,7 @@ def _iterate_unused_options_with_reason(wishes: ImportOptions, files: Sequence[F
     yield from _iterate_options_of_unread_channels(wishes, files)
     kinds = [KINDS[test.kind] if test.kind else None for test in tests]
     for key, value in wishes.test.items():
-        if not any(applies_to_test_kind(key, value, kind) for kind in kinds):
+        if not any(is_test_key_used_by_kind(key, value, kind) for kind in kinds):
             names = ", ".join(dict.fromkeys(kind.name for kind in kinds if kind is not None))
             yield f"--{key.replace('_', '-')}", f"{names} has no {key.removesuffix('_mm').replace('_', ' ')} to state"
     if "speed_mm_s" in wishes.test and not any(line.key == "speed_mm_s" for test in tests for line in test.lines):

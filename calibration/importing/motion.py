@@ -61,14 +61,15 @@ class RecordedMotion:
     screening: Screening = field(default_factory=Screening)
     kept: np.ndarray | None = None
 
-    def recording_index_of(self, index: int) -> int:
+    def get_sample_index_in_file(self, index: int) -> int:
         """Return the index of a sample in the recording of the file, from its index among the kept samples (from 0)."""
         return index if self.kept is None else int(self.kept[index])
 
     @property
     def segments(self) -> tuple[MotionSegmentSampleRange, ...]:
         """Segments in the order of time, with indices of the recording of the file."""
-        return tuple(MotionSegmentSampleRange(name, self.recording_index_of(first), self.recording_index_of(end - 1))
+        return tuple(MotionSegmentSampleRange(name, self.get_sample_index_in_file(first),
+                                              self.get_sample_index_in_file(end - 1))
                      for name, first,
                      end in self.found.iterate_segment_names_and_bounds())
 

@@ -94,7 +94,7 @@ def _draw_test_motion_and_load_in_two_axes(left, right, test: ImportedTest) -> N
             if kept.size < len(recording):
                 _mark_outliers_and_saturated_samples(left, right, clocks, ways, loads, kept, motion.screening)
             if motion.failure is not None:
-                at = motion.recording_index_of(motion.failure.index)
+                at = motion.get_sample_index_in_file(motion.failure.index)
                 point = [_convert_to_plotted_unit(recording, channel, raw)[at] for channel in (motion.channel, load)]
                 right.plot(*point, "x", color="k", ms=7, label="failure" if number == 0 else None)
             if number == 0:

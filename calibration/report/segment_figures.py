@@ -139,12 +139,12 @@ def iterate_segment_section_html(campaign: Campaign, recordings: Mapping[str, Se
         if pictures is not None:
             drawn = next((curve for curve in curves if curve.notes), curves[0])
             yield pictures.embed_figure(make_numbered_test_figure_name(campaign, number, "segments"),
-                                        partial(_draw_recording_segments, drawn), f"Segments of {drawn.name}",
+                                        partial(_make_segments_figure, drawn), f"Segments of {drawn.name}",
                                         f"{escape(drawn.name)}: raw recording; the fitted samples are blue if only a "
                                         "part is fitted.")
 
 
-def _draw_recording_segments(curve: MeasuredCurve):
+def _make_segments_figure(curve: MeasuredCurve):
     """Draw the segments of the whole recording from which a curve was selected; return the matplotlib figure."""
     whole = curve.whole
     assert whole is not None

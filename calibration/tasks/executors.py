@@ -56,10 +56,10 @@ class TaskExecutor:
     parallel = False
 
     def run(self, function: Callable[..., Any], arguments: Sequence[tuple], on_done: OnDone | None = None) -> list[Any]:
-        """Call the function once for each tuple of arguments.
+        """Call the function once for each tuple of arguments; here one call after the other in this process.
 
-        The function must be importable in a new process; arguments and results must be picklable. Plug-ins registered
-        in this process are also registered where the function runs.
+        Subclasses call it in other processes. The function must be importable in a new process; arguments and results
+        must be picklable. Plug-ins registered in this process are also registered where the function runs.
 
         Args:
             function: called as ``function(*arguments[i])``.

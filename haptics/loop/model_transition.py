@@ -38,6 +38,8 @@ class ModelTransition:
     """Keep the wrench continuous when a model of the bulk arrives, and learn from the difference of the models.
 
     A model of another material is used at once, as in a `Simulator`, because the parameters also change in one step.
+    Friction stores the path of the tool, so that an error at a distance from the pose of a model remains while the tool
+    returns: the estimated error of a model does not decrease until the tool lifts off or the next model arrives.
 
     Args:
         stepper: solver of the contact with the newest model.
@@ -54,6 +56,7 @@ class ModelTransition:
         self._stepper, radius = stepper, stepper.surface.radius
         self._correction = BroydenCorrection(radius)
         self.estimate = LinearisationError(radius, shear_modulus, tip_radius)
+        self._has_friction = bool(np.any(stepper.surface.friction > 0.0))
         self.reset(stepper.surface.start)
 
     def reset(self, pose: Pose) -> None:
@@ -61,6 +64,7 @@ class ModelTransition:
         self.offset: Screw = _NO_WRENCH
         self.free = pose
         self._correction.reset()
+        self._largest_error = 0.0
         self.estimate.discard_estimate()
 
     def compute_distance_from_model(self, model: CondensedBulk, pose: Pose) -> float:
@@ -94,6 +98,7 @@ class ModelTransition:
             after: step at this pose on the new model.
         """
         new, correction = self._newest_model, self._correction
+        self._largest_error = 0.0
         if new.material != old.material:
             self.clear_offset_and_correction()
             return
@@ -172,7 +177,10 @@ class ModelTransition:
         offset = self._compute_max_equivalent_force(self.offset)
         depth = self._stepper.surface.start.position[2] - pose.position[2]
         evaluate = estimate.estimate_force_error if is_loaded else estimate.estimate_error_of_zero_force
-        error = evaluate(distance, age, depth, self._distance_from_tangent_pose) + offset
+        error = evaluate(distance, age, depth, self._distance_from_tangent_pose)
+        if self._has_friction:
+            error = self._largest_error = max(error, self._largest_error if is_loaded else 0.0)
+        error += offset
         is_trusted = not is_loaded or distance <= estimate.short
         return error, offset if math.isinf(error) and is_trusted else error
 

@@ -312,7 +312,7 @@ class Recorder:
         self._require_zero_force_above_contact()
         contact_point, zero, contact_metadata = self._contact_point or 0.0, motion.zero, self._contact_metadata
 
-        def check_and_save_recording() -> None:
+        def require_contact_and_save_recording() -> None:
             """Build the recording, check that the contact force was reached, and save it; closes the partial file."""
             recording = build_recording(record, plan, contact_point, zero, motion.sensor.channels,
                                         1.0 / motion.sensor.rate)
@@ -331,7 +331,7 @@ class Recorder:
                 "loadings_before": loadings, "stops_before": stops, **recording.metadata}))
 
         # Saving a long test takes seconds; the devices must be polled during this time.
-        motion.run_while_polling(check_and_save_recording)
+        motion.run_while_polling(require_contact_and_save_recording)
         self._partial = None
 
     def _require_zero_force_above_contact(self) -> None:

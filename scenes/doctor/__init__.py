@@ -23,7 +23,7 @@ def iterate_check_results(*, clock_seconds: float = 2.0) -> Iterator[CheckResult
     yield installation.check_common_package_folder()
     yield taichi_backend.check_taichi_kernel()
     yield taichi_backend.check_taichi_kernel_cache_size()
-    yield realtime_mesh.check_selected_realtime_mesh()
+    yield realtime_mesh.report_selected_realtime_resolution()
     yield clock.check_clock_lateness(clock_seconds)
     yield clock.check_real_time_priority()
     yield platform_services.check_matplotlib_font_cache()

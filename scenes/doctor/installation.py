@@ -55,7 +55,7 @@ def iterate_required_package_checks() -> Iterator[CheckResult]:
 
 
 def check_common_package_folder() -> CheckResult:
-    """Check whether the four packages of this program are imported from the same folder.
+    """Return whether the four packages of this program are imported from the same folder, as a check result.
 
     Another distribution with a package `calibration`, or a file `calibration.py` in the current folder, would replace
     the package of this program without a message.

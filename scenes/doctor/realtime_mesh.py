@@ -13,7 +13,7 @@ _NAME = "real-time mesh"
 COARSEST = "realtime_20"
 
 
-def check_selected_realtime_mesh() -> CheckResult:
+def report_selected_realtime_resolution() -> CheckResult:
     """Report the mesh that `resolution="realtime"` selects here for the needle of the reference study, with inertia."""
     import numpy as np
 

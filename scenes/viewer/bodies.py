@@ -18,7 +18,7 @@ from tissue_sim.fem.fields import extrapolate_to_nodes_and_average
 from tissue_sim.fem.solid.fields import SolidFields
 
 
-class DrawableBody(Protocol):
+class DrawableTissue(Protocol):
     """Interface of tissue that the page can draw, from an axisymmetric or a 3D mesh.
 
     In all methods, `positions` are the deformed positions of the nodes as `Snapshot.node_positions` gives them, and
@@ -65,7 +65,7 @@ class RevolvedBody:
 
     def evaluate_field_at_nodes_and_samples(self, fields: Fields, name: str, positions: np.ndarray,
                                             wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Fields]:
-        """Return nodal values, values at the quadrature points, and `fields`; shapes as in `DrawableBody`."""
+        """Return nodal values, values at the quadrature points, and `fields`; shapes as in `DrawableTissue`."""
         at_points = fields.at_points(name)
         nodal = fields.at_nodes(name) if name == "displacement" \
             else extrapolate_to_nodes_and_average(fields.mesh, at_points)
@@ -91,7 +91,7 @@ class RevolvedBody:
         return self.cut_away.make_undeformed_outline(wedge.opening, tool=tool)
 
 
-def make_drawable_body(mesh: Any) -> DrawableBody:
+def make_drawable_body(mesh: Any) -> DrawableTissue:
     """Return the drawable body of a mesh in 3D or of an axisymmetric mesh."""
     return ThreeDimensionalMeshBody.from_mesh(mesh) if mesh.nodes.shape[1] == 3 \
         else RevolvedBody(TriangulatedHalfSection.from_mesh(mesh))

@@ -203,7 +203,7 @@ class ThreeDimensionalMeshBody:
         """Return dashes along the sharp edges of the undeformed body, m, shape (dashes, 2, 3).
 
         The dashes are in the frame of the mesh. They do not depend on `wedge` and `tool`, which are part of the
-        interface `DrawableBody`.
+        interface `DrawableTissue`.
         """
         length, dashes = self.longest_extent / SETTINGS.dashes, []
         ends = self.mesh.nodes[self.nodes[self.sharp]]

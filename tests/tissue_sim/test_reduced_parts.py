@@ -183,8 +183,9 @@ class TestLayers:
             way = make_training_path(number, skinned.box, start, holds=True, reach=6e-3)[::4]
             ways.append(way)
             taken.append(training.simulate_snapshots(solver, way))
-        looked_at = list(training.iterate_symmetric_sampling_states(taken, ways, materials,
-                                                                    [find_symmetries(solver, start)[0]], start))
+        looked_at = list(training.iterate_sampling_states_of_changing_symmetry(taken, ways, materials,
+                                                                               [find_symmetries(solver, start)[0]],
+                                                                               start))
         assert sum(sample.material is soft for sample in looked_at) >= 0.3 * len(looked_at)
         unseen = make_training_path(training.VERIFICATION.first_test_path, skinned.box, start, holds=True, reach=6e-3)
         report, _ = verify_and_get_report_and_factors(skinned, solver, [unseen, unseen], materials=materials)

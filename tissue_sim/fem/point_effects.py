@@ -16,7 +16,7 @@ LONGEST = 1e30
 
 
 class PointEffects:
-    """Arrays of all point effects of a material, which the kernel of a step reads and writes.
+    """NumPy arrays of all point effects of a material, which the kernel of a step reads and writes.
 
     Attributes:
         formulas: formulas of the effects, in order.

@@ -40,7 +40,7 @@ def subdivide_into_tetrahedra(element: DivisibleElement) -> np.ndarray:
     nodes = element.reference_nodes
     middle = _find_central_node(nodes)
     if middle is None:
-        cells = _compute_delaunay_simplices(nodes)
+        cells = _compute_delaunay_triangles_or_tetrahedra(nodes)
     else:
         # From the central node to the triangles of all faces, so that neighbours divide their common face equally.
         triangles = element.local_face_node_indices[:, subdivide_face_into_triangles(element)].reshape(-1, 3)
@@ -67,7 +67,7 @@ def subdivide_face_into_triangles(element: DivisibleElement) -> np.ndarray:
     kept = np.delete(np.arange(3), int(np.argmax(normal)))
     middle = _find_central_node(nodes)
     if middle is None:
-        triangles = _compute_delaunay_simplices(nodes[:, kept])
+        triangles = _compute_delaunay_triangles_or_tetrahedra(nodes[:, kept])
     else:
         # Triangles around the central node do not depend on the node at which the face of a neighbour begins.
         x, y = (nodes[:, kept] - nodes[middle, kept]).T
@@ -118,7 +118,7 @@ def _find_central_node(nodes: np.ndarray) -> int | None:
     return nearest if distance[nearest] < 0.1 * distance.max() else None
 
 
-def _compute_delaunay_simplices(nodes: np.ndarray) -> np.ndarray:
+def _compute_delaunay_triangles_or_tetrahedra(nodes: np.ndarray) -> np.ndarray:
     """Return the Delaunay simplices of nodes as node indices, in any orientation; unique for nodes on a lattice."""
     from scipy.spatial import Delaunay
 

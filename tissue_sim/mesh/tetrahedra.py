@@ -101,12 +101,12 @@ class Tetrahedron(SolidElement):
 
         The values are fitted by a polynomial of the element's order (least squares).
         """
-        powers = _compute_barycentric_coordinates if self.order == 1 else _evaluate_barycentric_products
+        powers = _barycentric_coordinates_of_reference_points if self.order == 1 else _evaluate_barycentric_products
         return powers(self.reference_nodes) @ np.linalg.pinv(powers(self.quadrature[0]))
 
     def evaluate_shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
-        barycentric = _compute_barycentric_coordinates(points)
+        barycentric = _barycentric_coordinates_of_reference_points(points)
         # Derivatives by the four barycentric coordinates, taken as independent, then by the reference coordinates.
         slopes = self._differentiate_basis_by_barycentric(barycentric)
         values = self._evaluate_basis_polynomials(barycentric) @ self._shape_function_coefficients
@@ -114,7 +114,7 @@ class Tetrahedron(SolidElement):
 
     def evaluate_corner_functions(self, points: np.ndarray) -> np.ndarray:
         """Return the barycentric coordinates at reference points, shape (q, 4)."""
-        return _compute_barycentric_coordinates(points)
+        return _barycentric_coordinates_of_reference_points(points)
 
     @cached_property
     def _shape_function_coefficients(self) -> np.ndarray:
@@ -143,20 +143,20 @@ class Tetrahedron(SolidElement):
         return slopes
 
 
-def _compute_barycentric_coordinates(points: np.ndarray) -> np.ndarray:
+def _barycentric_coordinates_of_reference_points(points: np.ndarray) -> np.ndarray:
     """Return the barycentric coordinates at reference points, shape (q, 4)."""
     return np.concatenate([1.0 - points.sum(axis=1, keepdims=True), points], axis=1)
 
 
 def _evaluate_barycentric_products(points: np.ndarray) -> np.ndarray:
     """Return ten products that span the quadratic polynomials at reference points, shape (q, 10)."""
-    barycentric = _compute_barycentric_coordinates(points)
+    barycentric = _barycentric_coordinates_of_reference_points(points)
     return np.stack([barycentric[:, i] * barycentric[:, k] for i in range(4) for k in range(i + 1)], axis=-1)
 
 
 def evaluate_ten_node_functions(points: np.ndarray) -> np.ndarray:
     """Return the shape functions of the ten-node tetrahedron of mesh files at reference points, shape (q, 10)."""
-    barycentric = _compute_barycentric_coordinates(points)
+    barycentric = _barycentric_coordinates_of_reference_points(points)
     return np.concatenate([barycentric * (2.0 * barycentric - 1.0), 4.0 * barycentric[:, _EDGES].prod(axis=-1)],
                           axis=1)
 

@@ -58,7 +58,7 @@ class LoadingWindow:
         return replace(self, time=self.time[:end], displacement=self.displacement[:end], force=self.force[:end])
 
     @cached_property
-    def coarse_window(self) -> LoadingWindow:
+    def window_of_averaged_samples(self) -> LoadingWindow:
         """This window averaged to at most `ChangePointSettings.coarse_samples` samples, for the coarse search."""
         return self.average_down_to_sample_count(_SETTINGS.coarse_samples)
 
@@ -220,7 +220,7 @@ class ChangePointFit:
 
     def estimate_contact_and_exponent_coarsely(self) -> tuple[float, float]:
         """Return displacement of contact, m, and exponent of the law, of the best fit of the averaged samples."""
-        coarse = ChangePointFit(self.part.coarse_window, self.terms, self.exponents)
+        coarse = ChangePointFit(self.part.window_of_averaged_samples, self.terms, self.exponents)
         low, high = coarse.part.start, max(coarse.latest, coarse.part.start + coarse.part.step)
         samples = np.quantile(coarse.part.displacement, np.linspace(0, 1, 22), method="nearest").clip(low, high)
         return coarse.fit_contact_and_exponent(None, np.union1d(np.linspace(low, high, 22), samples))
@@ -237,7 +237,7 @@ class ChangePointFit:
         """
         if places is None:
             assert best is not None
-            step = self.part.coarse_window.step
+            step = self.part.window_of_averaged_samples.step
             places = np.unique((best[0] + step * np.linspace(-2, 2, 9)).clip(self.part.start, self.latest))
         for level in range(3):
             squares, powers = self.minimize_over_exponent(places)

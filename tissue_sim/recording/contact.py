@@ -220,7 +220,7 @@ def _compute_misfit_p_and_residual_deviation(part: LoadingWindow, terms: int,
     """Return the p value of a chance misfit of the law in a window, and the residual's standard deviation, N."""
     from scipy import special
 
-    part = part.coarse_window
+    part = part.window_of_averaged_samples
     fitted = ChangePointFit(part, terms, exponents)
     best = fitted.estimate_contact_and_exponent_coarsely()
     richer = ChangePointFit(part, terms + 2, exponents, half=True)

@@ -10,7 +10,7 @@ import numpy as np
 import viser
 
 from scenes.field_labels import LABELS
-from scenes.viewer.bodies import DrawableBody, can_draw_fields, make_drawable_body
+from scenes.viewer.bodies import DrawableTissue, can_draw_fields, make_drawable_body
 from scenes.viewer.colours import PALETTE, compute_field_quantile_range, update_band_levels
 from scenes.viewer.frame import SessionFrame
 from scenes.viewer.page.notices import Reply, make_browser_reply
@@ -95,7 +95,7 @@ class ScenePicture:
         #: Experiment and options of the drawn parts that do not move with the tissue.
         self._drawn_static: tuple | None = None
         self._mesh_drawn: object = None
-        self._body: DrawableBody | None = None
+        self._body: DrawableTissue | None = None
         #: Force of an arrow of full length, N.
         self._full_force = 1.0
         #: Pose of the drawn tool.
@@ -234,7 +234,7 @@ class ScenePicture:
         if self._ground.position[2] != -snapshot.datum * self.scale:
             self._ground.position = (0.0, 0.0, -snapshot.datum * self.scale)
 
-    def _get_cached_drawable_body_of_mesh(self, mesh: Any) -> DrawableBody:
+    def _get_cached_drawable_body_of_mesh(self, mesh: Any) -> DrawableTissue:
         """Return the drawable body of a mesh, and keep it until the mesh changes."""
         if self._body is None or self._mesh_drawn is not mesh:
             self._body, self._mesh_drawn, self._drawn = make_drawable_body(mesh), mesh, None
@@ -254,7 +254,7 @@ class ScenePicture:
         self._move_tool_arrow_and_base(Snapshot(scene.experiment.tool_pose(0.0), 0.0, None), scene)
         self._draw_static_parts(body, scene, opening, options)
 
-    def _draw_static_parts(self, body: DrawableBody, scene: Scene, opening: WedgeOpening,
+    def _draw_static_parts(self, body: DrawableTissue, scene: Scene, opening: WedgeOpening,
                            options: PictureOptions) -> None:
         """Draw the parts that do not move with the tissue: light, tool shape, base, outline and scale bar."""
         specimen, tool = scene.experiment.specimen, scene.experiment.tool

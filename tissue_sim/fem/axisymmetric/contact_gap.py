@@ -8,16 +8,18 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 @cache
 def make_closest_point_function():
-    """Return the Taichi function ``find_closest_point``: projection onto the outline of a rigid body.
+    """Return the Taichi function that projects a point onto the outline of a rigid body.
 
-    ``find_closest_point(r, z, i, depth, spans, vertices, rounding) -> (gap, normal r, normal z, curvature, line)``
-    evaluates point i of `ContactPoints` at (r, z) in the frame of its body, with the tool at `depth`.
+    ``compute_gap_and_normal_at_closest_point(r, z, i, depth, spans, vertices, rounding) -> (gap, normal r, normal z,
+    curvature, line)`` evaluates point i of `ContactPoints` at (r, z) in the frame of its body, with the tool at
+    `depth`.
     """
     ti = get_initialised_taichi()
     far = 1e30
 
     @ti.func
-    def find_closest_point(r, z, i, depth, spans: ti.template(), vertices: ti.template(), rounding: ti.template()):
+    def compute_gap_and_normal_at_closest_point(r, z, i, depth, spans: ti.template(), vertices: ti.template(),
+                                                rounding: ti.template()):
         """Return gap (m), outward normal, curvature (1/m) and index of the line segment closest to (r, z).
 
         While a tool with a sharp shaft is pressed in, the shaft is extended downwards: the tissue below the face
@@ -53,4 +55,4 @@ def make_closest_point_function():
                     curved = 1.0 / distance
         return gap, nr, nz, curved, line
 
-    return find_closest_point
+    return compute_gap_and_normal_at_closest_point

@@ -59,7 +59,7 @@ def make_contact_force_functions(laws: tuple[FormulaClassAndConstants, ...] = ()
     """Return the contact functions; `laws` are additional contact laws, such as adhesion."""
     ti = get_initialised_taichi()
     has_laws, law = bool(laws), make_contact_law_functions(laws)
-    find_closest_point = make_closest_point_function()
+    compute_gap_and_normal_at_closest_point = make_closest_point_function()
 
     @ti.func
     def add_contact_forces_and_update_active_set(count, changeable, slack, pending, bending, move, depth, lift, free,
@@ -99,9 +99,11 @@ def make_contact_force_functions(laws: tuple[FormulaClassAndConstants, ...] = ()
             # A point without slip that touched in this step stays at the face that it touched: before convergence
             # another face may be closer to a point at an edge.
             clings = bound == TOUCHED and friction[i, 0] < 0.0
-            gap, nr, nz, curved, line = find_closest_point(places[i, 0] + (held[i, 1] if clings else ur),
-                                                           places[i, 1] + (held[i, 2] if clings else uz), i, depth,
-                                                           spans, vertices, rounding)
+            gap, nr, nz, curved, line = compute_gap_and_normal_at_closest_point(places[i, 0]
+                                                                                + (held[i, 1] if clings else ur),
+                                                                                places[i, 1] + (held[i, 2] if clings
+                                                                                                else uz), i, depth,
+                                                                                spans, vertices, rounding)
             if clings:
                 gap, curved = (ur - held[i, 1]) * nr + (uz - held[i, 2]) * nz, 0.0
             # Rounded edges have the friction of the face.
@@ -316,7 +318,7 @@ def make_contact_force_functions(laws: tuple[FormulaClassAndConstants, ...] = ()
         for i in range(count):
             if held[i, 0] == HELD and spans[i, OutlineSpanColumn.STAYS] == 0:
                 r, z = places[i, 0] + held[i, 1], places[i, 1] + held[i, 2]
-                _, nr, nz, _, _ = find_closest_point(r, z, i, 0.0, spans, vertices, rounding)
+                _, nr, nz, _, _ = compute_gap_and_normal_at_closest_point(r, z, i, 0.0, spans, vertices, rounding)
                 if nr * forces[i, 0] + nz * forces[i, 1] > strength * areas[i] + negligible:
                     released += 1
                     held[i, 0] = TOUCHED if reach > 0.0 else FREE

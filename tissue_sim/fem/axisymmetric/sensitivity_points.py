@@ -205,7 +205,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
             energy_rates: ti.template(), stress_rates: ti.template(), before_rates: ti.template(),
             recent: ti.template(), internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
             decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template()):
-        """Convert, in place, the derivative of the law's stress to that of the softened and relaxed stress.
+        """Convert, in place, the law's stress derivative by parameter k to that of the softened and relaxed stress.
 
         The derivatives of energy and softened stress are stored for the memory.
         The modulus ratio of the element is not included.

@@ -116,7 +116,7 @@ class ReducedSolver(ReducedSolverBase):
         if not inside:  # without contact the tissue is close to rest
             self.amplitudes[:], elements.pressures[:] = 0.0, elements.rest_pressures
             if not elements.has_history:
-                return self._step_without_contact(pose)
+                return self._set_to_rest_and_make_air_step(pose)
         elements.prepare_step(dt)
         held, free = self._lifting, self._free
         # The initial guess is the linear response with unchanged contact, or the end of the last step.
@@ -222,7 +222,7 @@ class ReducedSolver(ReducedSolverBase):
                     None if stiffness is None else cast("Matrix", tuple(map(tuple, stiffness.tolist()))),
                     contact.largest_penetration, contact.slipping_count, force_error=error, stiffness_age=stiffness_age)
 
-    def _step_without_contact(self, pose: Pose) -> Step:
+    def _set_to_rest_and_make_air_step(self, pose: Pose) -> Step:
         """Return the step of a tool in air: elastic tissue is set to rest, and one stiffness group is computed."""
         if self._committed[0].any():
             self._groups_at_rest = 0
@@ -314,7 +314,7 @@ class ReducedSolver(ReducedSolverBase):
         self.amplitudes[:], self.elements.pressures[:] = self._committed
 
     def lift_off(self) -> None:
-        """Remove the tool and unload the tissue; see `Solver.lift_off`."""
+        """Remove the tool and set the amplitudes to rest. Implements `Solver.lift_off`."""
         self._committed[0][:], self._committed[1][:] = 0.0, self.elements.rest_pressures
         self._prediction.reset_predictions()
         self.contact.mark_all_nodes_untouched()

@@ -170,10 +170,10 @@ class SamplingDisplacementPoseForce(NamedTuple):
     material: Material
 
 
-def iterate_symmetric_sampling_states(taken: Sequence[TrainingDisplacementsAndWrenches],
-                                      poses: Sequence[Sequence[Pose]], materials: Sequence[Material],
-                                      group: Sequence[Symmetry],
-                                      start: Pose) -> Iterator[SamplingDisplacementPoseForce]:
+def iterate_sampling_states_of_changing_symmetry(taken: Sequence[TrainingDisplacementsAndWrenches],
+                                                 poses: Sequence[Sequence[Pose]], materials: Sequence[Material],
+                                                 group: Sequence[Symmetry],
+                                                 start: Pose) -> Iterator[SamplingDisplacementPoseForce]:
     """Yield evenly spaced training states, each mapped by the next symmetry in turn, to choose sampled elements.
 
     Args:
@@ -211,8 +211,8 @@ def choose_sampled_elements(solver: SolidSolver, basis: np.ndarray, lifting: int
         basis: displacements of all modes, shape (freedoms, modes).
         lifting: number of prescribed modes, the first ones.
         watched: number of error modes, the last ones.
-        looked_at: states of `iterate_symmetric_sampling_states`; they are projected on the modes other than the error
-            modes.
+        looked_at: states of `iterate_sampling_states_of_changing_symmetry`; they are projected on the modes other than
+            the error modes.
         tolerance: relative error of the modal forces.
         bulk_ratio: upper limit of the bulk modulus over the shear modulus.
         progress: called with the number of elements and their relative error so far.
@@ -275,8 +275,8 @@ def build_reduced_model(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequ
                                                         count + TRAINING.error_modes)
     basis = np.hstack([lifted, found])
     watched = max(0, found.shape[1] - count)
-    looked_at = iterate_symmetric_sampling_states(taken, poses, materials or [model.material] * len(taken), group,
-                                                  start)
+    looked_at = iterate_sampling_states_of_changing_symmetry(taken, poses, materials or [model.material] * len(taken),
+                                                             group, start)
     elements, shares = choose_sampled_elements(solver, basis, lifting, watched, looked_at, tolerance,
                                                max(bulk_ratio, TRAINING.min_sampling_bulk_ratio), progress)
     kept = found.shape[1] - watched

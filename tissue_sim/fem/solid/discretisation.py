@@ -192,7 +192,7 @@ def _differentiate_first_touch_or_none(settling: SelfWeightLoadStepRecord, exper
         return None  # the areas for tractions would depend on the height as well
     if first.place is None:
         return None
-    found = settling.differentiate_settled_state_or_none(neighbours)
+    found = settling.differentiate_state_settled_by_weight_or_none(neighbours)
     if found is None:
         return None
     ways = found.settled[0].reshape(len(neighbours), -1, 3).copy()

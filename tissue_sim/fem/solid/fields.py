@@ -131,7 +131,7 @@ class SolidFields:
             InputError: an unknown field, or one that the solver does not compute.
         """
         if name not in SOLID_UNITS:
-            raise InputError(f"unknown field {name!r}{make_hint_with_similar_or_known_words(name, SOLID_UNITS)}",
+            raise InputError(f"unknown result field {name!r}{make_hint_with_similar_or_known_words(name, SOLID_UNITS)}",
                              field="field")
         if name not in self.names:
             raise InputError(f"this solver does not compute pressure and therefore no {name!r}; use one of "

@@ -43,7 +43,7 @@ class SelfWeightLoadStepRecord(NamedTuple):
     specimen: Specimen
     steps: list[tuple[float, list[np.ndarray]]]
 
-    def differentiate_settled_state_or_none(self, neighbours: Neighbours) -> SettledStateDerivatives | None:
+    def differentiate_state_settled_by_weight_or_none(self, neighbours: Neighbours) -> SettledStateDerivatives | None:
         """Repeat the load steps from their stored equilibria, and differentiate the last one.
 
         Args:

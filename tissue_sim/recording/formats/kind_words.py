@@ -10,7 +10,7 @@ from functools import lru_cache
 
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS, UnregisteredTestDefinition
+from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS, KnownTestWithoutKind
 
 #: Kind -> abbreviations that are recognised only in the name of a file.
 _SHORT = {"simple_shear": ("ss",), "uniaxial_tension": ("ut",), "lubricated_compression": ("uc",)}
@@ -57,7 +57,7 @@ class NamedTest:
     word: str
     where: str
     kind: str | None = None
-    unknown: UnregisteredTestDefinition | None = None
+    unknown: KnownTestWithoutKind | None = None
     is_short: bool = False
 
     @property
@@ -137,7 +137,7 @@ def _list_names_titles_words_of_kinds() -> tuple[tuple[str, str, tuple[str, ...]
 
 
 def _list_unregistered_tests(
-        kinds: tuple[tuple[str, str, tuple[str, ...]], ...]) -> tuple[UnregisteredTestDefinition, ...]:
+        kinds: tuple[tuple[str, str, tuple[str, ...]], ...]) -> tuple[KnownTestWithoutKind, ...]:
     """Return the tests of `UNKNOWN_TESTS` under whose name no kind is registered."""
     names = {name for name, *_ in kinds}
     return tuple(test for test in UNKNOWN_TESTS if test.name not in names)
@@ -146,9 +146,9 @@ def _list_unregistered_tests(
 @lru_cache(maxsize=8)
 def _compile_patterns_of_kinds_and_unknown_tests(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
                                                  ) -> tuple[tuple[re.Pattern[str], str | None,
-                                                                  UnregisteredTestDefinition | None, bool], ...]:
+                                                                  KnownTestWithoutKind | None, bool], ...]:
     """Return (pattern, kind, test without a kind, whether the word is an abbreviation) of all words."""
-    words: list[tuple[str, str | None, UnregisteredTestDefinition | None, bool]] = []
+    words: list[tuple[str, str | None, KnownTestWithoutKind | None, bool]] = []
     for name, title, own in kinds:
         words += [(rf"\b(?:{word})\b", name, None, False)
                   for word in (*own, normalize_text(name), normalize_text(title))]

@@ -104,7 +104,7 @@ def interpret_file(path: str | Path, hints: ColumnHints | None = None) -> FileIn
         together = group_replicate_recording_columns(tables)
         parts = [_read_and_interpret_equal_tables(source, group, hints, machine, titles,
                                                   _list_unused_headers(group[0].numbers, tables)) for group in together]
-        readings, refused = _remove_unknown_tests([reading for several, _ in parts for reading in several], hints)
+        readings, refused = _split_off_unknown_tests([reading for several, _ in parts for reading in several], hints)
         readings = add_material_question_if_titles_differ(readings, together, hints)
     every = [marks for _, marks in parts]
     marks = next((each for each in every if each.is_open), next((each for each in every if each.thousands), every[0]))
@@ -130,8 +130,8 @@ def _remove_sweeps(found: Sequence[NumberTable], path: Path) -> tuple[list[Numbe
     return kept, tuple(f"a table is omitted: {explain_refused_sweep(names)}" for names in sweeps[:1])
 
 
-def _remove_unknown_tests(readings: Sequence[TableGroup], hints: ColumnHints
-                          ) -> tuple[tuple[TableGroup, ...], tuple[str, ...]]:
+def _split_off_unknown_tests(readings: Sequence[TableGroup], hints: ColumnHints
+                             ) -> tuple[tuple[TableGroup, ...], tuple[str, ...]]:
     """Return the readings of tests with a registered kind, and a sentence about each omitted reading.
 
     Raises:
