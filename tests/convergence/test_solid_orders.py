@@ -27,7 +27,7 @@ class Moved(SolidSolver):
 
     way = staticmethod(exact)
 
-    def compute_held_displacement(self, frame):
+    def compute_flat_held_displacements(self, frame):
         return (-frame.origin[2] * self.way(self.mesh.nodes[self._bonded])).ravel()
 
 

@@ -10,6 +10,7 @@ import tissue_sim as ts
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.reduction import reduce_solid, remove_training_path_files
 from tissue_sim.fem.reduced.sampling import compute_sparse_weights
+from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.solver import TOLERANCE, ReducedSolver
 from tissue_sim.fem.reduced.training_paths import make_training_path
 from tissue_sim.fem.solid.frame import ToolFrame
@@ -207,7 +208,7 @@ class TestForces:
 def followed(finely_held):
     """Poses of two strokes that it was neither made of nor calibrated on, and the whole solid's forces."""
     start = finely_held.model.experiment.tool_pose(0.0)
-    first = training.VERIFICATION.first_test_path
+    first = VERIFICATION.first_test_path
     ways = [make_training_path(first + number, finely_held.box, start, holds=True, reach=8e-3) for number in (11, 12)]
     solver = training.make_full_order_solver(finely_held.model, finely_held.mesh)
     return [(way, training.simulate_snapshots(solver, way).wrenches[:, :3]) for way in ways]
@@ -422,7 +423,8 @@ class TestFile:
             made.append(len(poses))
             return simulate(solver, poses, **more)
 
-        monkeypatch.setattr(training, "simulate_snapshots", counted)
+        for module in ("training", "verification"):
+            monkeypatch.setattr(f"tissue_sim.fem.reduced.{module}.simulate_snapshots", counted)
         again = reduce_solid(held.model, held.box, **options)
         along, tried_along = 2, 2
         assert len(made) == 5 + along + 1 + tried_along  # the other five, and one that it is tried on
@@ -493,7 +495,7 @@ def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_l
 
     solver.elements.evaluate_forces_and_stiffness = looked
     start = held.model.experiment.tool_pose(0.0)
-    first = training.VERIFICATION.first_test_path
+    first = VERIFICATION.first_test_path
     ways = [make_training_path(first + number, held.box, start, holds=True, reach=8e-3)[:20] for number in (5, 6)]
     believed, off = [], []
     for pose, elsewhere in zip(*ways, strict=False):

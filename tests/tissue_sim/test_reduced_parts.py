@@ -10,6 +10,7 @@ import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.elements import SampledElements
+from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training_paths import make_training_path
@@ -187,7 +188,7 @@ class TestLayers:
                                                                                [find_symmetries(solver, start)[0]],
                                                                                start))
         assert sum(sample.material is soft for sample in looked_at) >= 0.3 * len(looked_at)
-        unseen = make_training_path(training.VERIFICATION.first_test_path, skinned.box, start, holds=True, reach=6e-3)
+        unseen = make_training_path(VERIFICATION.first_test_path, skinned.box, start, holds=True, reach=6e-3)
         report, _ = verify_and_get_report_and_factors(skinned, solver, [unseen, unseen], materials=materials)
         of_soft, _ = verify_and_get_report_and_factors(skinned, solver, [unseen], materials=[soft])
         of_stiff, _ = verify_and_get_report_and_factors(skinned, solver, [unseen], materials=materials[:1])

@@ -8,6 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
+from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.symmetry import find_symmetries, split_into_involutions_and_cosets
 from tissue_sim.fem.reduced.training_paths import make_training_path
 from tissue_sim.fem.reduced.verification import verify_and_get_report_and_factors
@@ -155,7 +156,7 @@ def test_images_make_a_reduced_solid_better():
         reduced = training.build_reduced_model(whole, solver.mesh, box, taken, poses, count=16, tolerance=6e-3,
                                                softness=1e-3, bulk_ratio=300.0, group=own)
         assert reduced.report["symmetries"] == len(own)
-        unseen = make_training_path(training.VERIFICATION.first_test_path, box, start, holds=True, reach=8e-3)
+        unseen = make_training_path(VERIFICATION.first_test_path, box, start, holds=True, reach=8e-3)
         report, _ = verify_and_get_report_and_factors(reduced, solver, [unseen])
         assert report["not_converged"] == 0.0
         errors.append(report["force_rms_error"])

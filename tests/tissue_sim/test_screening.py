@@ -288,6 +288,15 @@ class TestFirstSample:
         found = analyse_control_and_creep(way, load)
         assert found.creep == 0.0 and found.quantity == "displacement"
 
+    def test_a_stage_whose_answers_come_late_does_not_rest(self):
+        """The positions of 12 samples of the unloading change by a fifth of the motion, within 1 % of the depth."""
+        time = 0.004 * np.arange(1500)
+        true = 6.0 - 2.0 * np.abs(time - 3.0)
+        way = true.copy()
+        way[1224:1236] = true[1224] + 0.2 * (true[1224:1236] - true[1224])
+        load = 0.83 * np.clip(true, 0.0, None) + np.random.default_rng(3).normal(0.0, 0.01, time.size)
+        assert analyse_control_and_creep(1e-3 * way, load, time).relaxation == 0.0
+
     @pytest.mark.parametrize("seed", [1, 4, 60, 61])
     def test_a_noisy_ramp_is_no_creep(self, seed):
         """The force of a needle is almost linear, and each part of the ramp lies in the band of a held force."""

@@ -35,6 +35,8 @@ class ControlSettings:
         equal: least fraction of the samples of a hold that are equal.
         most_samples: largest number of samples that are examined; a longer recording is thinned evenly.
         end_samples: samples at each end of a hold whose median is used.
+        position_error: largest error of a position, as a fraction of the range of the motion: that of a stage whose
+            answers come late. Positions with this error can seem to rest while the stage moves.
     """
 
     fewest: int = 5
@@ -50,6 +52,7 @@ class ControlSettings:
     equal: float = 0.9
     most_samples: int = 20_000
     end_samples: int = 3
+    position_error: float = 0.01
 
 
 #: Settings that the functions of this module use.
@@ -82,7 +85,7 @@ def analyse_control_and_creep(motion: np.ndarray, load: np.ndarray,
                                           loading=_count_to_peak_before_oscillation(motion, oscillation))
     rest = min(_estimate_load_at_rest(motion, load), float(np.median(load[:_SETTINGS.end_samples])))
     holds = list(_iterate_long_holds(label_samples_ramp_hold_unload(clock, motion)))
-    lost = max(((_compute_relaxed_fraction(load, first, last, rest), first, last) for first, last in holds),
+    lost = max(((_compute_relaxed_fraction(motion, load, first, last, rest), first, last) for first, last in holds),
                default=(0.0, 0, 0))
     crept = [each for each in _iterate_creeping_holds_with_gain(motion, load, clock) if each[2] > SCREENING.creep]
     if crept:
@@ -177,14 +180,18 @@ def _iterate_long_holds(labels: np.ndarray) -> Iterator[tuple[int, int]]:
                 if name == "hold" and last - first >= _SETTINGS.fewest)
 
 
-def _compute_relaxed_fraction(load: np.ndarray, first: int, last: int, rest: float) -> float:
-    """Return the fraction of the load at the start of a hold that is lost in the hold; 0 if it is not significant."""
-    noise = estimate_noise_deviation(load)
+def _compute_relaxed_fraction(motion: np.ndarray, load: np.ndarray, first: int, last: int, rest: float) -> float:
+    """Return the fraction of the load at the start of a hold that is lost in the hold; 0 if it is not significant.
+
+    A loss is significant above the noise, and above the loss by an error of the position at both ends of the hold.
+    """
     begin = float(np.median(load[first:first + _SETTINGS.end_samples]))
     end = float(np.median(load[max(last - _SETTINGS.end_samples, first):last]))
-    if begin - rest <= _SETTINGS.loaded * np.ptp(load) or begin - end < 4 * noise:
+    moved, noise = float(motion[first] - motion.min()), estimate_noise_deviation(load)
+    if begin - rest <= _SETTINGS.loaded * np.ptp(load) or begin - end < 4 * noise or moved <= 0:
         return 0.0
-    return (begin - end) / (begin - rest)
+    explained = 2.0 * _SETTINGS.position_error * float(np.ptp(motion)) * (begin - rest) / moved
+    return (begin - end) / (begin - rest) if begin - end > explained else 0.0
 
 
 def _iterate_creeping_holds_with_gain(motion: np.ndarray, load: np.ndarray,
