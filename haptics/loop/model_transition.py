@@ -137,8 +137,8 @@ class ModelTransition:
         return max(math.hypot(*wrench[:3]), math.hypot(*wrench[3:]) / self._stepper.surface.radius)
 
     def clear_offset_and_correction(self) -> None:
-        """Set offset and Broyden correction to zero, so that the wrench of the newest model is used unchanged."""
-        self.offset = _NO_WRENCH
+        """Set offset, correction and stored error to zero, so that the wrench of the newest model is used unchanged."""
+        self.offset, self._largest_error = _NO_WRENCH, 0.0
         self._correction.reset()
 
     def reduce_offset(self) -> None:

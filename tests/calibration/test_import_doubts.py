@@ -101,6 +101,7 @@ def test_a_drift_that_the_air_shows_is_taken_off(tmp_path):
     assert fit(tmp_path).mu0 == pytest.approx(MODULUS_PA, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_contact_that_is_not_known_well_enough_is_fitted_or_refused(tmp_path):
     found = imported(tmp_path, CYLINDER + HEADER, with_air(0.2, air=30, loading=60))
     assert 'offset = "fit"' in found.text

@@ -116,6 +116,7 @@ def test_large_strains_under_the_unit_of_a_ratio_are_a_question(tmp_path, header
     assert load(percent, units={"strain": "-"}).questions == ()
 
 
+@pytest.mark.slow
 def test_a_displacement_over_the_gauge_length_confirms_a_large_strain(tmp_path):
     strain = np.linspace(0.0, 3.0, 61)
     force = MU * AREA * (1 + strain - (1 + strain)**-2)
@@ -294,6 +295,7 @@ def test_assumptions_are_one_table_everywhere(tmp_path, capsys):
     assert "columns not used: a.csv: 'Counter'" in said and "Columns not used: a.csv: 'Counter'" in campaign
 
 
+@pytest.mark.slow
 def test_a_unit_that_the_row_below_contradicts_is_a_question(tmp_path):
     way, force = LENGTH * (STRETCH - 1), STRESS * AREA
     path = write(tmp_path, "Extension [mm],Load\n(in),(N)", way, force, above=SHEET)

@@ -148,6 +148,7 @@ def test_a_load_at_zero_that_the_curve_does_not_explain_is_a_question(tmp_path):
     assert imported.is_complete and fit.mu0 == pytest.approx(20e3, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_campaign_by_hand_names_the_preload_and_widens_the_prior_of_the_offset(tmp_path):
     path = write(tmp_path, WAY, force(WAY + 0.4) + noise(TIME.size))
     imported = calibration.import_files([path], tmp_path / "gel.toml", wishes())

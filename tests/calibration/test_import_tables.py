@@ -67,6 +67,7 @@ def test_thousands_in_text_cells_of_a_spreadsheet(tmp_path):
     assert fitted(tmp_path, tmp_path / "gel.xlsx") == pytest.approx(MODULUS_PA, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_separator_that_fits_both_readings_is_a_question_and_a_flag_answers_it(tmp_path, capsys):
     rows = "".join(f"{i}\t{in_style(2000 + 1e3 * way, 0, '.', ',')}\t{in_style(1500 + load, 0, '.', ',')}\n"
                    for i, (way, load) in enumerate(zip(WAY_MM, load_mN(), strict=True)))

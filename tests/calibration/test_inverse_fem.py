@@ -655,6 +655,7 @@ class TestRefused:
         assert "has holds or reversals" in str(error)
         assert "speed_mm_s" in error.field
 
+    @pytest.mark.slow
     def test_a_hold_that_is_left_out_is_said(self, plates):
         depth = np.append(np.linspace(0.0, 0.010, 41), np.full(10, 0.010))
         force = lubricated_force(depth)

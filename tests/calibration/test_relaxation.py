@@ -171,6 +171,7 @@ def test_refused(run, message, fit_relaxation):
         run(fit_relaxation)
 
 
+@pytest.mark.slow
 def test_wild_exponents_are_survived(fit_relaxation):
     """Exponents that overflow at a stretch of 1e15 are left out, and the others still give a fit."""
     stretch = np.array([1.0, 10.0, 1e5, 1e15, 1e15, 1e15, 1e15])

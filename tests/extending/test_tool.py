@@ -106,6 +106,7 @@ def test_flags_say_what_a_shape_lacks(chamfered, material_file, capsys):
     assert "a flat tool has no chamfer; leave it out" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_campaign_states_it(chamfered, tmp_path):
     curve = pressed(ts.Tool("chamfered", 8e-3, 1e-3), points=21)
     noise = np.random.default_rng(3)

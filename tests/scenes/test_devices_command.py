@@ -64,6 +64,7 @@ def test_emulators_can_be_opened(capsys):
         assert program.wait(60) == 0
 
 
+@pytest.mark.slow
 def test_unknown_fault_and_emulator_name_the_nearest(capsys):
     assert main(["emulate", "rdt", "--faults", "los=0.1"]) == 2
     assert "did you mean 'loss'" in capsys.readouterr().err

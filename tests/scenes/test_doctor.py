@@ -25,6 +25,7 @@ def test_json(capsys):
     assert all(check["remedy"] for check in checks.values() if check["status"] != "ok")
 
 
+@pytest.mark.slow
 def test_the_text_output_has_one_line_per_check(capsys):
     main(["doctor", "--clock-seconds", SECONDS])
     lines = capsys.readouterr().out.splitlines()

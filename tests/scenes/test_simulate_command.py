@@ -285,6 +285,7 @@ def test_flags_reach_the_experiment_in_si_units(material, monkeypatch):
     assert seen[-1].slip == 0.2
 
 
+@pytest.mark.slow
 def test_profile_of_a_file(material, tmp_path, capsys):
     """A profile of 40 lines along a flat needle of 8 mm with an edge radius of 1 mm gives the force of this needle."""
     angle = np.linspace(0, np.pi / 2, 40)

@@ -167,6 +167,7 @@ class TestCompressible:
         forces = [force((), tool, ratio=ratio)[-1] for ratio in (13 / 6, 5.0, 50.0, 1e4)]
         assert (np.diff(forces) > 0).all() and forces[0] < 0.9 * forces[-1]
 
+    @pytest.mark.slow
     def test_halving_the_mesh(self):
         """The element of nearly incompressible solids is as good here."""
         forces = [force((), NEEDLE, ratio=13 / 6, resolution=name) for name in ("fast", "accurate")]

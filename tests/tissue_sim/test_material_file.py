@@ -101,6 +101,7 @@ def materials(draw):
                        draw(st.text(st.characters(exclude_categories=["Cs"]), max_size=20)))
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(material=materials(), data=st.data())
 def test_round_trip_of_every_law(tmp_path, material, data):
@@ -117,6 +118,7 @@ def test_round_trip_of_every_law(tmp_path, material, data):
     assert np.array_equal(again.covariance.matrix, covariance)
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),

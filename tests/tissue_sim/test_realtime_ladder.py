@@ -131,6 +131,7 @@ def test_forces_err_by_no_more_than_they_say(name):
         assert np.abs(force / exact - 1.0).max() <= level.force_error, level
 
 
+@pytest.mark.slow
 def test_under_a_free_edge_there_is_no_other_equilibrium_on_the_way_back():
     """On 20 elements the force at 5 mm was 13 % too small after the tool had been at 8 mm."""
     tissue = ts.Material("reduced_polynomial_2", {"C10": 1400.0, "C20": 105.0}, ts.Bulk("bulk_ratio", 1e4))

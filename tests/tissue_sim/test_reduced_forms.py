@@ -81,6 +81,7 @@ class TestPuncture:
         np.testing.assert_array_equal(simulated(self.PROTOCOL, puncture=self.PUNCTURE).force,
                                       simulated(self.PROTOCOL).force)
 
+    @pytest.mark.slow
     def test_behind_a_soft_load_train(self):
         """Tool and force fit each other on both sides of the drop, where the needle jumps ahead."""
         c = 1e-3

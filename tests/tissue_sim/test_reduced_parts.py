@@ -262,6 +262,7 @@ class TestSides:
         made = ts.reduce_solid(model, box, strokes=6, modes=16, tried=2)
         assert made.report["symmetries"] == 2 and made.report["force_rms_error"] < 0.01
 
+    @pytest.mark.slow
     def test_strokes_of_another_file_of_that_name_are_not_gone_on_with(self, tmp_path):
         model, folder = lopsided(tmp_path / "organ.vtu"), tmp_path / "strokes"
         box = ts.PoseBox(0.0, 1e-3)

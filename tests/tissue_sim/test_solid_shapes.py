@@ -96,6 +96,7 @@ def test_a_needle_that_reaches_beyond_is_refused(specimen, place):
             approach=ts.Approach(offset=place[0]))
 
 
+@pytest.mark.slow
 def test_a_block_between_plates_without_friction_is_the_closed_form():
     experiment = ts.KINDS["lubricated_compression"].experiment(specimen=BLOCK, protocol=ts.Protocol.ramp(3e-3, 2))
     line = np.linspace(-0.5, 0.5, 3)

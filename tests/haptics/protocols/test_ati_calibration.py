@@ -164,6 +164,7 @@ def test_any_bytes_are_decoded_or_refused(data):
     checked(data)
 
 
+@pytest.mark.slow
 @CASES
 @given(st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), min_size=1, max_size=3), st.booleans())
 def test_a_file_with_wrong_bytes_is_complete_or_refused(wrong, axis_rows):

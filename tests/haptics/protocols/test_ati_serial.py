@@ -81,6 +81,7 @@ def test_only_encoded_records_are_decoded(line):
     assert record is None or encode_binary_record(record) == line
 
 
+@pytest.mark.slow
 @CASES
 @given(records, st.booleans(), st.integers(0, 60), st.integers(0, 255))
 def test_a_wrong_character_is_detected_unless_it_is_a_digit_a_sign_or_a_blank(record, padded, place, byte):
@@ -92,6 +93,7 @@ def test_a_wrong_character_is_detected_unless_it_is_a_digit_a_sign_or_a_blank(re
         assert line[place] in b"0123456789- "
 
 
+@pytest.mark.slow
 @CASES
 @given(records, st.integers(0, 60), st.integers(0, 255), st.booleans())
 def test_with_padding_a_missing_or_additional_character_is_detected(record, place, byte, less):
@@ -101,6 +103,7 @@ def test_with_padding_a_missing_or_additional_character_is_detected(record, plac
     assert decode_ascii_record_or_none(wrong, padded=True) is None
 
 
+@pytest.mark.slow
 @CASES
 @given(records, records, st.integers(1, 60), st.integers(1, 60))
 def test_with_padding_parts_of_two_records_are_refused(one, other, end, begin):

@@ -48,6 +48,7 @@ def test_a_fraction_of_a_record_is_refused(data):
         assert found is None
 
 
+@pytest.mark.slow
 @settings(max_examples=CASES, deadline=None)
 @given(st.binary(max_size=12))
 def test_other_bytes_are_no_request(data):

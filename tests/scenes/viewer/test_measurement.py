@@ -226,6 +226,7 @@ def test_measured_silicone_has_the_peak_forces_of_its_files(data_folder):
     assert found.time.size <= 50 and found.depth == pytest.approx(20e-3, rel=0.02)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(st.lists(st.floats(1e-5, 1e-3), min_size=6, max_size=40), st.integers(0, 2**16))
 def test_monotone_depth_in_gives_the_same_force_out(steps, seed):
