@@ -23,7 +23,7 @@ from haptics.loop.slow_bulk import (
     KIND_MODEL,
     KIND_STATE,
     BulkReadyMessage,
-    create_bulk_lineariser,
+    make_linearisation,
     make_untouched_state,
 )
 from haptics.loop.snapshot_board import SnapshotReader
@@ -179,7 +179,7 @@ class BulkProcess:
     """
 
     def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None):
-        self._task = pack_task(create_bulk_lineariser, (model, solver, resolution, mesh))
+        self._task = pack_task(make_linearisation, (model, solver, resolution, mesh))
         self._paths = tuple(find_unused_path(ending) for ending in ("states", "models", "corrections", "surface"))
         self._process: subprocess.Popen[bytes] | None = None
         self._surface: ContactSurface | None = None

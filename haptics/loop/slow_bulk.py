@@ -59,7 +59,7 @@ class BulkReadyMessage(NamedTuple):
     pattern: Snapshot | None
 
 
-def create_bulk_lineariser(model: Model, solver: str, resolution: str, mesh: Any) -> BulkLinearisation:
+def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) -> BulkLinearisation:
     """Create the object that linearises the bulk of a model with a solver; does not linearise yet.
 
     Raises:
