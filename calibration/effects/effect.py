@@ -123,7 +123,7 @@ class Candidate:
             found = get_experiment_and_rig_declarations_by_path(test.experiment, test.rig).get(path)
             if found is not None and (self.tests is None or test.name in self.tests):
                 return found
-        raise NotTestableError(f"no test has the parameter {path}")
+        raise NotTestableError(f"no test of the candidate has the parameter {path}, so this effect is not tested")
 
     def find_value_without_effect(self, campaign: Campaign, path: str) -> float:
         """Return the value of a parameter at which the effect is absent, SI.

@@ -24,7 +24,7 @@ class Population(Effect):
         tests = situation.simulated_tests(lambda test: test.specimen is not None)
         specimens = list(dict.fromkeys(test.specimen.name for test in tests if test.specimen is not None))
         if len(specimens) < 2:
-            raise NotTestableError("all tests use one specimen")
+            raise NotTestableError("all tests use one specimen, so variation between specimens is not tested")
         others = tuple(test.name for test in tests
                        if test.specimen is not None and test.specimen.name != specimens[0])
         return [Candidate(self, {path: 1.0 + self.trial_change},

@@ -16,7 +16,7 @@ from calibration.fit.variables import LongTermPronyVariables, Variables
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.statistics import compute_sample_weighted_rms_noise
+from calibration.statistics.statistics import compute_median_interval_or_zero, compute_sample_weighted_rms_noise
 from tissue_sim.laws import find_law
 from tissue_sim.material.viscoelasticity import MOST_TERMS
 
@@ -86,9 +86,8 @@ class OrdinaryProblem(LeastSquaresProblem):
     @property
     def median_interval_and_longest_duration(self) -> tuple[float, float]:
         """Median sampling interval and duration of the longest recording, s."""
-        steps = np.concatenate([np.diff(curve.required_sample_times) for curve in self.measured])
-        return float(np.median(steps[steps > 0])), max(float(np.ptp(curve.required_sample_times))
-                                                       for curve in self.measured)
+        times = [curve.required_sample_times for curve in self.measured]
+        return compute_median_interval_or_zero(times), max(float(np.ptp(time)) for time in times)
 
     @property
     def is_history_dependent(self) -> bool:

@@ -27,6 +27,7 @@ from calibration.fit.replicates import find_replicate_disagreements
 from calibration.fit.usability_records import AlternativeMinimum, UsabilityClauseResult
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
+from calibration.statistics.statistics import compute_median_interval_or_zero
 from tissue_sim.laws import StabilityRange
 
 #: Status of a usable fit.
@@ -337,11 +338,9 @@ def _describe_fast_relaxation(evidence: UsabilityEvidence) -> str:
     """
     space, measured = evidence.estimate.problem.space, evidence.estimate.problem.measured
     material = space.build_material(space.values(evidence.estimate.theta[: len(space.free)]))
-    steps = [step for curve in measured if curve.time is not None and (step := np.diff(curve.time)).size]
-    if material.viscoelastic is None or not steps:
+    if material.viscoelastic is None:
         return ""
-    joined = np.concatenate(steps)
-    interval = float(np.median(joined[joined > 0])) if (joined > 0).any() else 0.0
+    interval = compute_median_interval_or_zero([curve.time for curve in measured if curve.time is not None])
     found = [f"{evidence.symbols[name]} = {term.tau:.3g} s (g = {term.g:.2g})"
              for index, term in enumerate(material.viscoelastic.terms)
              if (name := f"viscoelastic.terms[{index}].tau") in space.free

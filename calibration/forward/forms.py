@@ -64,7 +64,7 @@ def build_forward_test_of_inverse_fit(test: Test, curves: Sequence[MeasuredCurve
         motion_of = []
         for curve in curves:
             motion = TimedMotion.from_recording(curve.required_sample_times, curve.displacement)
-            same = [i for i, other in enumerate(motions) if other.is_equal_within_tolerance(motion)]
+            same = [i for i, other in enumerate(motions) if other.has_equal_knots_within_tolerance(motion)]
             if not same:
                 motions.append(motion)
             motion_of.append(same[0] if same else len(motions) - 1)

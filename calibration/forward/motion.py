@@ -243,7 +243,7 @@ class TimedMotion:
         """Return force (first column) and its derivatives of a curve at the knots, shape (k, m)."""
         return curve(self.time, self.displacement, 0.0)[0]
 
-    def is_equal_within_tolerance(self, other: TimedMotion) -> bool:
+    def has_equal_knots_within_tolerance(self, other: TimedMotion) -> bool:
         """Return whether times and displacements of two motions agree, relative to `MotionSettings.straightness`."""
         if self.legs != other.legs:
             return False

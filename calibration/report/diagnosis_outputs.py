@@ -16,9 +16,9 @@ from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.result import DiagnosisResult, diagnosis_to_json
 from calibration.effects.effect import Effect
 from calibration.output_folder import DIAGNOSIS_FILE, list_diagnosis_result_file_paths
-from calibration.report.additions import list_effect_file_paths, write_effect_files_and_get_diagnosis
 from calibration.report.diagnosis_page import build_diagnosis_page
 from calibration.report.drawing import FigureEmbedder
+from calibration.report.effect_files import list_effect_file_paths, write_effect_files_and_get_diagnosis
 from calibration.report.outputs import format_csv_table
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import LAWS

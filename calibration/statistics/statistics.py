@@ -165,3 +165,15 @@ def compute_correlation_matrix(covariance: np.ndarray) -> np.ndarray:
     result = np.divide(covariance, outer, out=np.zeros_like(covariance), where=outer > 0)
     np.fill_diagonal(result, 1.0)
     return np.clip(result, -1.0, 1.0)
+
+
+def compute_median_interval_or_zero(times: Sequence[np.ndarray]) -> float:
+    """Return the median interval between successive sampling times of all recordings, s.
+
+    Equal times are left out. The result is 0 if no recording has two different times.
+
+    Args:
+        times: sampling times of each recording, s, shape (n,).
+    """
+    steps = np.concatenate([np.zeros(0), *(np.diff(time) for time in times)])
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0

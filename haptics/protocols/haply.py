@@ -134,7 +134,7 @@ def _get_object_or_default(content: Mapping[str, Any], key: str,
 def _require_finite(value: Any, name: str) -> float:
     """Return a JSON value as a float; raises ValueError unless the value is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{name} must be a number; got {json.dumps(value)[:20]}")
+        raise ValueError(f"{name} of the Haply message must be a number; got {json.dumps(value)[:20]}")
     try:
         number = float(value)
     except OverflowError:

@@ -171,7 +171,7 @@ class TriangulatedHalfSection:
         side = np.array([[radius, -deepest if covered else 0.0], [radius, -height], [0.0, -height]])
         corners = side if covered else np.concatenate([[[inside, 0.0]], side])
         if opening.removes_nothing:
-            quarter = opening.half_plane_directions[:: max(1, len(opening.half_plane_directions) // 4)]
+            quarter = opening.segment_half_plane_directions[:: max(1, len(opening.segment_half_plane_directions) // 4)]
             lines = [np.concatenate([radius * np.stack([direction, direction]), [[side[0, 1]], [-height]]], axis=1)
                      for direction in quarter]
         else:

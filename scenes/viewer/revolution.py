@@ -58,7 +58,7 @@ class WedgeOpening:
         return self.cut == 0.0
 
     @cached_property
-    def half_plane_azimuths(self) -> np.ndarray:
+    def segment_half_plane_azimuths(self) -> np.ndarray:
         """Azimuths of the half planes that divide the solid, rad, ascending.
 
         A closed solid lists its first half plane, which is also its last one, only once.
@@ -68,16 +68,16 @@ class WedgeOpening:
         return np.linspace(start, start + turn, count + 1)[: count if self.removes_nothing else count + 1]
 
     @cached_property
-    def half_plane_directions(self) -> np.ndarray:
-        """Unit vectors (x, y) of `half_plane_azimuths`, shape (angles, 2)."""
-        return np.stack([np.cos(self.half_plane_azimuths), np.sin(self.half_plane_azimuths)], axis=-1)
+    def segment_half_plane_directions(self) -> np.ndarray:
+        """Unit vectors (x, y) of `segment_half_plane_azimuths`, shape (angles, 2)."""
+        return np.stack([np.cos(self.segment_half_plane_azimuths), np.sin(self.segment_half_plane_azimuths)], axis=-1)
 
     @cached_property
     def section_face_vectors(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Horizontal direction and outward normal (x, y) of both section faces; empty for a closed solid."""
         if self.removes_nothing:
             return []
-        first, last = self.half_plane_directions[[0, -1]]
+        first, last = self.segment_half_plane_directions[[0, -1]]
         return [(first, np.array([first[1], -first[0]])), (last, np.array([-last[1], last[0]]))]
 
     def map_to_section_faces(self, points: np.ndarray, offset: float = 0.0) -> np.ndarray:
@@ -96,7 +96,8 @@ class WedgeOpening:
 
     def make_single_circle_lines(self, radius: float, z: float) -> np.ndarray:
         """Return the lines of a circle around the axis, without the part inside the wedge, shape (k, 2, 3)."""
-        ring = np.column_stack([radius * self.half_plane_directions, np.full(len(self.half_plane_directions), z)])
+        directions = self.segment_half_plane_directions
+        ring = np.column_stack([radius * directions, np.full(len(directions), z)])
         after = np.roll(ring, -1, axis=0)
         lines = np.stack([ring, after], axis=1)
         return lines if self.removes_nothing else lines[:-1]
@@ -151,9 +152,9 @@ def revolve_polyline_by_band(points: np.ndarray, band: np.ndarray, bands: int,
     first_line = np.searchsorted(band[order], np.arange(bands + 1))
     first_vertex = np.append(vertex, len(profile))[first_line]
 
-    count = len(opening.half_plane_azimuths)
+    count = len(opening.segment_half_plane_azimuths)
     space = np.empty((len(profile), count, 3), dtype=np.float32)
-    space[..., :2] = profile[:, :1, None] * opening.half_plane_directions
+    space[..., :2] = profile[:, :1, None] * opening.segment_half_plane_directions
     space[..., 2] = profile[:, 1:]
     segment = np.arange(count if opening.removes_nothing else count - 1)
     next_segment = (segment + 1) % count

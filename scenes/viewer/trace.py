@@ -185,7 +185,7 @@ class Trace:
         self._last = time, depth, force
         if len(self) > self._max_points:
             self._first += 1
-            self._reversals.discard_samples_before(self._dropped + self._first)
+            self._reversals.discard_reversals_before_sample(self._dropped + self._first)
 
     @property
     def time(self) -> np.ndarray:

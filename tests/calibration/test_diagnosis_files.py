@@ -28,9 +28,10 @@ from calibration.effects.plate_friction import PlateFriction
 from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.run_context import RunContext
-from calibration.report.additions import format_toml, write_effect_files_and_get_diagnosis
+from calibration.report.effect_files import write_effect_files_and_get_diagnosis
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import InputError
+from tissue_sim.toml_text import format_toml
 
 pytestmark = pytest.mark.slow
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import tissue_sim as ts
 from tissue_sim.experiment.tools.tool import TOOLS
 from tissue_sim.material.parts import (
+    _make_component,
     find_parameter_path_and_declaration,
     make_material_from_numbers,
     with_changed_or_added_parameters,
@@ -131,3 +132,21 @@ def test_the_numbers_of_a_region_say_its_law():
         make_material_from_numbers("neo_hooke", {"C10": 100.0}, {"regions.lump.C20": 1.0})
     with pytest.raises(ts.InputError, match=r"regions.lump.parameters"):
         make_material_from_numbers("neo_hooke", {"C10": 100.0}, {"regions.lump.C10": -1.0})
+
+
+def test_a_type_error_of_a_component_of_a_plug_in_is_raised_unchanged():
+    @dataclasses.dataclass(frozen=True)
+    class Faulty:
+        size: float
+
+        def __post_init__(self):
+            raise TypeError("a fault of the plug-in")
+
+    with pytest.raises(TypeError, match="a fault of the plug-in"):
+        _make_component(Faulty, "effects.faulty", {"size": 1.0})
+
+
+def test_a_component_without_a_number_names_the_number():
+    with pytest.raises(ts.InputError, match="is missing") as refused:
+        _make_component(ts.PronyTerm, "viscoelastic.terms[0]", {"g": 0.3})
+    assert refused.value.field == "viscoelastic.terms[0].tau"

@@ -8,7 +8,7 @@ import pytest
 import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.fem.reduced.elements import SampledElements
-from tissue_sim.fem.reduced.model import RestDisplacementAndPressures
+from tissue_sim.fem.reduced.model import SelfWeightEquilibriumFields
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.training import build_training_mesh
 from tissue_sim.fem.solid.discretisation import make_solver
@@ -72,7 +72,7 @@ def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bu
     basis = basis.reshape(-1, 5)
     count = len(mesh.connectivity)
     found = SampledElements(mesh, basis, np.arange(count), np.ones(count), layers=element_layers(mesh, ()),
-                            rest=RestDisplacementAndPressures(standing.displacement.ravel(), standing.pressures))
+                            rest=SelfWeightEquilibriumFields(standing.displacement.ravel(), standing.pressures))
     found.set_material(of.material, bulk_ratio)
     found.initialise_rest_state()
     found.evaluate_forces_and_stiffness(np.zeros(5), False, 1)

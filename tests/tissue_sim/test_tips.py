@@ -5,7 +5,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.mesh import tip_mesh
+from tissue_sim.mesh import cylinder_mesh_refined_under_tip
 from tissue_sim.mesh.elements import Q9P1
 
 RADIUS = 8e-3
@@ -19,7 +19,8 @@ def shallow(tool, depth, friction):
     """Displacement and force of four steps into a block of 150 contact radii."""
     contact = tool.contact_radius(depth)
     size = 150 * contact
-    mesh = tip_mesh(size, size, contact, Q9P1, smallest=0.1 * contact, growth=1.25, largest=size / 6)
+    mesh = cylinder_mesh_refined_under_tip(size, size, contact, Q9P1, smallest=0.1 * contact, growth=1.25,
+                                           largest=size / 6)
     experiment = ts.Experiment(ts.Specimen(size, size), ts.Protocol.ramp(depth, 5), tool, friction=friction)
     recording = ts.simulate(ts.Model(experiment, NEO_HOOKE), mesh=mesh)
     return recording.displacement[1:], recording.force[1:]

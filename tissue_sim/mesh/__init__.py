@@ -3,13 +3,21 @@
 from tissue_sim.mesh.axisymmetric import (
     Mesh,
     cylinder_mesh,
+    cylinder_mesh_refined_under_tip,
     graded_line,
     growing_line,
     needle_mesh,
     structured_mesh,
-    tip_mesh,
     with_lines,
 )
 
-__all__ = ["Mesh", "cylinder_mesh", "graded_line", "growing_line", "needle_mesh", "structured_mesh", "tip_mesh",
-           "with_lines"]
+__all__ = [
+    "Mesh",
+    "cylinder_mesh",
+    "cylinder_mesh_refined_under_tip",
+    "graded_line",
+    "growing_line",
+    "needle_mesh",
+    "structured_mesh",
+    "with_lines",
+]

@@ -193,9 +193,8 @@ def needle_mesh(radius: float, height: float, face_radius: float, element: Quadr
     return replace(mesh, sets={**mesh.sets, "face": top[distance <= slack], "free": top[distance >= -slack]})
 
 
-def tip_mesh(radius: float, height: float, contact_radius: float, element: QuadrilateralElement, *, smallest: float,
-             growth: float,
-             largest: float) -> Mesh:
+def cylinder_mesh_refined_under_tip(radius: float, height: float, contact_radius: float, element: QuadrilateralElement,
+                                    *, smallest: float, growth: float, largest: float) -> Mesh:
     """Create the mesh of a cylinder under a pointed or round tip: uniform elements in contact, growing ones outside.
 
     Args:

@@ -209,14 +209,15 @@ def _iterate_creeping_holds_with_gain(motion: np.ndarray, load: np.ndarray,
             continue
         gain = float(np.median(motion[last - _SETTINGS.end_samples:last]) - motion[first])
         duration = clock[last - 1] - clock[first]
-        creep = gain - _compute_elastic_gain(motion, load, first, last)
+        creep = gain - _compute_displacement_explained_by_load_increase(motion, load, first, last)
         if creep <= 0 or not duration > 0 or creep < 6 * estimate_noise_deviation(motion) or motion[first] <= 0:
             continue
         if _is_motion_slowing_as_in_creep(motion, clock, first, last, gain / duration):
             yield first, last, creep / float(motion[first])
 
 
-def _compute_elastic_gain(motion: np.ndarray, load: np.ndarray, first: int, last: int) -> float:
+def _compute_displacement_explained_by_load_increase(motion: np.ndarray, load: np.ndarray, first: int,
+                                                     last: int) -> float:
     """Return the displacement that the increase of the load from sample `first` to `last` (not included) explains.
 
     The increase is divided by the stiffness of the loading in the samples before. Without a loading before, or if the

@@ -75,7 +75,7 @@ class ReversalDetector:
         self.starts.append(start)
         self._low = self._high = here
 
-    def discard_samples_before(self, first: int) -> None:
+    def discard_reversals_before_sample(self, first: int) -> None:
         """Discard the stored reversals before sample `first`, to limit the memory."""
         while len(self.starts) > 1 and self.starts[1] <= first:
             del self.starts[0]

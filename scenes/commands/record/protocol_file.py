@@ -14,7 +14,6 @@ import msgspec
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.named_files import list_mesh_profile_and_rig_paths, replace_mesh_profile_and_rig_paths
 from calibration.campaign.schema import PRISM
-from calibration.report.additions import format_toml
 from haptics.recorder.lag import measure_lag
 from haptics.recorder.plan import IndentationPlan
 from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits
@@ -26,6 +25,7 @@ from tissue_sim.experiment.segments import iterate_motion_legs
 from tissue_sim.files import read_text
 from tissue_sim.recording.file import read_recording
 from tissue_sim.specimen import Specimen
+from tissue_sim.toml_text import format_toml
 
 #: Tables of a protocol file that a campaign file does not have.
 PROTOCOL_TABLES = ("devices", "virtual", "limits", "record")

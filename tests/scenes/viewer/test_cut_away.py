@@ -32,7 +32,7 @@ def area_vectors(surface):
 def faceted(volume_of_revolution, opening):
     """Volume of a body of revolution whose circles are replaced by polygons."""
     turn = 2.0 * np.pi - opening.cut
-    count = len(opening.half_plane_azimuths) - (0 if opening.removes_nothing else 1)
+    count = len(opening.segment_half_plane_azimuths) - (0 if opening.removes_nothing else 1)
     return volume_of_revolution * count * np.sin(turn / count) / (2.0 * np.pi)
 
 
@@ -165,14 +165,14 @@ def test_faces_share_no_vertices_with_the_outside_and_edges_stay_sharp():
 def test_the_opening_has_the_stated_azimuth():
     for facing in (-np.pi / 2, 0.3, 2.0):
         opening = WedgeOpening(np.radians(100.0), facing)
-        away = (opening.half_plane_azimuths - facing + np.pi) % (2 * np.pi) - np.pi
+        away = (opening.segment_half_plane_azimuths - facing + np.pi) % (2 * np.pi) - np.pi
         assert np.abs(away).min() == pytest.approx(np.radians(50.0))
         toward = np.array([np.cos(facing), np.sin(facing)])
         # Whoever looks from there sees both faces.
         assert [outward @ toward > 0 for _, outward in opening.section_face_vectors] == [True, True]
     closed = WedgeOpening(0.0)
-    assert len(closed.half_plane_azimuths) == 48 and closed.section_face_vectors == []
-    assert len(WedgeOpening(np.pi).half_plane_azimuths) == 25
+    assert len(closed.segment_half_plane_azimuths) == 48 and closed.section_face_vectors == []
+    assert len(WedgeOpening(np.pi).segment_half_plane_azimuths) == 25
 
 
 @pytest.mark.parametrize("cut", [-0.1, 3.5, np.nan])

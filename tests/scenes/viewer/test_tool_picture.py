@@ -36,7 +36,7 @@ def volume(surface):
 def revolved_volume(outline, opening):
     """Volume of a stack of frustums whose circles are replaced by polygons."""
     r, z = outline.T
-    count = len(opening.half_plane_azimuths) - (0 if opening.removes_nothing else 1)
+    count = len(opening.segment_half_plane_azimuths) - (0 if opening.removes_nothing else 1)
     turn = (2.0 * np.pi - opening.cut) / count
     return float(count * 0.5 * np.sin(turn) * np.sum(np.diff(z) * (r[1:] ** 2 + r[1:] * r[:-1] + r[:-1] ** 2) / 3.0))
 
@@ -137,7 +137,7 @@ def test_contact_with_a_flat_punch():
         assert lines[..., :2] @ outward == pytest.approx(2e-3 * 0.04)
         assert (lines[..., :2] @ way).max() == pytest.approx(0.008)
     assert np.linalg.norm(rim[..., :2], axis=-1) == pytest.approx(0.008 + 2e-3 * 0.04)
-    assert len(rim) == len(opening.half_plane_azimuths) - 1
+    assert len(rim) == len(opening.segment_half_plane_azimuths) - 1
     assert len(find_tool_contact(line, TOOLS["flat"], 0.01, WedgeOpening(0.0)).lines) == 48
 
 

@@ -13,7 +13,14 @@ from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, STUDY_SLENDERNE
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.layer import Layer
-from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh, structured_mesh, tip_mesh, with_lines
+from tissue_sim.mesh import (
+    Mesh,
+    cylinder_mesh,
+    cylinder_mesh_refined_under_tip,
+    needle_mesh,
+    structured_mesh,
+    with_lines,
+)
 from tissue_sim.mesh.elements import Q9P1, QuadrilateralElement
 from tissue_sim.model import Model
 from tissue_sim.specimen.cylinder import Cylinder, require_cylinder
@@ -93,8 +100,9 @@ def _make_unlayered_mesh(experiment: Experiment, resolution: MeshResolution, ele
         contact = experiment.contact_radius
         if tool.profile.shaft and contact >= _SETTINGS.shoulder * tool.require_radius():
             smallest = max(_SETTINGS.shoulder_refinement * smallest, min(smallest, _SETTINGS.shoulder_smallest))
-        return tip_mesh(specimen.radius, specimen.height, contact, element, growth=growth,
-                        smallest=smallest * contact, largest=max(largest * contact, upper_limit))
+        return cylinder_mesh_refined_under_tip(specimen.radius, specimen.height, contact, element, growth=growth,
+                                               smallest=smallest * contact,
+                                               largest=max(largest * contact, upper_limit))
     if tool.face_radius:
         radius = tool.require_radius()
         smallest, largest, growth = resolution.needle

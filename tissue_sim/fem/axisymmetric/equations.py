@@ -270,7 +270,7 @@ class EquilibriumEquations:
             self.memory.stresses, self.memory.energies, self.effects.found, self.state.x, surface.forces)]
         self.settings[newton.SettingIndex.PREDICTED] = self.settings[newton.SettingIndex.DEPTH]
         self.settings[newton.SettingIndex.TOLERANCE] = -1.0
-        self.counts[newton.StepIntegerIndex.MAX_ITERATIONS] = newton.StartMode.PREDICT
+        self.counts[newton.StepIntegerIndex.MAX_ITERATIONS] = 0
         self.counts[newton.StepIntegerIndex.START_MODE] = mode
         with LOCK:
             self._kernel()

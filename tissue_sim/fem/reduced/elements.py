@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.fem.reduced.elements_kernel import AdditionalSampledSettingColumn, make_sampled_elements_kernel
-from tissue_sim.fem.reduced.model import RestDisplacementAndPressures
+from tissue_sim.fem.reduced.model import SelfWeightEquilibriumFields
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.element import AssemblySettingColumn
 from tissue_sim.fem.solid.tissue import (
@@ -47,7 +47,7 @@ class SampledElements:
 
     def __init__(self, mesh: SolidMesh, basis: np.ndarray, elements: np.ndarray, shares: np.ndarray, *,
                  layers: np.ndarray, groups: int = 1, contact_radius: float = 1.0,
-                 rest: RestDisplacementAndPressures | None = None):
+                 rest: SelfWeightEquilibriumFields | None = None):
         connectivity = mesh.connectivity[elements]
         used, local = np.unique(connectivity, return_inverse=True)
         self._mesh, self._layers = mesh, layers[elements]

@@ -24,7 +24,7 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.profile import ProfileTool
 from tissue_sim.experiment.tools.tool import TOOLS, Tool
 from tissue_sim.fem.reduced.compliance_table import ContactCompliance
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, RestDisplacementAndPressures, require_reducible
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, SelfWeightEquilibriumFields, require_reducible
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.solid.tissue import group_elements_by_region, require_mesh_regions
 from tissue_sim.files import open_input_file
@@ -199,7 +199,7 @@ def _build_checked_model(description: dict[str, Any], arrays: dict[str, np.ndarr
     group_elements_by_region(mesh)
     return ReducedModel(Model(experiment, material), mesh, basis, lifting, elements.astype(np.intp), shares, box,
                         softness, bulk_ratio, report, watched, error_factors,
-                        RestDisplacementAndPressures(*rest) if rest else None, compliance)
+                        SelfWeightEquilibriumFields(*rest) if rest else None, compliance)
 
 
 def _is_consistent_table(table: ContactCompliance, nodes: int) -> bool:

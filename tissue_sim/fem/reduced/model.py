@@ -127,7 +127,7 @@ def require_same_layers_and_regions(material: Material, made_of: Material, mesh:
 
 
 @dataclass(frozen=True, eq=False)
-class RestDisplacementAndPressures:
+class SelfWeightEquilibriumFields:
     """Equilibrium of a solid under self-weight without contact.
 
     Attributes:
@@ -193,7 +193,7 @@ class ReducedModel:
     report: dict[str, Any] = field(default_factory=dict)
     watched: int = 0
     error_factors: ErrorFactors = (1.0, 0.0, 0.0)
-    rest: RestDisplacementAndPressures | None = None
+    rest: SelfWeightEquilibriumFields | None = None
     compliance: ContactCompliance | None = None
 
     @property

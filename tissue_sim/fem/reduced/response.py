@@ -88,7 +88,7 @@ class ToolResponse:
         changed, own, _ = factors
         return changed * euclidean_norm(added) + own * euclidean_norm(force)
 
-    def compute_tissue_and_contact_stiffness(self, box: PoseBox) -> np.ndarray:
+    def compute_combined_stiffness_at_tool(self, box: PoseBox) -> np.ndarray:
         """Compute the stiffness of tissue and contact at the tool: minus d wrench / d pose, shape (6, 6).
 
         The entries of directions in which the box has no size are 0.

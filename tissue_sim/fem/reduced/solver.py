@@ -212,7 +212,7 @@ class ReducedSolver(ReducedSolverBase):
                                                            SETTINGS.stiffness_groups)
                     evaluated_at, forces = here, elements.modal_forces.copy()
                     response = ToolResponse(elements.modal_stiffness + contact_rates, contact, rates, free, residual)
-                stiffness, stiffness_age = response.compute_tissue_and_contact_stiffness(self.reduced.box), age or 0.0
+                stiffness, stiffness_age = response.compute_combined_stiffness_at_tool(self.reduced.box), age or 0.0
             contact.commit_step()
             elements.commit_step()
             self._committed = here.copy(), elements.pressures.copy()

@@ -20,7 +20,7 @@ from tissue_sim.fem.reduced.model import (
     ErrorFactors,
     PoseBox,
     ReducedModel,
-    RestDisplacementAndPressures,
+    SelfWeightEquilibriumFields,
     TrainingDisplacementsAndWrenches,
 )
 from tissue_sim.fem.reduced.sampling import compute_sparse_weights
@@ -44,7 +44,7 @@ def make_full_order_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
     return make_solver(model, mesh=mesh)
 
 
-def get_copies_of_settled_history(solver: SolidSolver) -> tuple[np.ndarray, ...]:
+def copy_history_at_rest_under_self_weight(solver: SolidSolver) -> tuple[np.ndarray, ...]:
     """Return copies of the material history at rest under self-weight; empty without self-weight."""
     return tuple(array.copy() for array in solver.tissue.state_arrays) if solver.tissue.specific_weight else ()
 
@@ -56,7 +56,7 @@ def simulate_snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Se
     Args:
         solver: full-order solver.
         poses: poses of the tool.
-        memory: material history at rest, see `get_copies_of_settled_history`.
+        memory: material history at rest, see `copy_history_at_rest_under_self_weight`.
         tolerance: relative residual of a step.
 
     Raises:
@@ -288,13 +288,13 @@ def build_reduced_model(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequ
                         watched, rest=_make_rest_state_or_none(solver))
 
 
-def _make_rest_state_or_none(solver: SolidSolver) -> RestDisplacementAndPressures | None:
+def _make_rest_state_or_none(solver: SolidSolver) -> SelfWeightEquilibriumFields | None:
     """Return the equilibrium under self-weight; None without self-weight."""
     if not solver.tissue.specific_weight:
         return None
     solver.lift_off()
     standing = solver.field_sample()
-    return RestDisplacementAndPressures(standing.displacement.ravel(), standing.pressures)
+    return SelfWeightEquilibriumFields(standing.displacement.ravel(), standing.pressures)
 
 
 def with_report_and_error_factors(reduced: ReducedModel, factors: ErrorFactors, **more: Any) -> ReducedModel:

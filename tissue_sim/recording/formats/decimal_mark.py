@@ -96,16 +96,16 @@ class NumberMarks:
     @property
     def question_text(self) -> str:
         """The question to the user if both decimal marks are possible, in one sentence."""
-        return (f"{self.example!r} is {_format_parsed_number(self.example, '.')} with a decimal point and "
-                f"{_format_parsed_number(self.example, ',')} with a decimal comma, and the values fit both")
+        return (f"{self.example!r} is {_parse_cell_and_format_number(self.example, '.')} with a decimal point and "
+                f"{_parse_cell_and_format_number(self.example, ',')} with a decimal comma, and the values fit both")
 
     def list_assumptions(self) -> tuple[Assumption, ...]:
         """Return decimal mark and thousands separator with their evidence; empty if no number has a mark."""
         if not self.example and not self.thousands and not self.evidence:
             return ()
-        reading = f"{self.example!r} is {_format_parsed_number(self.example, self.decimal)}"
+        reading = f"{self.example!r} is {_parse_cell_and_format_number(self.example, self.decimal)}"
         mark = self.other_decimal_mark
-        other = f"{DECIMAL_WORDS[mark]}: {self.example!r} is {_format_parsed_number(self.example, mark)}"
+        other = f"{DECIMAL_WORDS[mark]}: {self.example!r} is {_parse_cell_and_format_number(self.example, mark)}"
         alternatives = (AlternativeValue(other, None, f'--decimal "{mark}"'),) if self.is_open else ()
         value = f"{DECIMAL_WORDS[self.decimal]}: {reading}" if self.is_open else DECIMAL_WORDS[self.decimal]
         found = [Assumption("decimal mark", value, self.evidence, self.against, alternatives,
@@ -351,6 +351,6 @@ def _describe_largest_jump(cells: Sequence[str], readings: dict[str, np.ndarray]
             "read")
 
 
-def _format_parsed_number(cell: str, decimal: str) -> str:
+def _parse_cell_and_format_number(cell: str, decimal: str) -> str:
     """Return the number in a cell with up to twelve digits."""
     return f"{parse_number_or_nan(cell, decimal):.12g}"
