@@ -260,7 +260,7 @@ class SimulatorPathMixin:
                 self._clock.update_estimate(time.perf_counter() - started, step.iterations)
             if self._creep is not None:
                 continue
-            attempt, self._attempt = replace(attempt, spent=attempt.spent + step.iterations), None
+            spent, self._attempt = attempt.spent + step.iterations, None
             if step.status is StepStatus.CONVERGED:
                 self._store_equilibrium(step, dt, weighs)
                 self._update_omitted_wave_error(motion(here, target), dt, weighs=weighs)
@@ -280,14 +280,14 @@ class SimulatorPathMixin:
                     self._leaps, self._can_restart, status = False, not self._bonded, ForceStatus.CONVERGED
             elif creep is None and step.status is StepStatus.SLOW and allowed < most:
                 # The next step continues this iteration, and then the rest of the path.
-                self._attempt, status = attempt, ForceStatus.LATE
+                self._attempt, status = replace(attempt, spent=spent), ForceStatus.LATE
             elif step.status is StepStatus.OUTSIDE:
                 # No shorter part reaches this pose; the tissue keeps its state.
                 status, outside = ForceStatus.STOPPED, True
             elif creep is None and attempt.order:
                 is_near = step.status is StepStatus.SLOW and step.residual <= self._settings.near_residual
                 if is_near and attempt.limit < self._settings.most_near_solves:
-                    self._attempt = replace(attempt, limit=self._settings.most_near_solves)
+                    self._attempt = replace(attempt, spent=spent, limit=self._settings.most_near_solves)
                 else:
                     self._extrapolates = False
             elif creep is None and min(self._share, way / self._largest_part) < self._settings.damped_fraction:

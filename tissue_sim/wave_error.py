@@ -128,9 +128,14 @@ class UnresolvedWaveErrorEstimator:
 
 def _compute_momentum_from_stiffnesses(stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float) -> Vector:
     """Compute the momentum of the tissue that moves with the tool, N s, along the three axes, from the stiffnesses."""
-    x, y, z = (0.0 if own is within else dt * sum((b - a) * part for a, b, part in zip(own, within, way, strict=True))
-               for own, within in zip(stiffness[:3], step_stiffness[:3], strict=True))
-    return (x, y, z)
+    u, v, w, a, b, c = way
+    momentum = [0.0, 0.0, 0.0]
+    for axis in range(3):
+        k, s = stiffness[axis], step_stiffness[axis]
+        if k is not s:
+            momentum[axis] = dt * ((s[0] - k[0]) * u + (s[1] - k[1]) * v + (s[2] - k[2]) * w
+                                   + (s[3] - k[3]) * a + (s[4] - k[4]) * b + (s[5] - k[5]) * c)
+    return momentum[0], momentum[1], momentum[2]
 
 
 def _compute_rate_of_change(now: Vector, before: Vector, dt: float) -> Vector:

@@ -166,9 +166,11 @@ def _evaluate_screening_clause(evidence: UsabilityEvidence) -> UsabilityClauseRe
 
 
 def _evaluate_contact_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
-    """Return the clause that a detected (not fitted) contact is certain enough for the shear modulus."""
+    """Return the clause that a contact that is not fitted is certain enough for the shear modulus."""
+    _, ratios = compute_misfit_percents_and_noise_ratios(evidence.estimate)
+    misfitted = [name for name, ratio in ratios.items() if ratio > evidence.limits.noise_ratio]
     return _clause_from_reason("contact", "not_determined",
-                               describe_worst_uncertain_contact_or_empty(evidence.estimate),
+                               describe_worst_uncertain_contact_or_empty(evidence.estimate, misfitted),
                                "set offset = \"fit\" in [fit], state the contact in mm, or record more air with less "
                                "noise")
 

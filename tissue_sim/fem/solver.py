@@ -118,10 +118,11 @@ class Step:
 
     @classmethod
     def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,
-              slipping: int = 0, stiffness: float | None = None) -> Step:
-        """Make the result of a step with axial motion only, from the force along z, N, and the stiffness, N/m."""
+              slipping: int = 0, stiffness: float | None = None, step_stiffness: float | None = None) -> Step:
+        """Make the result of a step with axial motion only, from the force along z, N, and the stiffnesses, N/m."""
         return cls(status, iterations, residual, make_axial_wrench(force),
-                   None if stiffness is None else make_axial_stiffness_matrix(stiffness), violation, slipping)
+                   None if stiffness is None else make_axial_stiffness_matrix(stiffness), violation, slipping, 0.0,
+                   None if step_stiffness is None else make_axial_stiffness_matrix(step_stiffness))
 
     @property
     def force(self) -> float:

@@ -135,16 +135,20 @@ class ReducedForceFactor:
 
         The factor is the product over all effects in reduced form. The history is not changed.
         """
-        here = self._make_history_at(depth, dt)
-        return prod((effect.share(here) for effect in self._effects), start=1.0)
+        return self._compute_factor_at(self._make_history_at(depth, dt))
 
     def record_depth_and_get_force_factor(self, depth: float, dt: float = 0.0) -> float:
         """Record a depth, m, reached dt s after the last one, in `history`; return the factor on the force at it.
 
         The factor is the product over all effects in reduced form.
         """
-        share, self.history = self.compute_factor(depth, dt), self._make_history_at(depth, dt)
+        here = self._make_history_at(depth, dt)
+        share, self.history = self._compute_factor_at(here), here
         return share
+
+    def _compute_factor_at(self, here: ToolHistory) -> float:
+        """Return the product of the factors of all effects at a point of the history of the tool."""
+        return prod([effect.share(here) for effect in self._effects], start=1.0)
 
     def _make_history_at(self, depth: float, dt: float) -> ToolHistory:
         """Return a copy of the history that continues to a depth, m, dt s later; `history` is not changed."""

@@ -7,6 +7,7 @@ first-order autoregressive process.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -17,6 +18,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.public_names import OldName
 from tissue_sim.recording.change_point import ChangePointFit, LikelihoodProfile, LoadingWindow
 from tissue_sim.recording.resolution import find_rounding_step_or_zero
+from tissue_sim.recording.result_cache import cache_by_array_content
 from tissue_sim.recording.segmentation import label_samples_ramp_hold_unload
 
 #: Limits of the exponent of the force after contact: 1 for plates and flat punches, 3/2 for balls, 2 for cones.
@@ -53,6 +55,8 @@ class ContactSettings:
             contact precedes the first sample.
         unclear_interval: width of the 95 % interval, as a fraction of the displacement range, above which contact is
             unclear.
+        most_results: number of stored results. A recording is analysed again by the check of the imported campaign; a
+            search takes up to 0.1 s.
     """
 
     rise_fractions: tuple[float, ...] = (1.0, 0.6, 0.35, 0.2, 0.12, 0.07, 0.04, 0.025, 0.015, 0.008, 0.004, 0.002)
@@ -72,6 +76,7 @@ class ContactSettings:
     no_contact: float = 1e-4
     immediate_rise: float = 20.0
     unclear_interval: float = 0.3
+    most_results: int = 256
 
 
 #: Settings that the functions of this module use.
@@ -164,6 +169,7 @@ class Contact:
                 f"{basis}{doubt}")
 
 
+@cache_by_array_content(_SETTINGS.most_results)
 def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None, *,
                  exponents: tuple[float, float] = EXPONENTS) -> Contact:
     """Return the contact in the first loading; its `status` states whether contact was found.
@@ -194,16 +200,8 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     if (latest := loading.find_displacement_of_immediate_rise()) is not None:
         return Contact("before", loading.start, (-np.inf, latest), loading.zero, noise=loading.noise, step=loading.step)
     recorded, loading = loading, loading.averaged_loading
-    part, terms, chance = loading.whole, _SETTINGS.terms, 0.0
-    parts = loading.list_fit_windows_longest_first()
-    judged = None
-    for number, part in enumerate(parts):
-        chance, noise = judged or _compute_misfit_p_and_residual_deviation(part, terms, exponents)
-        has_shorter = chance > _SETTINGS.adequate and part is not parts[-1]
-        judged = _compute_misfit_p_and_residual_deviation(parts[number + 1], terms, exponents) if has_shorter else None
-        # A slow misfit of the law looks like correlated noise, and a shorter part has a smaller misfit.
-        if chance > _SETTINGS.adequate and (judged is None or judged[1] > _SETTINGS.smaller_residual * noise):
-            break
+    terms = _SETTINGS.terms
+    part, chance = _choose_window_and_misfit_p(loading.list_fit_windows_longest_first(), terms, exponents)
     fitted = ChangePointFit(part, terms + 1, exponents)
     best = fitted.fit_contact_and_exponent(fitted.estimate_contact_and_exponent_coarsely())
     fitted = ChangePointFit(part, terms + 1, exponents, fitted.estimate_noise_correlation(*best))
@@ -213,6 +211,31 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     index = int(np.argmax(displacement > found.displacement)) if found.index else 0
     return replace(found, index=index, step=recorded.step, air=each * found.air, loading=each * found.loading,
                    noise=found.noise * float(np.sqrt(each)))
+
+
+def _choose_window_and_misfit_p(parts: Sequence[LoadingWindow], terms: int,
+                                exponents: tuple[float, float]) -> tuple[LoadingWindow, float]:
+    """Choose the window for the final fit; return it with the p value of a chance misfit of the law.
+
+    It is the longest window with a p value above `ContactSettings.adequate`. Without such a window it is that of the
+    largest p value, because in the shortest window the few samples after contact do not determine a law.
+    """
+    candidates: list[tuple[float, LoadingWindow]] = []
+    judged = None
+    for number, part in enumerate(parts):
+        chance, noise = judged or _compute_misfit_p_and_residual_deviation(part, terms, exponents)
+        candidates.append((chance, part))
+        judged = None
+        if chance <= _SETTINGS.adequate:
+            continue
+        if number + 1 < len(parts):
+            judged = _compute_misfit_p_and_residual_deviation(parts[number + 1], terms, exponents)
+        # A slow misfit of the law looks like correlated noise, and a shorter part has a smaller misfit.
+        if judged is None or judged[1] > _SETTINGS.smaller_residual * noise:
+            return part, chance
+        candidates = []
+    chance, part = max(candidates, key=lambda each: each[0])
+    return part, chance
 
 
 def _compute_misfit_p_and_residual_deviation(part: LoadingWindow, terms: int,
@@ -254,15 +277,14 @@ def _build_contact(loading: _LoadingUpToFirstHold, fitted: ChangePointFit, profi
     found = Contact("found", float(place), (float(low), float(high)), zero, drift,
                     int(np.argmax(loading.whole.displacement > place)), float(power), deviation, loading.step, first,
                     part.displacement.size - first, adequate, error)
-    if special.fdtrc(fitted.terms + 2, freedom, ratio) > _SETTINGS.no_contact:
-        rises = float(loading.smooth.max()) - loading.zero > _SETTINGS.least_rise * max(loading.noise, deviation)
-        latest = float(loading.whole.displacement.max()) if rises else np.inf
-        return replace(found, status="unclear" if rises else "none", displacement=np.nan, interval=(-np.inf, latest),
-                       index=0, exponent=np.nan)
-    reach = float(np.ptp(loading.whole.displacement))
     # A drift and a law together can bend where there is air: only a clear rise bounds a contact without air.
     risen = loading.smooth - loading.zero > _SETTINGS.drift_rise * max(loading.noise, deviation)
     latest = loading.whole.displacement[min(int(np.flatnonzero(~risen).max(initial=-1)) + 1, risen.size - 1)]
+    if special.fdtrc(fitted.terms + 2, freedom, ratio) > _SETTINGS.no_contact:
+        rises = float(loading.smooth.max()) - loading.zero > _SETTINGS.least_rise * max(loading.noise, deviation)
+        return replace(found, status="unclear" if rises else "none", displacement=np.nan,
+                       interval=(-np.inf, float(latest) if rises else np.inf), index=0, exponent=np.nan)
+    reach = float(np.ptp(loading.whole.displacement))
     no_air = replace(found, status="before", interval=(-np.inf, max(float(high), float(latest))), index=0)
     in_air, after = place - loading.start, part.displacement[-1] - place
     rise = coefficients[1] * (part.time[min(first, part.time.size - 1)] - part.time[0]) / span

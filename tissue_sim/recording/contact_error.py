@@ -22,16 +22,18 @@ def relative_modulus_error_from_contact(motion: np.ndarray, load: np.ndarray, ti
         motion: displacement of the fitted samples from contact, m, positive under load, shape (n,).
         load: force, N, shape (n,).
         time: time, s, shape (n,); None: even steps.
-        contact: result of `find_contact`; a status other than ``"found"`` gives 0.
+        contact: result of `find_contact`; the statuses ``"before"`` and ``"none"`` give 0. An interval without a lower
+            end begins at the first sample.
     """
-    if not contact.has_air_before_contact or motion.size < 2:
+    if contact.status not in ("found", "unclear") or motion.size < 2:
         return 0.0
     end = int(np.argmax(motion)) + 1
     motion, load = motion[:end], load[:end]
     squared = float(np.sum(0.5 * (load[1:] ** 2 + load[:-1] ** 2) * np.diff(motion)))
     if end < 2 or not squared > 0:
         return 0.0
-    half = 0.5 * (contact.interval[1] - contact.interval[0])
+    low, high = contact.interval
+    half = 0.5 * max(high - (low if np.isfinite(low) else float(motion[0])), 0.0)
     by_place = half * float(np.max(load) ** 2) / (2.0 * squared)
     clock = np.arange(end, dtype=float) if time is None else time[:end]
     drifted = INTERVAL_DEVIATIONS * contact.drift_error * (clock - clock[0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
@@ -85,22 +85,20 @@ def analyse_control_and_creep(motion: np.ndarray, load: np.ndarray,
                                           loading=_count_to_peak_before_oscillation(motion, oscillation))
     rest = min(_estimate_load_at_rest(motion, load), float(np.median(load[:_SETTINGS.end_samples])))
     holds = list(_iterate_long_holds(label_samples_ramp_hold_unload(clock, motion)))
-    lost = max(((_compute_relaxed_fraction(motion, load, first, last, rest), first, last) for first, last in holds),
-               default=(0.0, 0, 0))
+    relaxation, first, last = _find_largest_relaxed_fraction_and_hold(motion, load, holds, rest)
     crept = [each for each in _iterate_creeping_holds_with_gain(motion, load, clock) if each[2] > SCREENING.creep]
     if crept:
-        first, last, creep = max(crept, key=lambda each: each[2])
+        begin, end, creep = max(crept, key=lambda each: each[2])
         start = crept[0][0]
         return ControlledQuantityFindings("force", "creep", 0.0, creep, loading=start,
-                                          time_constant=_compute_time_constant(motion, clock, first, last),
+                                          time_constant=_compute_time_constant(motion, clock, begin, end),
                                           loading_time=float(clock[start] - clock[0]),
-                                          equal_samples=_count_loads_equal_to_median(load, first, last))
-    loaded = [first for first, last in holds if np.median(load[first:last]) - rest > _SETTINGS.loaded * np.ptp(load)]
-    steps = [first for first in loaded if motion[first] >= 0.98 * motion[:first + 1].max()]
+                                          equal_samples=_count_loads_equal_to_median(load, begin, end))
+    loaded = [begin for begin, end in holds if np.median(load[begin:end]) - rest > _SETTINGS.loaded * np.ptp(load)]
+    steps = [begin for begin in loaded if motion[begin] >= 0.98 * motion[:begin + 1].max()]
     pattern = "staircase" if len(steps) > 1 else "ramp and hold" if loaded else "cycles" if oscillation else "ramp"
     peak = int(np.argmax(motion))
     quantity = _find_channel_linear_in_time_or_none(motion, load, clock, peak + 1)
-    relaxation, first, last = lost
     return ControlledQuantityFindings("displacement" if loaded else quantity, pattern, relaxation,
                                       loading=min([*loaded, peak + 1]),
                                       time_constant=_compute_time_constant(load, clock, first, last) if relaxation
@@ -180,18 +178,35 @@ def _iterate_long_holds(labels: np.ndarray) -> Iterator[tuple[int, int]]:
                 if name == "hold" and last - first >= _SETTINGS.fewest)
 
 
-def _compute_relaxed_fraction(motion: np.ndarray, load: np.ndarray, first: int, last: int, rest: float) -> float:
-    """Return the fraction of the load at the start of a hold that is lost in the hold; 0 if it is not significant.
+def _find_largest_relaxed_fraction_and_hold(motion: np.ndarray, load: np.ndarray, holds: Sequence[tuple[int, int]],
+                                            rest: float) -> tuple[float, int, int]:
+    """Return the largest relaxed fraction of the load, first sample and end of its hold; (0, 0, 0) without relaxation.
 
-    A loss is significant above the noise, and above the loss by an error of the position at both ends of the hold.
+    The fraction is the load lost in a hold, or in a hold and the holds before it, over the load without this loss. In a
+    staircase only the last step of the load relaxes in a hold, because the earlier steps are relaxed already. A hold
+    at a smaller motion than the hold before begins a new sum.
+
+    A sum of n losses is significant above sqrt(n) times the noise, and above sqrt(n) times the loss that an error of
+    the position at both ends of a hold explains.
     """
-    begin = float(np.median(load[first:first + _SETTINGS.end_samples]))
-    end = float(np.median(load[max(last - _SETTINGS.end_samples, first):last]))
-    moved, noise = float(motion[first] - motion.min()), estimate_noise_deviation(load)
-    if begin - rest <= _SETTINGS.loaded * np.ptp(load) or begin - end < 4 * noise or moved <= 0:
-        return 0.0
-    explained = 2.0 * _SETTINGS.position_error * float(np.ptp(motion)) * (begin - rest) / moved
-    return (begin - end) / (begin - rest) if begin - end > explained else 0.0
+    found, reached = (0.0, 0, 0), -np.inf
+    noise, span, lowest = estimate_noise_deviation(load), float(np.ptp(motion)), float(motion.min())
+    losses: list[float] = []
+    for first, last in holds:
+        begin = float(np.median(load[first:first + _SETTINGS.end_samples])) - rest
+        end = float(np.median(load[max(last - _SETTINGS.end_samples, first):last])) - rest
+        if begin <= _SETTINGS.loaded * np.ptp(load) or motion[first] <= lowest:
+            continue
+        if motion[first] < reached:
+            losses = []
+        reached = float(motion[first])
+        losses.append(begin - end)
+        explained = 2.0 * _SETTINGS.position_error * span * begin / (reached - lowest)
+        for count in {1, len(losses)}:
+            lost = sum(losses[-count:])
+            if lost >= 4 * noise * np.sqrt(count) and lost > explained * np.sqrt(count):
+                found = max(found, (float(lost / (lost - losses[-1] + begin)), first, last))
+    return found
 
 
 def _iterate_creeping_holds_with_gain(motion: np.ndarray, load: np.ndarray,

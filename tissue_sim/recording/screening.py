@@ -97,7 +97,8 @@ class ControlledQuantityFindings:
     Attributes:
         quantity: ``"displacement"``, ``"force"``, or None where the signals do not decide.
         pattern: ``"ramp"``, ``"ramp and hold"``, ``"staircase"``, ``"creep"``, ``"oscillation"`` or ``"cycles"``.
-        relaxation: largest fraction of the force that is lost in a hold of the displacement; 0 without a hold.
+        relaxation: largest fraction of the force that is lost in a hold of the displacement and in the holds before it;
+            0 without a hold.
         creep: largest fraction of the displacement that is gained while the force is held; 0 without such a hold.
         loss_factor: tangent of the phase angle of an oscillation; None without an oscillation.
         frequency: frequency of the oscillation, Hz (1 / samples without time); None without an oscillation.

@@ -200,7 +200,10 @@ class EquilibriumEquations:
             weights: see `tissue_sim.fem.axisymmetric.predictor.compute_extrapolation_weights`.
         """
         self.weights[:] = weights
-        self._predicted = sum(weight * depth for weight, depth in zip(weights, self.state.depths, strict=False))
+        predicted = 0.0
+        for weight, depth in zip(weights, self.state.depths, strict=False):
+            predicted += weight * depth
+        self._predicted = predicted
 
     def solve_equilibrium(self, depth: float, tolerance: float, max_iterations: int, *,
                           resumed_depth: float | None = None, iterated: int = 0) -> None:

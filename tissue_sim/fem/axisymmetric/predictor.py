@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import prod
 
 #: Number of stored states from which the predictor extrapolates.
 KEPT = 3
@@ -24,10 +23,20 @@ def compute_extrapolation_weights(known: Sequence[float], depth: float, order: i
     if depth in known:
         weights[known.index(depth)] = 1.0
         return weights
+    # Plain loops: this function runs in every step, and generators take twice the time.
     chosen, least = [0], 0.1 * abs(depth - known[0])
     for i in range(1, len(known)):
-        if len(chosen) <= order and all(abs(known[i] - known[j]) >= least for j in chosen):
+        if len(chosen) > order:
+            break
+        for j in chosen:
+            if abs(known[i] - known[j]) < least:
+                break
+        else:
             chosen.append(i)
     for i in chosen:
-        weights[i] = prod([(depth - known[j]) / (known[i] - known[j]) for j in chosen if j != i])
+        weight = 1.0
+        for j in chosen:
+            if j != i:
+                weight *= (depth - known[j]) / (known[i] - known[j])
+        weights[i] = weight
     return weights

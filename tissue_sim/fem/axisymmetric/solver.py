@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -168,18 +168,17 @@ class AxisymmetricSolver(KernelOwner, Solver):
         equations.solve_equilibrium(depth, tolerance, max_iterations,
                                     resumed_depth=self._target_depth if resumes else None, iterated=self._iterated)
         self._target_depth = depth
-        self._iterated += int(equations.report[newton.ReportIndex.ITERATIONS])
         status, iterations, residual, force, violation, slipping, stiffness = equations.report.tolist()
+        self._iterated += int(iterations)
         asked = bool(equations.counts[newton.StepIntegerIndex.STIFFNESS_ASKED])
-        result = Step.axial(_STATUSES[int(status)], int(iterations), residual, force, violation, int(slipping),
-                            stiffness if asked else None)
-        if result.status is StepStatus.CONVERGED and asked and inertial:
+        outcome, own, within = _STATUSES[int(status)], stiffness if asked else None, None
+        converged = outcome is StepStatus.CONVERGED
+        if converged and asked and inertial:
             is_due = StaticStiffnessRequest.needs_stiffness_given_spare_solve(
                 own_stiffness, iterations < max_iterations)
-            own = equations.compute_static_stiffness_or_none() if is_due else None
-            result = replace(result, step_stiffness_matrix=result.stiffness_matrix,
-                             stiffness_matrix=None if own is None else make_axial_stiffness_matrix(own))
-        if result.status is StepStatus.CONVERGED:
+            own, within = equations.compute_static_stiffness_or_none() if is_due else None, stiffness
+        result = Step.axial(outcome, int(iterations), residual, force, violation, int(slipping), own, within)
+        if converged:
             if inertial or rate == 0.0:  # the force of artificial damping is no load
                 state.largest_force = max(state.largest_force, abs(force))
             if self._sensitivity is not None:

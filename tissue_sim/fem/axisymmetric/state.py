@@ -101,7 +101,9 @@ class SolverState:
         surface = self.surface
         surface.anchors[:], surface.slipped[:] = surface.held, surface.slip_signs
         if watched:
-            touching = surface.forces.any(axis=-1).tobytes(), surface.slip_signs.tobytes()
+            forces = surface.forces
+            # Twice as fast as any(axis=-1).
+            touching = ((forces[:, 0] != 0.0) | (forces[:, 1] != 0.0)).tobytes(), surface.slip_signs.tobytes()
             is_same = touching == self._touching
             self.equilibria_since_contact_change = self.equilibria_since_contact_change + 1 if is_same else 0
             self._touching = touching

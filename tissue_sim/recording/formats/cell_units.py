@@ -43,8 +43,9 @@ def move_cell_units_to_unit_row(rows: list[TableRow], text: str | None = None) -
         if _has_mostly_numbers_some_with_units(row, begun=bool(run)):
             run.append(row)
             continue
-        found += _move_common_units_to_unit_row(run)
-        run = []
+        if run:
+            found += _move_common_units_to_unit_row(run)
+            run = []
         found.append(row)
     return found[:-1]
 
@@ -64,8 +65,10 @@ def _has_mostly_numbers_some_with_units(row: TableRow, *, begun: bool) -> bool:
     """Return whether most cells are numbers and at least one has a unit; `begun`: a unit is not required."""
     filled = [cell for cell in row.cells if cell]
     united = sum(split_number_and_unit(cell) is not None for cell in filled)
+    if not united and not begun:
+        return False
     numbers = united + sum(map(is_number_with_either_mark, filled))
-    return numbers >= 2 and 2 * numbers >= len(filled) and (united > 0 or begun)
+    return numbers >= 2 and 2 * numbers >= len(filled)
 
 
 def _move_common_units_to_unit_row(run: Sequence[TableRow]) -> Iterable[TableRow]:

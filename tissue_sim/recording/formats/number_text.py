@@ -24,6 +24,10 @@ _QUANTITY = re.compile(r"(?P<number>[-+\u2212]?[\d.,](?:[\d.,'\u2019\u00a0\u202f
 #: A number with an exponent that `float` does not read: ``1.2D-03`` of Fortran, ``1.2 x 10^-3``.
 _EXPONENT_PATTERN = re.compile(r"(?P<number>[+-]?(?:\d+[.,]?\d*|[.,]\d+))(?: ?(?P<letter>[eEdD]) ?| ?[x*] ?10\^)"
                                r"(?P<power>[+-]?\d{1,3})", re.ASCII)
+#: Matches each ASCII number that `float` does not read, and some other texts. It excludes quickly most cells of a table
+#: that is split at a wrong delimiter.
+_POSSIBLE_NUMBER = re.compile(r"[+-]?(?:[1-9]\d{0,2}[,.' ]\d{3}(?!\d)[\d,.' ]*"
+                              r"|[\d.,]+ ?(?:[eEdD]|[x*] ?10\^) ?[+-]?\d{1,3})", re.ASCII)
 
 
 def _compile_grouped_pattern(decimal: str) -> re.Pattern[str]:
@@ -92,6 +96,8 @@ def is_number_with_either_mark(cell: str) -> bool:
     except ValueError:
         if not cell[-1:].isdigit() and cell[-1:] not in DECIMAL_MARKS:
             return False
+        if cell.isascii() and _POSSIBLE_NUMBER.fullmatch(cell) is None:
+            return False
         plain = cell.translate(_SPELLING_TABLE)
         return any(pattern.fullmatch(plain) or not math.isnan(parse_number_or_nan(cell, mark))
                    for mark, pattern in _GROUPED_PATTERNS.items())
@@ -133,6 +139,8 @@ def _parse_grouped_number_or_nan(plain: str, decimal: str) -> float:
 
 def split_number_and_unit(cell: str) -> tuple[str, str] | None:
     """Return the number and the name of the unit in a cell, ``("12.3", "N")``; None: not a number with a known unit."""
+    if cell.isascii() and "%" not in cell and cell.lower() == cell.upper():
+        return None  # without a letter the cell has no unit
     match = _QUANTITY.fullmatch(cell)
     unit = None if match is None else find_known_unit(match["unit"])
     if match is None or unit is None or not is_number_with_either_mark(match["number"]):
