@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,15 +11,34 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
 from calibration.fit.ordinary_problem import OrdinaryProblem
-from tissue_sim.recording.contact_error import relative_modulus_error_from_contact
+from tissue_sim.recording.contact_error import (
+    relative_modulus_error_from_contact,
+    relative_modulus_error_from_contact_range,
+)
 from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
+
+
+@dataclass(frozen=True)
+class ClearRiseSettings:
+    """Settings of the search for a clear rise of the force, before which the tool may be in the air.
+
+    Attributes:
+        deviations: rise in standard deviations of the noise; a larger value gives a later rise.
+        start_samples: number of samples whose mean is the force at the start.
+    """
+
+    deviations: float = 5.0
+    start_samples: int = 3
+
+
+_SETTINGS = ClearRiseSettings()
 
 
 def describe_worst_uncertain_contact_or_empty(estimate: Estimate, misfitted_tests: Collection[str]) -> str:
     """Describe the recordings whose contact is not known well enough; empty if there are none.
 
-    The standard errors of the parameters include the uncertainty of a fitted contact offset. Where the recorded
-    displacement counts from contact, a fit with residuals near the noise confirms this.
+    The standard errors of the parameters include the uncertainty of a fitted contact offset. An unclear contact does
+    not count if the residuals are near the noise: the fit then confirms that the displacement is measured from contact.
 
     Args:
         estimate: minimum of the sum of squares.
@@ -26,16 +46,24 @@ def describe_worst_uncertain_contact_or_empty(estimate: Estimate, misfitted_test
     """
     if _has_fitted_contact_offsets(estimate.problem):
         return ""
-    errors = [(curve, error) for curve in estimate.problem.measured
-              if (curve.test.contact == "find" or curve.test.name in misfitted_tests)
-              and (error := _compute_modulus_change_in_contact_interval(curve)) > MODULUS_TOLERANCE]
+    found = []
+    for curve in estimate.problem.measured:
+        contact = None if curve.whole is None else curve.whole.segmentation.contact
+        if contact is None:
+            continue
+        if curve.test.contact == "find":
+            error = relative_modulus_error_from_contact(curve.displacement, curve.force, curve.time, contact)
+            found.append((error, curve, contact.interval))
+        elif curve.test.contact == "recorded" and contact.status == "unclear" and curve.test.name in misfitted_tests:
+            high = _find_last_displacement_without_clear_rise(curve)
+            error = relative_modulus_error_from_contact_range(curve.displacement, curve.force, curve.time,
+                                                              0.5 * (high - float(curve.displacement[0])))
+            found.append((error, curve, (-np.inf, high)))
+    errors = [each for each in found if each[0] > MODULUS_TOLERANCE]
     if not errors:
         return ""
-    curve, error = max(errors, key=lambda each: each[1])
-    assert curve.whole is not None and curve.whole.segmentation.contact is not None
-    low, high = curve.whole.segmentation.contact.interval
-    scale, unit = (1.0, "") if curve.stressed else (1e3, " mm")
-    of = "a strain of " if curve.stressed else ""
+    error, curve, (low, high) = max(errors, key=lambda each: each[0])
+    scale, unit, of = (1.0, "", "a strain of ") if curve.stressed else (1e3, " mm", "")
     place = f"at {of}{scale * low:.4g} to {scale * high:.4g}{unit}" if np.isfinite(low) else \
         f"before {of}{scale * high:.4g}{unit}"
     more = f" and {len(errors) - 1} more" if len(errors) > 1 else ""
@@ -43,17 +71,18 @@ def describe_worst_uncertain_contact_or_empty(estimate: Estimate, misfitted_test
             f"{100 * error:.2g} % within that interval; the limit is {100 * MODULUS_TOLERANCE:g} %")
 
 
+def _find_last_displacement_without_clear_rise(curve: MeasuredCurve) -> float:
+    """Return the displacement, m, of the last sample of the loading whose force is not clearly above that at the start.
+
+    The tool may be in the air up to this displacement.
+    """
+    start = float(np.mean(curve.force[:_SETTINGS.start_samples]))
+    low = np.flatnonzero(curve.force - start <= _SETTINGS.deviations * curve.noise.deviation)
+    return float(curve.displacement[low[low <= np.argmax(curve.displacement)].max(initial=0)])
+
+
 def _has_fitted_contact_offsets(problem: Any) -> bool:
     """Return whether contact offsets are unknowns of the fit."""
     if isinstance(problem, OrdinaryProblem):
         return bool(problem.shifted)
     return "contact" in problem.kinds
-
-
-def _compute_modulus_change_in_contact_interval(curve: MeasuredCurve) -> float:
-    """Return the relative change of the shear modulus within the interval of contact; 0 if the contact is stated."""
-    contact = None if curve.whole is None else curve.whole.segmentation.contact
-    is_unclear = contact is not None and contact.status == "unclear"
-    if contact is None or curve.test.contact != ("recorded" if is_unclear else "find"):
-        return 0.0
-    return relative_modulus_error_from_contact(curve.displacement, curve.force, curve.time, contact)

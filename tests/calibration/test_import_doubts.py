@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import calibration
+from tissue_sim.recording.contact import Contact
 
 STRIP = "Tensile test\nWidth,20,mm\nThickness,2,mm\nGauge length,20,mm\n\n"
 CYLINDER = "Compression test\nDiameter,20,mm\nHeight,12,mm\n\n"
@@ -110,6 +111,18 @@ def test_a_contact_that_is_not_known_well_enough_is_fitted_or_refused(tmp_path):
     (tmp_path / "c.toml").write_text("\n".join(line for line in found.text.splitlines()
                                                if not line.startswith("offset")))
     assert "contact is known to be at" in (fit(tmp_path).unusable or "")
+
+
+def test_a_contact_that_is_not_found_makes_a_misfit_unusable(tmp_path, monkeypatch):
+    """The tool is in the air for a third of the motion; without this clause the modulus was half of the true one."""
+    unclear = Contact("unclear", np.nan, (-np.inf, 3e-3))
+    monkeypatch.setattr("tissue_sim.recording.segments.find_contact", lambda *arguments: unclear)
+    found = imported(tmp_path, CYLINDER + HEADER, with_air(0.003, air=60))
+    assert "contact" not in found.text.split("[[test]]")[1]
+    assert "contact is known to be before" in (fit(tmp_path).unusable or "")
+    # The recorded displacement is measured from contact: the residuals are noise, which confirms it.
+    imported(tmp_path, CYLINDER + HEADER, with_air(0.003, air=0))
+    assert fit(tmp_path).unusable is None
 
 
 @pytest.mark.parametrize("header", ["Time (s),Displacement (mm),Force (N),Temperature (quux)\n",

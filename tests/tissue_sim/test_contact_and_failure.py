@@ -51,6 +51,15 @@ def test_zero_and_drift_of_the_air_are_found_with_the_contact():
     assert way[contact.index] == pytest.approx(0.0, abs=1e-5) and abs(load[:contact.index].mean()) < 5e-4
 
 
+def test_a_contact_is_found_although_no_window_fits_better_than_chance():
+    """With this noise the p value of every window is below 0.5; in the shortest one few samples are in contact."""
+    displacement = 8.9e-5 * np.arange(140)
+    stretch = 1 - np.clip(displacement - 3.57e-3, 0.0, None) / 23.5e-3
+    noise = np.random.default_rng(83).normal(0.0, 0.012, 140)
+    contact = ts.find_contact(displacement, 8.67 * (stretch**-2 - stretch) + noise, 0.178 * np.arange(140))
+    assert contact.status == "found" and contact.displacement == pytest.approx(3.57e-3, abs=0.1e-3)
+
+
 def test_a_contact_before_the_recording_is_not_given_a_place():
     """A settled preload: the force is there before the motion, and rises with it."""
     time, displacement, force = pressed(air=-0.2e-3, wait=60)

@@ -277,14 +277,15 @@ def _build_contact(loading: _LoadingUpToFirstHold, fitted: ChangePointFit, profi
     found = Contact("found", float(place), (float(low), float(high)), zero, drift,
                     int(np.argmax(loading.whole.displacement > place)), float(power), deviation, loading.step, first,
                     part.displacement.size - first, adequate, error)
+    if special.fdtrc(fitted.terms + 2, freedom, ratio) > _SETTINGS.no_contact:
+        rises = float(loading.smooth.max()) - loading.zero > _SETTINGS.least_rise * max(loading.noise, deviation)
+        latest = float(loading.whole.displacement.max()) if rises else np.inf
+        return replace(found, status="unclear" if rises else "none", displacement=np.nan, interval=(-np.inf, latest),
+                       index=0, exponent=np.nan)
+    reach = float(np.ptp(loading.whole.displacement))
     # A drift and a law together can bend where there is air: only a clear rise bounds a contact without air.
     risen = loading.smooth - loading.zero > _SETTINGS.drift_rise * max(loading.noise, deviation)
     latest = loading.whole.displacement[min(int(np.flatnonzero(~risen).max(initial=-1)) + 1, risen.size - 1)]
-    if special.fdtrc(fitted.terms + 2, freedom, ratio) > _SETTINGS.no_contact:
-        rises = float(loading.smooth.max()) - loading.zero > _SETTINGS.least_rise * max(loading.noise, deviation)
-        return replace(found, status="unclear" if rises else "none", displacement=np.nan,
-                       interval=(-np.inf, float(latest) if rises else np.inf), index=0, exponent=np.nan)
-    reach = float(np.ptp(loading.whole.displacement))
     no_air = replace(found, status="before", interval=(-np.inf, max(float(high), float(latest))), index=0)
     in_air, after = place - loading.start, part.displacement[-1] - place
     rise = coefficients[1] * (part.time[min(first, part.time.size - 1)] - part.time[0]) / span
