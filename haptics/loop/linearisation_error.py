@@ -18,11 +18,14 @@ class LinearisationErrorSettings:
             estimates for more models.
         validity: the estimate is valid up to this many times the distance between the two models from which it was
             learned. A larger factor trusts a longer extrapolation.
+        first_step: factor on the difference between a model of undeformed tissue and the first one with contact, which
+            covers a Newton step that reduces the error by a third instead of a half.
     """
 
     short: float = 0.1
     memory: float = 0.8
     validity: float = 3.0
+    first_step: float = 2.0
 
 
 #: Settings of every error estimate.
@@ -54,7 +57,8 @@ class LinearisationError:
     of the tool, and at least its distance from the pose of the model. Where the depth is unknown, the limit is mu.
 
     A tool that a model leaves without a force may still touch tissue that rises faster than the model knows. The force
-    of this contact is at most that of undeformed tissue on a flat punch with the radius of the contact, 8 mu a depth.
+    of this contact is at most that on undeformed tissue: under a flat punch of the radius a of the contact 8 mu a
+    depth, under a ball 16/3 mu sqrt(R) depth^(3/2) (Hertz) if this is smaller.
 
     Args:
         radius: radius of the contact, m.
@@ -74,7 +78,7 @@ class LinearisationError:
     """
 
     def __init__(self, radius: float, shear_modulus: float = 0.0, tip_radius: float | None = None):
-        self.tip_radius = max(radius, tip_radius or 0.0)
+        self.tip_radius, self._is_round = max(radius, tip_radius or 0.0), tip_radius is not None
         self.radius, self.short, self.shear_modulus = radius, ERROR_ESTIMATE.short * radius, shear_modulus
         self.discard_estimate()
 
@@ -89,7 +93,7 @@ class LinearisationError:
         self.base, self.growth, self.shear_modulus = factor * self.base, factor * self.growth, shear_modulus
 
     def update_estimate(self, missed: float, distance: float, between: float, time: float, interval: float = 0.0,
-                        newer: float = 0.0) -> None:
+                        newer: float = 0.0, *, from_rest: bool = False) -> None:
         """Update the estimate with the difference of two successive models.
 
         Args:
@@ -99,13 +103,15 @@ class LinearisationError:
             time: time of the second model, s.
             interval: time between the two models, s.
             newer: distance of the tool from the pose of the second model, m.
+            from_rest: whether the first model is of the undeformed tissue. The Newton step from there is long, and does
+                not always halve the error; see `LinearisationErrorSettings.first_step`.
         """
         # Models of nearly the same pose contain no information on larger distances: they may only raise the estimate.
         memory = ERROR_ESTIMATE.memory if between >= self.short else 1.0
         squares = max(distance**2 - newer**2, self.short**2)
         self.growth = max(memory * self.growth, missed / squares)
         self.reach, self.time = max(memory * self.reach, between), time
-        self.base, self.interval = missed, interval
+        self.base, self.interval = (ERROR_ESTIMATE.first_step if from_rest else 1.0) * missed, interval
 
     def _compute_growth_coefficient(self, distance: float, depth: float | None) -> float:
         """Return `growth`, N/m2, raised at least to a contact's curvature; arguments as `estimate_force_error`."""
@@ -137,11 +143,15 @@ class LinearisationError:
         return self.base * age_factor + growth * distance * (distance + 2.0 * tangent)
 
     def estimate_error_of_zero_force(self, distance: float, age: float, depth: float, tangent: float) -> float:
-        """Return the estimated force error, N, where the model gives zero force; infinite if it is unknown.
+        """Return the estimated force error, N, where the model gives zero force.
 
-        The error by linearisation is at most the force of a flat punch on undeformed tissue, and zero above the
-        undeformed surface. Arguments as in `estimate_force_error`.
+        The error by linearisation is at most the force on undeformed tissue, also before models were compared, and zero
+        above the undeformed surface. Arguments as in `estimate_force_error`.
         """
-        punch_force = 8.0 * self.shear_modulus * self.radius * max(depth, 0.0)
-        return min(self.estimate_force_error(0.0, age) + punch_force,
+        deep = max(depth, 0.0)
+        largest = 8.0 * self.shear_modulus * self.radius * deep
+        if self._is_round:
+            largest = min(largest, 16.0 / 3.0 * self.shear_modulus * math.sqrt(self.tip_radius) * deep**1.5)
+        of_model = self.estimate_force_error(0.0, age)
+        return min(largest + (of_model if math.isfinite(of_model) else 0.0),
                    self.estimate_force_error(distance, age, depth, tangent))

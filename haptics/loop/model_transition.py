@@ -108,12 +108,25 @@ class ModelTransition:
         expected = correction.compute_omitted_wrench(old.pose, pose)
         if any(after.wrench):
             correction.apply_secant_update(missed, old.pose, new.pose)
+            if new.tangent_pose != old.tangent_pose:
+                self._scale_correction_to_new_tangent(old, new)
             self.update_error_estimate(add_screws(expected, scale_screw(-1.0, missed)), old, last)
         else:
             correction.reset()
         omitted = correction.compute_omitted_wrench(new.pose, pose)
         for part in (expected, scale_screw(-1.0, missed), scale_screw(-1.0, omitted)):
             self.offset = add_screws(self.offset, part)
+
+    def _scale_correction_to_new_tangent(self, old: CondensedBulk, new: CondensedBulk) -> None:
+        """Reduce the correction when a model has a new tangent, which includes a part of the learned stiffness.
+
+        The stiffness that a tangent omits grows in proportion to the distance from its pose. The correction was learned
+        at the distance of the old model from its tangent, plus half of the motion between the models.
+        """
+        between = 0.5 * self._stepper.compute_max_contact_point_travel(motion(old.pose, new.pose))
+        before, after = (between + self._compute_distance_from_tangent_pose(model) for model in (old, new))
+        if after < before:
+            self._correction.rates *= after / before
 
     def update_error_estimate(self, missed: Screw, old: CondensedBulk, pose: Pose) -> None:
         """Update the error estimate with the difference of the newest model and the model before.
@@ -130,7 +143,7 @@ class ModelTransition:
             self.estimate.update_estimate(
                 self._compute_max_equivalent_force(missed), self.compute_distance_from_model(old, pose),
                 self.compute_distance_from_model(old, new.pose), new.time, new.time - old.time,
-                self.compute_distance_from_model(new, pose))
+                self.compute_distance_from_model(new, pose), from_rest=not old.has_contact)
 
     def _compute_max_equivalent_force(self, wrench: Screw) -> float:
         """Return the larger of two magnitudes of a wrench, N: its force, and its torque / contact radius."""
@@ -177,20 +190,18 @@ class ModelTransition:
         offset = self._compute_max_equivalent_force(self.offset)
         depth = self._stepper.surface.start.position[2] - pose.position[2]
         evaluate = estimate.estimate_force_error if is_loaded else estimate.estimate_error_of_zero_force
-        error = evaluate(distance, age, depth, self._distance_from_tangent_pose)
+        error = evaluate(distance, age, depth, self._compute_distance_from_tangent_pose(newest))
         if self._has_friction:
             error = self._largest_error = max(error, self._largest_error if is_loaded else 0.0)
         error += offset
         is_trusted = not is_loaded or distance <= estimate.short
         return error, offset if math.isinf(error) and is_trusted else error
 
-    @property
-    def _distance_from_tangent_pose(self) -> float:
-        """Distance, m, of the newest model's pose from the pose at which its tangent was assembled; 0 without contact.
+    def _compute_distance_from_tangent_pose(self, model: CondensedBulk) -> float:
+        """Return the distance, m, of the pose of a model from that of its tangent; 0 without contact.
 
         A tangent that was assembled in the air is that of the pose of the touch.
         """
-        model = self._newest_model
         if not model.has_contact:
             return 0.0
         distance = self._stepper.compute_max_contact_point_travel(motion(model.tangent_pose, model.pose))

@@ -70,7 +70,27 @@ def test_a_force_of_zero_is_wrong_by_at_most_a_flat_punch_on_undeformed_tissue()
     # Near the pose of the model the error by linearisation is smaller.
     near = estimate.estimate_error_of_zero_force(1e-4, 0.0, 5e-4, 0.0)
     assert near == pytest.approx(estimate.estimate_force_error(1e-4, depth=5e-4))
-    assert math.isinf(LinearisationError(RADIUS, MODULUS).estimate_error_of_zero_force(0.0, 0.0, 1e-3, 0.0))
+    # Before two models were compared, only the force on undeformed tissue is known.
+    new = LinearisationError(RADIUS, MODULUS)
+    assert new.estimate_error_of_zero_force(2e-3, 0.0, 1e-5, 0.0) == pytest.approx(punch * 1e-5)
+    assert new.estimate_error_of_zero_force(2e-3, 0.0, -1e-5, 0.0) == 0.0
+
+
+def test_a_force_of_zero_under_a_ball_is_wrong_by_at_most_hertz():
+    """F = 4/3 E' sqrt(R) depth^(3/2) with E' = 4 mu of an incompressible half space."""
+    tip, depth = 2.0 * RADIUS, 0.05 * RADIUS
+    hertz = 4.0 / 3.0 * 4.0 * MODULUS * math.sqrt(tip) * depth**1.5
+    assert hertz < 8.0 * MODULUS * RADIUS * depth
+    new = LinearisationError(RADIUS, MODULUS, tip)
+    assert new.estimate_error_of_zero_force(2e-3, 0.0, depth, 0.0) == pytest.approx(hertz)
+
+
+def test_the_first_model_with_contact_has_twice_the_error():
+    """The Newton step from the undeformed tissue is long and may reduce the error by a third only."""
+    later, first = LinearisationError(RADIUS, MODULUS), LinearisationError(RADIUS, MODULUS)
+    later.update_estimate(0.02, 2e-3, 1e-3, 1.0, 0.1)
+    first.update_estimate(0.02, 2e-3, 1e-3, 1.0, 0.1, from_rest=True)
+    assert first.estimate_force_error(0.0) == pytest.approx(2.0 * later.estimate_force_error(0.0))
 
 
 def test_a_tangent_of_an_earlier_pose_adds_an_error_that_is_linear_in_the_distance():
