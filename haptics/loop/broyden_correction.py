@@ -68,6 +68,20 @@ class BroydenCorrection:
             residual = np.array(missed) - self.rates @ step
             self.rates += BROYDEN.relaxation / square * np.outer(residual, self._scale * scaled)
 
+    def reduce_for_new_tangent(self, before: float, after: float, between: float) -> None:
+        """Reduce the rates when a model has a new tangent, which includes a part of the stiffness that they describe.
+
+        The stiffness that a tangent omits grows in proportion to the distance from its pose. The rates were learned at
+        the distance of a model from its tangent plus half of the motion between two models.
+
+        Args:
+            before: distance between the poses of the old model and of its tangent, m.
+            after: distance between the poses of the new model and of its tangent, m.
+            between: distance between the poses of the two models, m.
+        """
+        if after < before:
+            self.rates *= (after + 0.5 * between) / (before + 0.5 * between)
+
     def compute_omitted_wrench(self, model: Pose, pose: Pose) -> Screw:
         """Return the wrench to add to that of a model at another pose, N and N m: the rates times the motion.
 

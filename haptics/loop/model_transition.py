@@ -109,24 +109,16 @@ class ModelTransition:
         if any(after.wrench):
             correction.apply_secant_update(missed, old.pose, new.pose)
             if new.tangent_pose != old.tangent_pose:
-                self._scale_correction_to_new_tangent(old, new)
+                correction.reduce_for_new_tangent(self._compute_distance_from_tangent_pose(old),
+                                                  self._compute_distance_from_tangent_pose(new),
+                                                  self._stepper.compute_max_contact_point_travel(
+                                                      motion(old.pose, new.pose)))
             self.update_error_estimate(add_screws(expected, scale_screw(-1.0, missed)), old, last)
         else:
             correction.reset()
         omitted = correction.compute_omitted_wrench(new.pose, pose)
         for part in (expected, scale_screw(-1.0, missed), scale_screw(-1.0, omitted)):
             self.offset = add_screws(self.offset, part)
-
-    def _scale_correction_to_new_tangent(self, old: CondensedBulk, new: CondensedBulk) -> None:
-        """Reduce the correction when a model has a new tangent, which includes a part of the learned stiffness.
-
-        The stiffness that a tangent omits grows in proportion to the distance from its pose. The correction was learned
-        at the distance of the old model from its tangent, plus half of the motion between the models.
-        """
-        between = 0.5 * self._stepper.compute_max_contact_point_travel(motion(old.pose, new.pose))
-        before, after = (between + self._compute_distance_from_tangent_pose(model) for model in (old, new))
-        if after < before:
-            self._correction.rates *= after / before
 
     def update_error_estimate(self, missed: Screw, old: CondensedBulk, pose: Pose) -> None:
         """Update the error estimate with the difference of the newest model and the model before.

@@ -1,5 +1,7 @@
 """Broyden correction of the stiffness that linearised models omit."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -33,6 +35,29 @@ def test_on_a_straight_path_the_correction_reduces_the_error_to_a_third():
         learned.append(abs(truth(there) - model(here, there) - omitted[2]))
         assert omitted[:2] == (0.0, 0.0)
     assert np.mean(learned[5:]) < np.mean(plain[5:]) / 3.0
+
+
+def test_a_new_tangent_includes_the_stiffness_that_was_learned_with_the_old_one():
+    """Models with the tangent of 0.5 mm until 3 mm, then with that of 2.9 mm; the tool turns back by 0.3 mm."""
+    def tangent_model(tangent, at, z):
+        return truth(at) + (50.0 + 8e3 * abs(tangent)) * (z - at)
+
+    correction, poses, stale, fresh = BroydenCorrection(RADIUS), np.linspace(-1e-3, -3e-3, 11), -0.5e-3, -2.9e-3
+    for last, here in pairwise(poses):
+        missed = tangent_model(stale, here, here) - tangent_model(stale, last, here)
+        correction.apply_secant_update((0.0, 0.0, missed, 0.0, 0.0, 0.0), Pose((0.0, 0.0, last)),
+                                       Pose((0.0, 0.0, here)))
+
+    def compute_error(z):
+        omitted = correction.compute_omitted_wrench(Pose((0.0, 0.0, poses[-1])), Pose((0.0, 0.0, z)))[2]
+        return abs(truth(z) - tangent_model(fresh, poses[-1], z) - omitted)
+
+    as_learned = compute_error(-2.7e-3)
+    correction.reduce_for_new_tangent(abs(poses[-1] - stale), abs(poses[-1] - fresh), 0.2e-3)
+    assert compute_error(-2.7e-3) < 0.1 * as_learned
+    kept = correction.rates.copy()
+    correction.reduce_for_new_tangent(1e-4, 2e-3, 0.2e-3)
+    np.testing.assert_array_equal(correction.rates, kept)
 
 
 @given(st.lists(st.floats(-100.0, 100.0), min_size=6, max_size=6), st.lists(st.floats(-1e-3, 1e-3), min_size=3,
