@@ -270,6 +270,7 @@ def listed(loads, list_below=False):
 LISTED = ((25.0, 30.0), (30.0, 36.0), (21.25, 25.5))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("list_below", [False, True])
 def test_each_table_has_its_row_in_a_list_of_sizes(tmp_path, list_below):
     path = put(tmp_path, listed([load_mN(*sizes) for sizes in LISTED], list_below))

@@ -112,6 +112,7 @@ class TestProblem:
                           - problem.evaluate(theta - step).sum_of_squares) / (2 * width)
             assert gradient[i] == pytest.approx(difference, rel=1e-4)
 
+    @pytest.mark.slow
     def test_gradient_is_exact_where_offsets_are_far(self, plates):
         """A touch at 0.3 mm where 0.03 mm is stated: there the force and its derivatives are extrapolated linearly."""
         depth = np.linspace(0.0, 0.010, 81)
@@ -152,6 +153,7 @@ class TestProblem:
             total += r @ np.linalg.solve(V, r)
         assert problem.evaluate(theta).sum_of_squares == pytest.approx(total, rel=1e-8)
 
+    @pytest.mark.slow
     def test_carried_mesh_error_does_not_pull_the_moduli(self, plates):
         """Many samples and a large carried error: modes made of the noisy data would lower C10 by several percent."""
         depth = np.linspace(0.0, 0.010, 1001)

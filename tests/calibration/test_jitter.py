@@ -82,6 +82,7 @@ def test_the_variances_are_recovered_in_the_mean(curves, replicates, trials):
     assert np.mean([one.zero**2 for one in found]) == pytest.approx(ZERO**2, rel=1.4 * error)
 
 
+@pytest.mark.slow
 def test_coloured_noise_is_not_taken_for_jitter():
     noise = SensorNoise(0.02, 2.0)
     trials = 60

@@ -159,6 +159,7 @@ def test_methods_that_disagree_on_the_same_recordings_are_compared(tmp_path):
     assert not again, "one method agrees with itself"
 
 
+@pytest.mark.slow
 def test_samples_cut_at_a_failure_are_no_holds_and_returns(tmp_path):
     time, rng = np.linspace(0.0, 20.0, 200), np.random.default_rng(0)
     displacement = 0.5e-3 * time

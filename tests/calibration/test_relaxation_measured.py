@@ -48,6 +48,7 @@ def test_ramp_and_hold_in_shear(adhesive, name, fit_relaxation):
     assert 10e3 < found.material.mu0 < 40e3
 
 
+@pytest.mark.slow
 def test_form_b_does_not_follow_five_steps_to_shear_10(adhesive, fit_relaxation):
     """The overstress of form b is too stiff at shear 10, so that a fit of all steps misses by several per cent."""
     whole, first = stepped(adhesive, "shear_relaxation_1")

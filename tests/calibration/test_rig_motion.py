@@ -77,6 +77,7 @@ def evaluated(test, space, solves, values, offset=0.0):
     return test.evaluate_force_and_derivatives(test.solve(space, theta, solves), 0, offset)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "tool"), [("lubricated_compression", ""), ("bonded_compression", ""), (
     "needle_indentation", 'tool = "flat"\ntool_radius_mm = 4.0')])
 def test_position_curve_agrees_with_simulation_of_the_whole_motion(tmp_path, kind, tool):

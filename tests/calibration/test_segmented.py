@@ -55,6 +55,7 @@ def fitted(folder, keys="", **options):
     return result
 
 
+@pytest.mark.slow
 def test_a_fit_that_begins_in_air_is_warned_of(tmp_path):
     compress(tmp_path)
     result = fitted(tmp_path)

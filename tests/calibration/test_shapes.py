@@ -183,6 +183,7 @@ def test_the_force_on_a_block_follows_its_sizes():
     assert answer.values[-1, 2] == pytest.approx(slope, rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [{}, {"viscoelastic": ts.Prony((ts.PronyTerm(0.3, 5.0),))},
                                   {"softening": ts.Softening(loss=0.3, modulus=10.0)}])
 def test_where_any_mesh_is_exact_eight_elements_are_enough(more):

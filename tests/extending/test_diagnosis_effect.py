@@ -18,6 +18,7 @@ def cable(plugin, registers):
     return registers(CATALOGUE, module.CablePull)
 
 
+@pytest.mark.slow
 def test_effect_scores_highest_where_it_acts(cable, tmp_path):
     """A cable of 20 N/m in tests of 200 to 900 N/m scores higher than the other effects of the rig."""
     values = {"rig.faults.cable_spring.stiffness": 20.0}

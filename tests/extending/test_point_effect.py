@@ -156,6 +156,7 @@ def test_newton_converges_quadratically(branch):
         assert after < 30.0 * before**2 or after < 1e-2 * before
 
 
+@pytest.mark.slow
 def test_simulator_remembers_saves_and_restores(branch):
     """Step by step the forces of the built-in term, and bit for bit the same again from a saved state."""
     plugin, own = (ts.Simulator(needle(stuff), inertia="off", tolerance=1e-9)

@@ -507,6 +507,7 @@ def test_a_build_that_takes_long_can_be_stopped(tissues):
     assert not loop.alive and loop.report is None and not loop.ring_path.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc")
 @pytest.mark.parametrize("what", ["parent", "building"])
 def test_no_loop_outlives_its_parent(what, tmp_path):

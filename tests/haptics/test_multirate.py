@@ -110,6 +110,7 @@ def test_the_same_motion_gives_the_same_forces_also_after_a_reset():
     assert [delayed_answer.wrench for delayed_answer in map(delayed().step, poses, [DT] * len(poses))] == first
 
 
+@pytest.mark.slow
 def test_a_model_that_is_too_old_is_no_equilibrium_any_more():
     class Dead(DelayedBulk):
         def receive_model(self, now):
@@ -409,6 +410,7 @@ def test_every_part_of_an_answer_has_its_age():
     assert 0.0 <= answer.error_age < 0.1
 
 
+@pytest.mark.slow
 def test_a_bulk_that_is_killed_is_late_and_can_be_closed():
     tested = model()
     tissue = MultiRateTissue(tested, link=BulkProcess(tested, mesh=MESH), waits=True)

@@ -77,6 +77,7 @@ def test_forces_equal_those_of_felupe(felupe_problem, element, pressure, held, l
     np.testing.assert_allclose(forces, theirs, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [13 / 6, 50.0, 1e5])
 @pytest.mark.parametrize(("element", "pressure"), [(Q4P0, "P0"), (Q9P1, "P-1")], ids=["Q4/P0", "Q9/P-1"])
 def test_forces_equal_over_the_range_of_bulk_moduli(felupe_problem, element, pressure, ratio):

@@ -61,6 +61,7 @@ def test_a_foreign_client_takes_our_units():
     assert sample.force[2] == pytest.approx(LOAD[2] / 4.4482216152605, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_foreign_client_and_ours_count_the_same_losses():
     """Each on an emulator with the same faults, of the same seed."""
     faults = Faults(loss=0.1, duplicate=0.05, seed=5)

@@ -81,6 +81,7 @@ def test_needle_is_drawn_on_the_surface(weight, overrides):
     assert len(at_shaft) and at_shaft[:, 0].min() > 7.98
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("specimen", [ts.Specimen(0.04, 0.07), ts.Specimen(0.05, 0.03)], ids=["tall", "flat"])
 def test_needle_and_its_reference_are_drawn(specimen, tmp_path):
     recording, model = simulated("needle_indentation", specimen, fields=True)

@@ -108,6 +108,7 @@ def simulations(folder):
     return {path.name for path in (folder / "solves").iterdir()}
 
 
+@pytest.mark.slow
 def test_json_contains_the_whole_iteration_table(joint, tmp_path, capsys):
     assert run(joint, "-o", tmp_path / "out", "--json") == 0
     stdout, stderr = capsys.readouterr()

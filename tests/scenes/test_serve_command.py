@@ -95,6 +95,7 @@ def test_force_agrees_with_the_reference_curve(client, reference):
     assert reply.stiffness[2][2] == pytest.approx(slope, rel=0.01)
 
 
+@pytest.mark.slow
 def test_fast_tool_has_inertial_force(client):
     client.step(0.0, at=0.0, reset=True)
     assert client.step(0.0001, at=0.001).flags == 1

@@ -153,6 +153,7 @@ def test_the_bulging_specimen_touches_the_plates(material, capsys):
     assert answer["force_N"][-1] == pytest.approx(31.96, rel=0.01) and answer["warnings"] == []
 
 
+@pytest.mark.slow
 def test_a_large_force_error_gives_a_warning_in_both_outputs(tmp_path, capsys):
     ts.write_material_file(ts.MaterialFile.of(ts.Material("neo_hooke", {"C10": 13989.0}, ts.Bulk("bulk_ratio", 740.0))),
                            tmp_path / "m.material.json")

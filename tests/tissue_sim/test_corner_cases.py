@@ -66,6 +66,7 @@ class TestProfiles:
 
 
 class TestSensitivitiesAtTheEndOfTheRange:
+    @pytest.mark.slow
     def test_friction_at_none(self):
         """One-sided, and not half of it."""
         slope = ts.sensitivities(ts.Model(experiment(friction="frictionless", friction_base="frictionless"), MATERIAL),

@@ -76,6 +76,7 @@ def test_a_table_with_separators_gives_the_numbers_that_were_written(tmp_path, s
     np.testing.assert_allclose(recording.force, 1e-3 * np.round([row[2] for row in ROWS], places[2]), rtol=1e-12)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(style=st.sampled_from(STYLES), places=st.tuples(*[st.integers(0, 4)] * 3), size=st.integers(6, 60),
        largest=st.floats(1.0, 1e6), seed=st.integers(0, 99), noise=st.floats(0.0, 0.02), start=st.floats(0.0, 2.0))

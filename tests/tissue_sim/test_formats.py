@@ -241,6 +241,7 @@ def test_instron_with_fewer_lines_above_and_a_bad_cell(tmp_path):
     assert "no column 'Load'; did you mean 'Lod (N)'" in error.problem
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(position=st.integers(0, len(INSTRON) - 1), text=st.text(max_size=5), cut=st.integers(0, 30))
 def test_a_damaged_instron_file_is_read_or_refused(tmp_path, position, text, cut):
@@ -315,6 +316,7 @@ def test_every_format_refuses_a_file_of_another_kind(tmp_path):
 
 
 
+@pytest.mark.slow
 def test_ecoflex_compression(data_folder):
     files = sorted((data_folder / "ecoflex_compression").glob("EF*.csv"))
     assert len(files) == 32

@@ -246,6 +246,7 @@ class TestStepping:
         np.testing.assert_allclose(*forces, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", [Q9P1, Q4P0], ids=lambda e: e.name)
 def test_tangent_is_the_derivative_of_the_residual(element):
     """Every column of the condensed tangent of a relaxing, softened state, layers included, against central

@@ -47,6 +47,7 @@ def test_the_check_sees_what_is_no_equilibrium(random):
     assert {"residual"} <= set(check.found.faults)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [15, 23, 62, 95])
 def test_nothing_is_made_of_nothing(random, seed):
     """Tissue gives back no more than was put in."""

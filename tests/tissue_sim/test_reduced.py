@@ -95,6 +95,7 @@ class TestStrokes:
         np.testing.assert_allclose(second.displacements, first.displacements, rtol=0, atol=1e-17)
 
 
+@pytest.mark.slow
 class TestForces:
     @pytest.mark.slow
     def test_held_tissue_on_unseen_strokes(self, finely_held):
@@ -456,6 +457,7 @@ def test_layers_that_it_was_not_made_of_are_refused(held):
         ts.Simulator(replace(held.model, material=layered), solver="reduced", mesh=held)
 
 
+@pytest.mark.slow
 def test_a_smooth_motion_needs_few_further_looks(held):
     """What the last step left and what its prediction missed are in the next one, and go back with the state."""
     def pose(tick: int) -> ts.Pose:

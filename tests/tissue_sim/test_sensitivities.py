@@ -75,6 +75,7 @@ def assert_exact(model, names=None, rel=1e-5):
     return answer, compared / (len(answer.names) * len(answer.recording))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [
     {}, {"friction": "frictionless", "friction_base": "frictionless"}, {"tool": ts.Tool("flat", 8e-3)},
     {"friction": 0.1, "friction_base": 0.1}, {"friction": 0.4, "friction_base": 0.2},

@@ -65,6 +65,7 @@ class TestBondedCompression:
         ("neo_hooke", {"C10": 1461.6}, 8.92), ("mooney_rivlin", {"C10": 624.3, "C01": 746.1}, 9.17),
         ("ogden_1", {"mu1": 3225.9, "alpha1": 14.8}, 10.9),
     ])
+    @pytest.mark.slow
     def test_other_laws(self, law, parameters, force):
         recording = ts.simulate(model(law=law, parameters=parameters), resolution="accurate")
         assert recording.force[-1] == pytest.approx(force, rel=7e-3)  # the reference has three digits

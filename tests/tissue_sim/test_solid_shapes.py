@@ -134,6 +134,7 @@ def test_a_ball_off_the_apex_is_pushed_along_the_line_of_centres():
     assert ty == pytest.approx(ball * fx, rel=0.01) and max(abs(tx), abs(tz)) < 1e-9 * fz
 
 
+@pytest.mark.slow
 def test_a_shell_that_moves_as_a_whole_feels_nothing():
     mesh = SHELL.solid_mesh(Grading(HEX27P1, 6e-3, 2.2, 20e-3, 2, radius=6e-3, centre=(0.01, 0.0)))
     solver = SolidSolver(mesh, MATERIAL, {}, np.union1d(mesh.sets["top"], mesh.sets["base"]), start=Pose.at_depth(0.0))

@@ -26,6 +26,7 @@ def scores(study, names):
     return found
 
 
+@pytest.mark.slow
 def test_scores_are_small_without_effects(plain):
     found = scores(plain, CHEAP)
     assert len(found) > 15 and max(map(abs, found.values())) < 4.0
@@ -72,6 +73,7 @@ def test_adhesion_is_identified_beyond_first_contact(tmp_path, monkeypatch):
     assert found["adhesion"] == max(found.values()) > 5.0, found
 
 
+@pytest.mark.slow
 def test_inertia_is_identified_at_high_speed(tmp_path, monkeypatch):
     """A tool of 0.3 kg starts at 60 mm/s; the force step at the end of the ramp is inertia and not tissue failure."""
     monkeypatch.setattr("virtual_campaign.PROTOCOL",

@@ -39,6 +39,8 @@ LOAD = (1.0, -2.0, 3.0, 0.1, 0.2, -0.3)
 COUNTS = (100, -200, 300, 400, 800, -1200)
 #: Longest wait of a test, s; reached only if the test hangs.
 LONG = 60.0
+#: Time for which `start` observes the records, s: about three records of the slowest line.
+SHORT = 0.15
 
 
 def six(time):
@@ -61,7 +63,8 @@ def patience(monkeypatch):
     """Long waits by default, because the emulator may pause for a second on a busy machine; ``patience(seconds)`` sets
     the wait of a test that expects it to end."""
     def patience(seconds):
-        monkeypatch.setattr(ati_serial, "TIMING", replace(ati_serial.TIMING, patience=seconds, silence=seconds))
+        monkeypatch.setattr(ati_serial, "TIMING", replace(ati_serial.TIMING, patience=seconds, silence=seconds,
+                                                        observation=SHORT))
 
     patience(LONG)
     return patience
@@ -249,6 +252,7 @@ def test_commands_of_the_manual(emulator):
     line.close()
 
 
+@pytest.mark.slow
 def test_a_stream_left_by_another_program_is_ended(emulator):
     for mode in (b"CD A\r", b"CD B\r"):
         line = SerialLine(emulator.path, 9600, "the test")
@@ -345,6 +349,7 @@ def test_another_device_at_the_port_raises(answer, unasked, sentence, mode, pati
         SerialLine(other.path, 9600, "the test").close()
 
 
+@pytest.mark.slow
 def test_an_answer_without_a_prompt_raises(emulator, monkeypatch, patience):
     patience(1.0)
     answer = emulator._execute_command
@@ -369,6 +374,7 @@ def test_a_silent_controller_raises(emulator, monkeypatch, mode):
     sensor.stop()
 
 
+@pytest.mark.slow
 def test_text_instead_of_records_raises_and_is_quoted(emulator, monkeypatch):
     """Some controllers report a saturated or disconnected sensor in words."""
     sensor = open_sensor(emulator.address)

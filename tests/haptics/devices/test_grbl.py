@@ -122,6 +122,7 @@ def test_a_hung_program_sends_no_more_jogs(emulator, clock, monkeypatch):
     stage.stop()
 
 
+@pytest.mark.slow
 def test_a_halt_while_homing_leaves_the_zero_unknown(clock):
     with GrblEmulator(bench(start_at=0.008, clock=clock), Faults()) as emulator:
         stage = open_stage(emulator.address)

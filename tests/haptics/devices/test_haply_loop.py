@@ -54,6 +54,7 @@ def loop_with(address, seconds=None):
                        LoopSettings(seconds=seconds, real_time=False))
 
 
+@pytest.mark.slow
 def test_the_loop_renders_the_tissue_to_the_device(other_process):
     with loop_with(other_process.address, seconds=1.5) as loop:
         loop.wait_until_ready()

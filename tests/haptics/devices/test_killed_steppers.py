@@ -39,6 +39,7 @@ SPEED = 0.002
     # The queue limits the distance, not the time.
     ("grbl:", 0.0),
 ])
+@pytest.mark.slow
 def test_the_motor_stops_soon_after_a_kill(protocol, late, root):
     with open_emulator(protocol, bench(highest=HIGHEST, speed=SPEED)) as emulator:
         program = subprocess.Popen([sys.executable, "-c", PROGRAM, emulator.address], stdout=subprocess.PIPE, text=True,

@@ -347,6 +347,7 @@ def test_a_grbl_in_place_of_a_tic_is_identified(clock):
         open_tic(emulator.path + ",steps_per_mm=800").start()
 
 
+@pytest.mark.slow
 def test_a_silent_line_raises_and_stops_the_motor(clock):
     with TicEmulator(bench(clock=clock), Faults(disconnect_after=0.5), timeout=0.3) as emulator:
         stage = homed(emulator, clock)

@@ -67,6 +67,7 @@ def test_recordings_contain_the_errors_of_the_rig(bench, rig):
     assert np.median(excess[unloading]) == pytest.approx(STIFFNESS * rig.backlash, abs=6e-3)
 
 
+@pytest.mark.slow
 def test_a_sensor_with_negative_sign(bench):
     bench.run(plan=bench.plan(sign=-1), sign=-1, channels=("Fx", "Fy", "Fz", "Tx", "Ty", "Tz"))
     recording = read_recording(bench.folder / "spring_1.csv")
@@ -133,6 +134,7 @@ def test_each_fault_stops_the_stage_and_records_the_reason(bench, cause, changes
         assert len(read_recording(partial[0])) > 5
 
 
+@pytest.mark.slow
 def test_a_stall_without_encoder_ends_without_contact(bench):
     with pytest.raises(StoppedError) as caught:
         bench.run(faults=Faults(stall_after=4.0), encoder=False)

@@ -112,6 +112,7 @@ def test_the_live_force_equals_the_force_of_the_simulator(needle_loop, needle, u
     assert len(meshes) == 1, "pictures look at a mesh once"
 
 
+@pytest.mark.slow
 def test_a_pause_holds_the_tool(needle_loop, until):
     simulation = needle_loop.simulation
     simulation.send_command_and_wait("aim", depth=1e-3)

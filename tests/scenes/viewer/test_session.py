@@ -211,6 +211,7 @@ def test_reset_clears_trace_and_deformation(session, until):
     assert frame.curves.trace.depth.max() == 0.0 and frame.readouts.force == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_replay_repeats_the_measured_motion(session, measured, until):
     assert done(session, "replay") is None
     way = make_first_cycle_motion_protocol(measured.measurement)
@@ -379,6 +380,7 @@ def test_unchanged_curves_are_the_same_objects(session, until):
     assert all(each is settled for each in seen)
 
 
+@pytest.mark.slow
 def test_run_shows_frames_until_it_is_stopped(session):
     stop = threading.Event()
 
