@@ -21,7 +21,7 @@ def call_stop_at_signals(stop: Callable[[], None], *, ignore_repeats: bool = Fal
     """
     previous: dict[int, Any] = {}
 
-    def handle_signal_by_calling_stop(number: int, _: Any) -> None:
+    def call_stop_and_restore_previous_handler(number: int, _: Any) -> None:
         """Call `stop`; unless `ignore_repeats`, restore the previous handler of this signal."""
         stop()
         if not ignore_repeats:
@@ -29,7 +29,7 @@ def call_stop_at_signals(stop: Callable[[], None], *, ignore_repeats: bool = Fal
 
     hang_up = [signal.SIGHUP] if ignore_repeats and hasattr(signal, "SIGHUP") else []
     for number in (signal.SIGINT, signal.SIGTERM, *hang_up):
-        previous[number] = signal.signal(number, handle_signal_by_calling_stop)
+        previous[number] = signal.signal(number, call_stop_and_restore_previous_handler)
     try:
         yield
     finally:

@@ -133,7 +133,8 @@ class Registry(Mapping[str, T], Generic[T]):
             InputError: no object of this name was registered.
         """
         if name not in self._added:
-            raise InputError(f"no {self.what} {name!r} was registered in this process", field=self.group)
+            raise InputError(f"{name!r} cannot be removed: this process has registered no {self.what} of this name; "
+                             "only entries that register() added can be removed", field=self.group)
         del self._added[name], self._things[name]
 
 

@@ -232,7 +232,7 @@ class EquilibriumCheck:
         memory, stresses, law = solver.equations.memory, None, None
         if self.model.material.viscoelastic is not None:
             ratio = self.model.material.instantaneous_over_law_modulus_ratio
-            stresses, law = memory.compute_committed_relaxed_stress(), memory.stresses / ratio
+            stresses, law = memory.compute_committed_stress_with_relaxation(), memory.stresses / ratio
         *_, rounding = solver.equations.settings[:7].tolist()
         self.check(solver.state, solver.depth, rounding, stresses, law)
 

@@ -31,7 +31,7 @@ class Inertia(Effect):
         """Return the candidates with the trial mass if its inertial force would be detectable."""
         tests = require_tests(situation.simulated_tests(lambda test: "inertia" not in test.rig.faults),
                               "the rig states the mass of its tool already")
-        fastest = situation.fastest_speed(tests)
+        fastest = situation.find_largest_loading_speed(tests)
         # Acceleration from rest to the largest speed v within 1 % of the displacement d: a = v^2 / (2 * 0.01 d).
         acceleration = fastest**2 / (0.02 * min(map(situation.largest_displacement, tests)))
         quietest = min(curve.noise.deviation for curve in situation.fitted_curves(tests))

@@ -18,6 +18,6 @@ class Latency(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidates with a latency above the stated one."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
-        fastest = situation.fastest_speed(tests)
+        fastest = situation.find_largest_loading_speed(tests)
         size = self.trial_fraction * min(map(situation.largest_displacement, tests)) / fastest
         return rig_parameter_candidates(self, situation, "rig.latency", tests, lambda _: size, two_sided=False)

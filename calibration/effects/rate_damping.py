@@ -18,7 +18,7 @@ class RateDamping(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidates with a damping above the stated one."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
-        fastest = situation.fastest_speed(tests)
+        fastest = situation.find_largest_loading_speed(tests)
         return rig_parameter_candidates(
             self, situation, "rig.rate_damping", tests,
             lambda group: self.trial_fraction * min(map(situation.largest_force, group)) / fastest, two_sided=False)

@@ -52,6 +52,7 @@ class Situation:
                      and not self.measured[test.name][0].stressed and condition(test))
 
     simulated = OldName("simulated_tests")
+    fastest_speed = OldName("find_largest_loading_speed")
     curves = OldName("fitted_curves")
     step_and_duration = OldName("sampling_interval_and_duration")
     require_new = OldName("require_unused_parameter")
@@ -133,7 +134,7 @@ class Situation:
         return any(float(np.max(np.maximum.accumulate(curve.displacement) - curve.displacement))
                    > UNLOADING_FRACTION * self.largest_displacement(test) for curve in self.measured[test.name])
 
-    def fastest_speed(self, tests: Iterable[Test]) -> float:
+    def find_largest_loading_speed(self, tests: Iterable[Test]) -> float:
         """Return the largest loading speed in some tests, m/s.
 
         Raises:

@@ -125,7 +125,7 @@ def _update_mesh_corrections_and_errors_of_problem(problem: GeneralisedProblem, 
             found.append(test.update_mesh_force_difference_and_get_ratio(problem.space, theta, problem.solves))
             errors.append(compute_mesh_uncertainty(test, ACCURATE_MESH_ERRORS))
         except InfeasibleError:
-            test.remove_mesh_force_difference()
+            test.discard_mesh_correction()
             found.append(float("nan"))
             errors.append(compute_mesh_uncertainty(test, FAST_MESH_ERRORS))
             warning = f"{test.name}: the accurate mesh does not converge, so the error of the fast mesh is used"

@@ -175,7 +175,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
             found.update_mesh_force_difference_and_get_ratio(predictor.space, predictor.theta, self.solves)
             error = ACCURATE_MESH_ERRORS
         except InfeasibleError:
-            found.remove_mesh_force_difference()
+            found.discard_mesh_correction()
             error = FAST_MESH_ERRORS
         return found, compute_mesh_uncertainty(found, error)
 

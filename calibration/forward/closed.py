@@ -294,14 +294,14 @@ class ClosedFormTest:
 
     def convert_displacement_to_stretch_or_shear(self, displacement: np.ndarray) -> np.ndarray:
         """Return the stretch (in shear: the shear strain) at displacements in m; same shape as the displacements."""
-        return self.kind.convert_nominal_strain_to_abscissa(displacement / self.height)
+        return self.kind.convert_nominal_strain_to_stretch_or_shear_strain(displacement / self.height)
 
     def update_mesh_force_difference_and_get_ratio(self, space: ParameterSpace, theta: np.ndarray,
                                                    solves: SimulationCache) -> float:
         """Return 0 and change nothing: a closed form has no mesh error."""
         return 0.0
 
-    def remove_mesh_force_difference(self) -> None:
+    def discard_mesh_correction(self) -> None:
         """Do nothing: a closed form has no mesh correction."""
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:

@@ -126,7 +126,7 @@ class ForwardTest(Protocol):
             The largest absolute difference divided by the largest force; 0 if every mesh is exact.
         """
 
-    def remove_mesh_force_difference(self) -> None:
+    def discard_mesh_correction(self) -> None:
         """Delete the stored mesh correction, so that forces are those of the fast mesh."""
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:

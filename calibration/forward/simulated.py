@@ -224,7 +224,7 @@ class SimulatedTest(SimulatedMotions):
         """
         values, found, largest = space.values(theta), [], 0.0
         if self.is_homogeneous:
-            self.remove_mesh_force_difference()
+            self.discard_mesh_correction()
             return 0.0
         rigid = self.can_use_position_curve_at_parameters(space, theta)
         loading = self._build_loading_to_deepest_tool_position(Rig()) if rigid else None
@@ -270,7 +270,7 @@ class SimulatedTest(SimulatedMotions):
         except InfeasibleError:
             self.mesh_error = AccurateMeshErrorOverDepth.make_unknown_error_without_knots()
 
-    def remove_mesh_force_difference(self) -> None:
+    def discard_mesh_correction(self) -> None:
         """Delete the stored mesh correction, so that forces are those of the fast mesh."""
         self.correction, self.position_correction = [], None
 

@@ -212,7 +212,7 @@ def _fit_explanation_or_none(value: str, displacement: np.ndarray, load: np.ndar
 
     def get_squares_and_coefficients_at_shift(trial_shift: float) -> tuple[float, np.ndarray]:
         """Return the sum of squared residuals, N2, and the fitted coefficients for a shift of contact, m."""
-        strain = kind.convert_nominal_strain_to_abscissa((displacement + trial_shift) / height)
+        strain = kind.convert_nominal_strain_to_stretch_or_shear_strain((displacement + trial_shift) / height)
         design = kind.sign * area * form.derivatives(law, strain, ones)
         if value == SENSOR:
             design = np.column_stack([design, np.ones(displacement.size)])

@@ -29,7 +29,7 @@ from calibration.report.views import (
     get_law_trace_or_none,
     have_times_and_several_segments,
     interpolate_force_and_bands_or_none,
-    list_panel_views,
+    list_panels_of_test,
 )
 from tissue_sim.laws import find_law
 
@@ -55,7 +55,7 @@ def draw_test_figure(fits: Sequence[Fit], curves: Mapping[str, TestCurves], unit
     drawn = [(curves[fit.law], fit, style) for fit, style in zip(fits, iterate_line_styles(), strict=False)
              if fit.law in curves]
     best, fit, best_style = drawn[0]
-    shown_views = list_panel_views(best, units)
+    shown_views = list_panels_of_test(best, units)
     figure, axes = create_figure_with_panel_rows([*distribute_panels_over_rows(len(shown_views)), 2],
                                                  LAYOUT.test_row_height)
     band, residual = axes[-2:]

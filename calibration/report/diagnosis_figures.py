@@ -21,7 +21,7 @@ from calibration.report.drawing import (
 from calibration.report.layout import LAYOUT
 from calibration.report.rounding import NORMAL_95, format_criterion_difference, format_odds_number
 from calibration.report.units import ReportUnits
-from calibration.report.views import CurveTrace, have_times_and_several_segments, list_panel_views
+from calibration.report.views import CurveTrace, have_times_and_several_segments, list_panels_of_test
 
 #: Line style of the model without the added effects.
 BEFORE: dict = {"color": MISFIT, "ls": (0, (5, 2))}
@@ -62,7 +62,7 @@ def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequ
     drawn = [(before, "model, nothing added", BEFORE)]
     if after is not None:
         drawn.insert(0, (after, f"model with {label}", AFTER))
-    all_views = list_panel_views(before, units)
+    all_views = list_panels_of_test(before, units)
     timed = have_times_and_several_segments(before.measured)
     # Holds get separate panels: the relaxation in a hold is a small fraction of the whole force range.
     shown = [all_views[0], *(view for view in all_views[1:] if view.log)]

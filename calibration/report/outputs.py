@@ -196,7 +196,7 @@ def _make_cells_of_abscissa_force_and_stress(test: TestCurves, displacement: flo
         return [None, None, *mechanical, *empty]
     sign, height = setup.kind.sign, 1.0 if setup.specimen is None else setup.specimen.height
     name = setup.kind.require_closed_form().label
-    value = setup.kind.convert_nominal_strain_to_abscissa(displacement / height)
+    value = setup.kind.convert_nominal_strain_to_stretch_or_shear_strain(displacement / height)
     if setup.specimen is not None and setup.specimen.specific_weight:
         name = "1 - displacement/height [-]"
     return [name, value, *mechanical, *(sign * force / test.area for force in forces),

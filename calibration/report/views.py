@@ -99,7 +99,7 @@ class PanelLabelsAndLineFunction:
     rates: bool = False
 
 
-def list_panel_views(best: TestCurves, units: ReportUnits) -> list[PanelLabelsAndLineFunction]:
+def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabelsAndLineFunction]:
     """Return the panels in which the curves of a test are drawn.
 
     - Force against displacement, for tests with a specimen.

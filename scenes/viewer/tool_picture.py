@@ -152,7 +152,7 @@ def make_base_plate(specimen: Specimen, opening: WedgeOpening) -> TriangulatedSu
     return _revolve_outline_outside_wedge(outline, replace(opening, cut=0.0))
 
 
-def compute_tool_and_arrow_height(tool: Tool, specimen: Specimen) -> float:
+def compute_height_of_tool_with_longest_arrow(tool: Tool, specimen: Specimen) -> float:
     """Return the height of tool and full-scale arrow above the deepest point of the tool, m."""
     return float(make_tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.arrow_length * specimen.height
 

@@ -248,7 +248,7 @@ def test_mesh_correction_depends_on_tool_position(tmp_path, corners):
     expected = np.where(inside, np.interp(np.maximum(depth, 0), knots, more), 0.0)
     gained = evaluated(test, space, solves, {})[0] - before
     assert np.abs(gained - expected)[inside].max() < 0.02 * np.abs(more).max() + 1e-12
-    test.remove_mesh_force_difference()
+    test.discard_mesh_correction()
     assert evaluated(test, space, solves, {})[0] == pytest.approx(before)
 
 

@@ -108,7 +108,7 @@ class MaterialMemory:
             self.before[:] = self.stresses
         np.maximum(self.largest, self.energies, out=self.largest)
 
-    def compute_committed_relaxed_stress(self) -> np.ndarray:
+    def compute_committed_stress_with_relaxation(self) -> np.ndarray:
         """Return the isochoric stress of the last committed step with relaxation, Pa, shape (elements, q, components).
 
         The second Piola-Kirchhoff stress is (1 - sum g) S + sum Q_i.

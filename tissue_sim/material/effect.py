@@ -135,7 +135,7 @@ class ReducedForceFactor:
 
         The factor is the product over all effects in reduced form. The history is not changed.
         """
-        return self._compute_factor_at(self._make_history_at(depth, dt))
+        return self._multiply_factors_of_all_effects_at(self._make_history_at(depth, dt))
 
     def record_depth_and_get_force_factor(self, depth: float, dt: float = 0.0) -> float:
         """Record a depth, m, reached dt s after the last one, in `history`; return the factor on the force at it.
@@ -143,10 +143,10 @@ class ReducedForceFactor:
         The factor is the product over all effects in reduced form.
         """
         here = self._make_history_at(depth, dt)
-        share, self.history = self._compute_factor_at(here), here
+        share, self.history = self._multiply_factors_of_all_effects_at(here), here
         return share
 
-    def _compute_factor_at(self, here: ToolHistory) -> float:
+    def _multiply_factors_of_all_effects_at(self, here: ToolHistory) -> float:
         """Return the product of the factors of all effects at a point of the history of the tool."""
         return prod([effect.share(here) for effect in self._effects], start=1.0)
 

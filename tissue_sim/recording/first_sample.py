@@ -44,7 +44,7 @@ class FirstSampleExtrapolationSettings:
 _SETTINGS = FirstSampleExtrapolationSettings()
 
 
-class _ChannelAtTimeZero(NamedTuple):
+class _ChannelExtrapolatedToTimeZero(NamedTuple):
     """Value of a channel extrapolated to time 0, with its standard error.
 
     Attributes:
@@ -118,7 +118,7 @@ def _is_first_sample_excluded_by_screening(screening: Screening, name: str) -> b
 
 
 def _try_extrapolating_channel_to_time_zero(clock: np.ndarray, values: np.ndarray, rounding: float,
-                                            most: int) -> _ChannelAtTimeZero | None:
+                                            most: int) -> _ChannelExtrapolatedToTimeZero | None:
     """Extend a channel to time 0 by a line or a parabola through as many first samples as possible.
 
     Args:
@@ -140,8 +140,8 @@ def _try_extrapolating_channel_to_time_zero(clock: np.ndarray, values: np.ndarra
                 continue
             leverage = float(np.linalg.inv(design.T @ design)[0, 0])
             start = float(coefficients[0])
-            return _ChannelAtTimeZero(start, float(design[0] @ coefficients) - start, noise * np.sqrt(1.0 + leverage),
-                                      count)
+            return _ChannelExtrapolatedToTimeZero(start, float(design[0] @ coefficients) - start,
+                                                  noise * np.sqrt(1.0 + leverage), count)
     return None
 
 

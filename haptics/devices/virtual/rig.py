@@ -132,12 +132,15 @@ class HistoryDependentSpecimen:
         """Step the simulation to a time, s, and a depth, m, and return the force, N.
 
         Raises:
-            DeviceError: the simulation refuses the step.
+            DeviceError: the simulation refuses the step, or finds no equilibrium.
         """
         dt = 1e-3 if self._time is None else time - self._time
         self._time = time
         answer = self._simulator.step(depth, max(dt, 1e-6))
         if answer.status is ForceStatus.REFUSED:
+            raise DeviceError(f"the simulated specimen refuses a step to {depth * 1e3:.3g} mm in {dt:.3g} s: depth and "
+                              "time must be finite and within the limits of the simulator; check the stage's motion")
+        if answer.status is ForceStatus.STOPPED:
             raise DeviceError(f"the simulated specimen has no equilibrium at {depth * 1e3:.3g} mm; use a smaller depth")
         return answer.force
 

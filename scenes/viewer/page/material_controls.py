@@ -62,7 +62,7 @@ class MaterialControls:
         self.update_controls(frame)
 
         @self._file.on_update
-        def load_chosen_file_on_update(event: viser.GuiEvent) -> None:
+        def handle_file_choice_by_loading_material(event: viser.GuiEvent) -> None:
             """Load the chosen material file; changes that the program makes are ignored."""
             if event.client is not None and self._file.value != _NONE:
                 self._load_and_post_material(self._folder / self._file.value, event)

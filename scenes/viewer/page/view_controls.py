@@ -12,7 +12,7 @@ from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, compute_preset_camera_p
 from scenes.viewer.frame import SessionFrame
 from scenes.viewer.page.notices import assign_control_value
 from scenes.viewer.page.picture_settings import PictureOptions
-from scenes.viewer.tool_picture import compute_tool_and_arrow_height
+from scenes.viewer.tool_picture import compute_height_of_tool_with_longest_arrow
 
 
 class ViewControls:
@@ -108,7 +108,7 @@ class ViewControls:
         """Return the position and the target of the camera of a preset view, each in browser units, shape (3,)."""
         experiment, snapshot = self._frame.scene.experiment, self._frame.snapshot
         tool_pose = experiment.tool_pose(0.0) if snapshot is None else snapshot.pose
-        above = compute_tool_and_arrow_height(experiment.tool, experiment.specimen)
+        above = compute_height_of_tool_with_longest_arrow(experiment.tool, experiment.specimen)
         pose = compute_preset_camera_pose(preset, experiment.specimen, experiment.tool, tool_pose.depth, above, aspect,
                                           self.options.turn, tool_pose.position[:2])
         return pose.position * self._scale, pose.look_at * self._scale

@@ -6,7 +6,7 @@ import pytest
 import tissue_sim as ts
 from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, compute_preset_camera_pose
 from scenes.viewer.revolution import WedgeOpening
-from scenes.viewer.tool_picture import compute_tool_and_arrow_height, make_base_plate, make_tool_mesh
+from scenes.viewer.tool_picture import compute_height_of_tool_with_longest_arrow, make_base_plate, make_tool_mesh
 
 #: Flat needle.
 NEEDLE = ts.Tool("flat", radius=0.008)
@@ -23,7 +23,7 @@ def drawn(specimen, tool, depth):
     """Points of all drawn parts around an undeformed specimen, m, shape (n, 3)."""
     angles = np.linspace(0.0, 2 * np.pi, 90)
     rim = specimen.radius * np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
-    above = compute_tool_and_arrow_height(tool, specimen)
+    above = compute_height_of_tool_with_longest_arrow(tool, specimen)
     return np.concatenate([rim, rim - [0.0, 0.0, specimen.height], make_base_plate(specimen, OPENING).vertices,
                            make_tool_mesh(tool, specimen, OPENING).vertices - np.array([0.0, 0.0, depth]),
                            [[0.0, 0.0, above - depth]]])
@@ -47,8 +47,8 @@ def in_view(pose, points, aspect):
 @pytest.mark.parametrize("preset", sorted(set(PRESETS) - {"contact"}))
 def test_the_scene_fits_into_the_view_and_fills_it(preset, specimen, tool, aspect):
     for depth in (0.0, 0.15 * specimen.height):
-        pose = compute_preset_camera_pose(preset, specimen, tool, depth, compute_tool_and_arrow_height(tool, specimen),
-                                          aspect)
+        height = compute_height_of_tool_with_longest_arrow(tool, specimen)
+        pose = compute_preset_camera_pose(preset, specimen, tool, depth, height, aspect)
         place, far = in_view(pose, drawn(specimen, tool, depth), aspect)
         assert far.min() > 0 and np.abs(place).max() <= 1.0
         assert depth or np.abs(place).max() >= 0.75, "no wasted space"
@@ -58,13 +58,14 @@ def test_the_scene_fits_into_the_view_and_fills_it(preset, specimen, tool, aspec
 @pytest.mark.parametrize("tool", [NEEDLE, ts.Tool("sphere", radius=0.004), ts.Tool("flat", radius=0.002)])
 def test_contact_is_a_close_view_of_the_end_of_the_tool(tool, aspect):
     depth = 6e-3
-    pose = compute_preset_camera_pose("contact", STUDY, tool, depth, compute_tool_and_arrow_height(tool, STUDY), aspect)
+    height = compute_height_of_tool_with_longest_arrow(tool, STUDY)
+    pose = compute_preset_camera_pose("contact", STUDY, tool, depth, height, aspect)
     around = np.array([[x, 0.0, -depth + z] for x in (-1, 1) for z in (0.0, tool.radius)]) * [tool.radius, 1, 1]
     place, far = in_view(pose, around, aspect)
     assert far.min() > 0 and np.abs(place).max() <= 1.0
     across = np.abs(place[:, 0]).max() * max(aspect, 1.0)
     assert across >= 0.25, "the tool is large in it"
-    pose = compute_preset_camera_pose("iso", STUDY, tool, depth, compute_tool_and_arrow_height(tool, STUDY), aspect)
+    pose = compute_preset_camera_pose("iso", STUDY, tool, depth, height, aspect)
     whole, _ = in_view(pose, around, aspect)
     assert np.ptp(place[:, 0]) > 1.5 * np.ptp(whole[:, 0])
 
@@ -72,7 +73,8 @@ def test_contact_is_a_close_view_of_the_end_of_the_tool(tool, aspect):
 @pytest.mark.parametrize("cut", [90.0, 120.0, 180.0])
 @pytest.mark.parametrize("preset", ["iso", "front", "contact"])
 def test_both_section_faces_are_visible(preset, cut):
-    pose = compute_preset_camera_pose(preset, STUDY, NEEDLE, 5e-3, compute_tool_and_arrow_height(NEEDLE, STUDY))
+    height = compute_height_of_tool_with_longest_arrow(NEEDLE, STUDY)
+    pose = compute_preset_camera_pose(preset, STUDY, NEEDLE, 5e-3, height)
     half = np.radians(0.5 * cut)
     for side in (-1, 1):
         azimuth = -np.pi / 2 + side * half

@@ -8,7 +8,7 @@ from scenes.viewer.cut_away import PossibleContactBoundary, TriangulatedHalfSect
 from scenes.viewer.revolution import WedgeOpening
 from scenes.viewer.tool_picture import (
     SETTINGS,
-    compute_tool_and_arrow_height,
+    compute_height_of_tool_with_longest_arrow,
     find_tool_contact,
     make_base_plate,
     make_force_arrow_or_none,
@@ -77,7 +77,8 @@ def test_the_shaft_ends_above_the_specimen_and_the_tip_is_complete(name):
     assert outline[:, 0].max() == pytest.approx(tool.radius, rel=2e-3)
     top = outline[:, 1].max()
     assert top == pytest.approx(2 * tool.radius if name == "sphere" else 0.035, rel=1e-2)
-    assert compute_tool_and_arrow_height(tool, SPECIMEN) == pytest.approx(top + SETTINGS.arrow_length * SPECIMEN.height)
+    height = compute_height_of_tool_with_longest_arrow(tool, SPECIMEN)
+    assert height == pytest.approx(top + SETTINGS.arrow_length * SPECIMEN.height)
     # On a flat specimen the whole tip is there, too.
     flat = make_tool_outline(tool, ts.Specimen(0.04, 0.002))
     assert flat[:, 0].max() == pytest.approx(tool.radius, rel=2e-3)

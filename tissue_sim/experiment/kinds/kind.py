@@ -99,7 +99,7 @@ class TestKind:
     faces = OldName("face_interfaces_by_field")
     fits = OldName("allows_tool")
     strain = OldName("convert_abscissa_to_nominal_strain")
-    abscissa = OldName("convert_nominal_strain_to_abscissa")
+    abscissa = OldName("convert_nominal_strain_to_stretch_or_shear_strain")
 
     @property
     def has_gripped_ends(self) -> bool:
@@ -160,7 +160,7 @@ class TestKind:
         """
         return self.sign * (abscissa - self.require_closed_form().rest)
 
-    def convert_nominal_strain_to_abscissa(self, strain: Any) -> Any:
+    def convert_nominal_strain_to_stretch_or_shear_strain(self, strain: Any) -> Any:
         """Return the stretch (in shear the shear strain) of a nominal strain.
 
         This is the inverse of `convert_abscissa_to_nominal_strain`.
@@ -169,7 +169,7 @@ class TestKind:
             InputError: the kind has no closed form.
 
         Examples:
-            >>> KINDS["lubricated_compression"].convert_nominal_strain_to_abscissa(0.1)
+            >>> KINDS["lubricated_compression"].convert_nominal_strain_to_stretch_or_shear_strain(0.1)
             0.9
         """
         return self.require_closed_form().rest + self.sign * strain

@@ -26,7 +26,7 @@ class Plate(Tool):
 
     @property
     def face_radius(self) -> None:
-        """None: a plate has no edge."""
+        """None: the face of the tool covers the whole specimen and has no edge; see `Tool.face_radius`."""
         return None
 
     def contact_radius(self, depth: float, specimen_radius: float = float("inf")) -> float:

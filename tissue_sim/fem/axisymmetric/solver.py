@@ -358,7 +358,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         equations = self.equations
         if not equations.has_material_history:
             return FieldSample(self.state, None)
-        stresses = equations.memory.compute_committed_relaxed_stress()
+        stresses = equations.memory.compute_committed_stress_with_relaxation()
         if equations.effects.formulas:
             stresses = stresses + equations.effects.committed_effect_stress
         return FieldSample(self.state, stresses)

@@ -13,7 +13,7 @@ def euclidean_norm(vector: np.ndarray) -> float:
     return math.sqrt(vector @ vector)
 
 
-def solve_nonsingular_dense_system(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+def solve_dense_system_or_raise(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solve a dense linear system by LU factorisation (LAPACK gesv).
 
     Args:

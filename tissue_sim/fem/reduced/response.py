@@ -6,7 +6,7 @@ import numpy as np
 
 from tissue_sim.fem.reduced.compliance import MissingComplianceForce
 from tissue_sim.fem.reduced.contact import LayerContact
-from tissue_sim.fem.reduced.linear import euclidean_norm, solve_nonsingular_dense_system
+from tissue_sim.fem.reduced.linear import euclidean_norm, solve_dense_system_or_raise
 from tissue_sim.fem.reduced.model import ErrorFactors, PoseBox
 
 
@@ -41,7 +41,7 @@ class ToolResponse:
             right[:, :6] += tangent[free, :held] @ prescribed_rates
         right[:, 6] = residual[free]
         right[:, 7:] = tangent[free, error_modes]
-        found = solve_nonsingular_dense_system(tangent[free, free], right)
+        found = solve_dense_system_or_raise(tangent[free, free], right)
         changes = np.zeros((modes, 7))
         changes[:held, :6] = prescribed_rates
         changes[free] = -found[:, :7]
@@ -78,7 +78,7 @@ class ToolResponse:
         tangent = self._tangent
         # The residual of the unknown modes is an iteration error; only the residual of the error modes counts.
         change = np.zeros(len(self._residual))
-        change[free.stop :] = moved = solve_nonsingular_dense_system(
+        change[free.stop :] = moved = solve_dense_system_or_raise(
             tangent[free.stop :, free.stop :] - tangent[free.stop :, free] @ self._static_modes,
             -self._residual[free.stop :])
         change[free] = -self._static_modes @ moved

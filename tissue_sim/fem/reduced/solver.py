@@ -12,7 +12,7 @@ from tissue_sim.fem.reduced.compliance import make_missing_force_estimate_unless
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.fields import compute_pressureless_fields_or_none
-from tissue_sim.fem.reduced.linear import estimate_nonlinear_residual, euclidean_norm, solve_nonsingular_dense_system
+from tissue_sim.fem.reduced.linear import estimate_nonlinear_residual, euclidean_norm, solve_dense_system_or_raise
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.placement import ReducedSolverBase
 from tissue_sim.fem.reduced.prediction import AmplitudePredictor
@@ -287,7 +287,7 @@ class ReducedSolver(ReducedSolverBase):
                 at, halvings = 0.5 * (at + before), halvings + 1
                 continue
             before, at, last, halvings = at, at.copy(), residual_norm, 0
-            at[free] -= solve_nonsingular_dense_system((tangent + contact_rates)[free, free], residual)
+            at[free] -= solve_dense_system_or_raise((tangent + contact_rates)[free, free], residual)
             solves += 1
 
     def accepts_pose(self, pose: Pose) -> bool:

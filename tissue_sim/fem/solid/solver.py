@@ -265,7 +265,7 @@ class SolidSolver(SolidSolverBase):
         if self._mass is not None:
             self._mass.add_inertial_forces(self.x, self.batches.residual[:-1], self._matrix.all if tangent else None)
 
-    def _make_tool_constraint(self, frame: ToolFrame) -> HeldAndContactNodes:
+    def _collect_held_and_contact_nodes(self, frame: ToolFrame) -> HeldAndContactNodes:
         return HeldAndContactNodes(frame, self._moved, self._get_node_positions(self._bonded),
                                    self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact,
                                    self._get_node_positions(self.contact.nodes))
@@ -273,7 +273,7 @@ class SolidSolver(SolidSolverBase):
     def _make_result(self, status: StepStatus, iterations: int, ratio: float, evaluation: ContactViolationAndCounts,
                      frame: ToolFrame, factor: Factor | None = None) -> Step:
         """Return the result of a step, with its stiffness matrix if a factor of the last matrix is given."""
-        stiffness, tool = None, self._make_tool_constraint(frame)
+        stiffness, tool = None, self._collect_held_and_contact_nodes(frame)
         if factor is not None:
             stiffness, self._along = tool.compute_stiffness_and_motion_by_pose(self._matrix.all, factor, self._free)
         return Step(status, iterations, ratio, cast("Screw", tuple(tool.compute_wrench().tolist())),
@@ -289,7 +289,7 @@ class SolidSolver(SolidSolverBase):
         factor = self._tangent.factorise_with_contact_or_none(symmetric=not self.contact.state.slides.any())
         if factor is None or not factor.definite:
             return None
-        tool = self._make_tool_constraint(frame)
+        tool = self._collect_held_and_contact_nodes(frame)
         return to_matrix_tuples(tool.compute_stiffness_and_motion_by_pose(self._matrix.all, factor, self._free)[0])
 
     def enable_inertia(self, density: float) -> bool:

@@ -243,7 +243,7 @@ class Tissue:
             return None
         found = np.zeros((*self.batches.weights.shape, 6))
         for region in self._regions:
-            found[region.elements] = region.memory.compute_committed_relaxed_stress()
+            found[region.elements] = region.memory.compute_committed_stress_with_relaxation()
             if self.effects and region.name == "":
                 found[region.elements] += self.effects.stress
         return found

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tissue_sim.recording.formats.header import (
-    find_matching_cells,
+    find_positions_of_cells_with_name,
     find_positions_of_each_column_name,
     find_table_first_row_and_rows_of_numbers,
     find_table_header_and_data_rows,
@@ -85,9 +85,9 @@ def find_table_and_blocks_by_column_names(tables: Iterable[Table], names: Sequen
     """
     table, header, below = find_table_header_and_data_rows(tables, names, file=file)
     # A row of names has no number in the first column: this test excludes most rows fast.
-    place = find_matching_cells(header.cells, names[0])[0]
+    place = find_positions_of_cells_with_name(header.cells, names[0])[0]
     headers = [header, *(row for row in below if not _count_numeric_cells(row, (place,))
-                         and all(find_matching_cells(row.cells, name) for name in names))]
+                         and all(find_positions_of_cells_with_name(row.cells, name) for name in names))]
     blocks: list[NumberBlock] = []
     for number, head in enumerate(headers):
         end = headers[number + 1].line if number + 1 < len(headers) else None

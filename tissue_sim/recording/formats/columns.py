@@ -119,7 +119,7 @@ def read_recordings_from_columns(path: str | Path, columns: Mapping[str, Any], *
         InputError: an invalid map (with field), a missing column, an invalid cell (with file and line), an ambiguous
             decimal mark, or a spreadsheet without the extra ``formats``.
     """
-    found = read_recordings_with_decimal_mark(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet,
+    found = read_recordings_and_decimal_marks(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet,
                                               curve=curve, decimal=decimal, metadata=metadata)
     for each in found:
         if each.marks.is_open:
@@ -129,7 +129,7 @@ def read_recordings_from_columns(path: str | Path, columns: Mapping[str, Any], *
     return tuple(each.recording for each in found)
 
 
-def read_recordings_with_decimal_mark(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0,
+def read_recordings_and_decimal_marks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0,
                                       delimiter: str | None = None, sheet: Sheets | None = None,
                                       curve: Curves | None = None,
                                       decimal: str | None = None, metadata: Mapping[str, Any] | None = None

@@ -48,7 +48,7 @@ def find_table_header_and_data_rows(tables: Iterable[Table], names: Sequence[str
                 continue
             # numpy.savetxt writes its header as a comment.
             row = TableRow(row.line, (row.cells[0].lstrip("# "), *row.cells[1:]))
-            found = [find_matching_cells(row.cells, name) for name in names]
+            found = [find_positions_of_cells_with_name(row.cells, name) for name in names]
             if all(found):
                 find_positions_of_each_column_name(row, names, file=file)
                 return table, TableRow(row.line,
@@ -85,7 +85,7 @@ def find_positions_of_each_column_name(row: TableRow, names: Sequence[str], *, f
     Raises:
         InputError: a name occurs more often than another one.
     """
-    found = [find_matching_cells(row.cells, name) for name in names]
+    found = [find_positions_of_cells_with_name(row.cells, name) for name in names]
     for name, places in zip(names, found, strict=True):
         if len(places) != min(map(len, found)):
             raise InputError(f"column {name!r} appears twice; remove or rename one, or give its number as column",
@@ -93,7 +93,7 @@ def find_positions_of_each_column_name(row: TableRow, names: Sequence[str], *, f
     return found
 
 
-def find_matching_cells(cells: Sequence[str], name: str) -> list[int]:
+def find_positions_of_cells_with_name(cells: Sequence[str], name: str) -> list[int]:
     """Return the positions of the cells that equal `name`, or else of those that are `name` followed by a unit."""
     def casefold_and_collapse_blanks(text: str) -> str:
         """Return a text in lower case with single blanks."""
@@ -128,7 +128,7 @@ def _make_missing_column_error(closest, names, file, delimiters) -> InputError:
     if closest is None:
         return InputError(f"no lines remain, expected a header with {names[0]!r}; skip fewer lines", file=file)
     (found, above_numbers, _), row = closest
-    missing, *others = (name for name in names if not find_matching_cells(row.cells, name))
+    missing, *others = (name for name in names if not find_positions_of_cells_with_name(row.cells, name))
     also = f" (nor {', '.join(map(repr, others))})" if others else ""
     cells = [cell for cell in row.cells if cell and not is_number_with_either_mark(cell)]
     if found or (above_numbers and len(row.cells) > 1):

@@ -64,8 +64,8 @@ def read_native(path: str | Path, *, columns: Mapping[str, Any] | None = None, s
     beginning, end = try_splitting_off_trailing_numbers(text)
     if end is not None and not any(end.units):
         with suppress(InputError, NotPlainNumbersError):
-            return read_native_rows(_split_at_commas_without_comments(beginning, path), path, end)
-    return read_native_rows(_split_at_commas_without_comments(text, path), path)
+            return read_native_rows(_split_text_into_rows_without_comment_lines(beginning, path), path, end)
+    return read_native_rows(_split_text_into_rows_without_comment_lines(text, path), path)
 
 
 def read_native_rows(rows: Sequence[TableRow], path: Path, end: TrailingNumberLines | None = None) -> Recording:
@@ -86,7 +86,7 @@ def read_native_rows(rows: Sequence[TableRow], path: Path, end: TrailingNumberLi
     return read_recording_table(header, data, _identify_columns(header, path), file=path, end=end)
 
 
-def _split_at_commas_without_comments(text: str, path: Path) -> list[TableRow]:
+def _split_text_into_rows_without_comment_lines(text: str, path: Path) -> list[TableRow]:
     """Split the lines of a text into cells at commas; lines that begin with ``#`` are omitted."""
     # Comments become empty lines, so that the line numbers remain those of the file.
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")

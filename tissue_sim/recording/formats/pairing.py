@@ -15,7 +15,7 @@ from tissue_sim.recording.formats.gauge_length import (
     make_stretch_column_from_displacement,
 )
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
-from tissue_sim.recording.formats.header import find_matching_cells
+from tissue_sim.recording.formats.header import find_positions_of_cells_with_name
 from tissue_sim.recording.formats.kind_hints import make_hints_from_text_above_and_sheet_name
 from tissue_sim.recording.formats.kind_words import find_named_tests
 from tissue_sim.recording.formats.sizes import make_size_signature
@@ -380,7 +380,7 @@ def find_column_named_by_user_or_none(numbers: NumberTable, channel: str, name: 
 def find_column_position_or_none(numbers: NumberTable, name: str | int) -> int | None:
     """Return the position (from 0) of the column with this header, number (from 1) or letter; None: no such column."""
     if not isinstance(name, int) and numbers.header is not None:
-        positions = find_matching_cells(numbers.header.cells, name)
+        positions = find_positions_of_cells_with_name(numbers.header.cells, name)
         if positions:
             return positions[0]
     try:

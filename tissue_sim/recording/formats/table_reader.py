@@ -11,7 +11,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.constant_speed import complete_motion_from_speed
-from tissue_sim.recording.formats.columns import RecordingWithDecimalMark, read_recordings_with_decimal_mark
+from tissue_sim.recording.formats.columns import RecordingWithDecimalMark, read_recordings_and_decimal_marks
 from tissue_sim.recording.formats.guesses import ColumnGuess
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import UNITS
@@ -34,7 +34,7 @@ class FileReaderForChosenColumns:
     options: Mapping[str, Any]
     speed: float | None = None
 
-    def read_recordings_with_decimal_mark(self, columns: Sequence[ColumnGuess]) -> tuple[RecordingWithDecimalMark, ...]:
+    def read_recordings_and_decimal_marks(self, columns: Sequence[ColumnGuess]) -> tuple[RecordingWithDecimalMark, ...]:
         """Read the recordings with the marks of their numbers.
 
         Raises:
@@ -49,7 +49,7 @@ class FileReaderForChosenColumns:
                 if column.unit not in UNITS:
                     entries[column.channel].pop("unit", None)
         marked = tuple(self._add_displacement_from_speed_if_stated(each)
-                       for each in read_recordings_with_decimal_mark(self.path, entries, **self.options))
+                       for each in read_recordings_and_decimal_marks(self.path, entries, **self.options))
         for each in marked:
             for channel, values in each.recording.channels.items():
                 largest = values[np.argmax(np.abs(values))]
@@ -65,8 +65,8 @@ class FileReaderForChosenColumns:
         return replace(marked, recording=complete_motion_from_speed(marked.recording, self.speed, self.path))
 
     def read_recordings(self, columns: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
-        """Read the recordings of the columns, without the marks; see `read_recordings_with_decimal_mark`."""
-        return tuple(each.recording for each in self.read_recordings_with_decimal_mark(columns))
+        """Read the recordings of the columns, without the marks; see `read_recordings_and_decimal_marks`."""
+        return tuple(each.recording for each in self.read_recordings_and_decimal_marks(columns))
 
     def read_repairing_time_and_stretch(self, columns: tuple[ColumnGuess, ...]
                                         ) -> tuple[tuple[ColumnGuess, ...], tuple[RecordingWithDecimalMark, ...],
@@ -80,19 +80,19 @@ class FileReaderForChosenColumns:
         """
         remarks: tuple[str, ...] = ()
         try:
-            marked = self.read_recordings_with_decimal_mark(columns)
+            marked = self.read_recordings_and_decimal_marks(columns)
         except InputError as error:
             if not error.problem.startswith("time runs backwards"):
                 raise
             columns = tuple(column for column in columns if column.channel != "time")
-            marked = self.read_recordings_with_decimal_mark(columns)
+            marked = self.read_recordings_and_decimal_marks(columns)
             remarks = (f"the time is omitted: line {error.line}: {error.problem.split(' in column')[0]}",)
         if any(column.role == "stretch" for column in columns) and min(
                 each.recording.channel("stretch").min() for each in marked) <= 0:
             columns = tuple(replace(column, role="strain", offset=1.0, reason=f"{column.reason}; not positive, unlike "
                                     "a stretch; a strain, which 1 makes a stretch")
                             if column.role == "stretch" else column for column in columns)
-            marked = self.read_recordings_with_decimal_mark(columns)
+            marked = self.read_recordings_and_decimal_marks(columns)
         return columns, marked, remarks
 
     def negate_or_reread_changed_channels(self, recordings: tuple[Recording, ...], before: Sequence[ColumnGuess],

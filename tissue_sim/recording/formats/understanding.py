@@ -25,7 +25,7 @@ from tissue_sim.recording.formats.decimal_mark import (
     resolve_marks_by_quantities_outside_table,
 )
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints, FileInterpretation, TableGroup
-from tissue_sim.recording.formats.header import find_matching_cells
+from tissue_sim.recording.formats.header import find_positions_of_cells_with_name
 from tissue_sim.recording.formats.interpretation import (
     compare_columns_and_replace_constant_ones,
     iterate_column_assumptions,
@@ -354,7 +354,8 @@ def _do_headers_identify_columns(groups: Sequence[RecordingColumns]) -> bool:
         if header is None or not all(column.header for column in group.columns):
             return False
         count = sum(other.numbers is group.numbers for other in groups)
-        if any(len(find_matching_cells(header.cells, column.header)) != count for column in group.columns):
+        if any(len(find_positions_of_cells_with_name(header.cells, column.header)) != count
+               for column in group.columns):
             return False
     return True
 
