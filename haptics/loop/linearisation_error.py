@@ -143,15 +143,17 @@ class LinearisationError:
         return self.base * age_factor + growth * distance * (distance + 2.0 * tangent)
 
     def estimate_error_of_zero_force(self, distance: float, age: float, depth: float, tangent: float) -> float:
-        """Return the estimated force error, N, where the model gives zero force.
+        """Return the estimated force error, N, where the model gives zero force; infinite if it is unknown.
 
-        The error by linearisation is at most the force on undeformed tissue, also before models were compared, and zero
-        above the undeformed surface. Arguments as in `estimate_force_error`.
+        The error by linearisation is at most the force on undeformed tissue, and zero above the undeformed surface.
+        Below this surface the error is that force also before models were compared. Arguments as in
+        `estimate_force_error`.
         """
-        deep = max(depth, 0.0)
-        largest = 8.0 * self.shear_modulus * self.radius * deep
-        if self._is_round:
-            largest = min(largest, 16.0 / 3.0 * self.shear_modulus * math.sqrt(self.tip_radius) * deep**1.5)
         of_model = self.estimate_force_error(0.0, age)
+        if depth <= 0.0:
+            return of_model
+        largest = 8.0 * self.shear_modulus * self.radius * depth
+        if self._is_round:
+            largest = min(largest, 16.0 / 3.0 * self.shear_modulus * math.sqrt(self.tip_radius) * depth**1.5)
         return min(largest + (of_model if math.isfinite(of_model) else 0.0),
                    self.estimate_force_error(distance, age, depth, tangent))

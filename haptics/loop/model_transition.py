@@ -71,13 +71,19 @@ class ModelTransition:
         """Return the distance, m, that the tool's surface moves at most from the pose of a model to a pose.
 
         A model without contact describes the undeformed tissue and is valid at each pose in the air. Its distance is
-        measured from the last pose in the air, or from its own pose if this is in the air and nearer.
+        measured from the last pose in the air, or from its own pose if this is in the air and nearer. A pose without a
+        force below the undeformed surface, in a dent, is moved up to the surface.
         """
         distance = self._stepper.compute_max_contact_point_travel(motion(model.pose, pose))
         if model.has_contact:
             return distance
-        from_air = self._stepper.compute_max_contact_point_travel(motion(self.free, pose))
+        from_air = self._stepper.compute_max_contact_point_travel(motion(self._raise_to_surface(self.free), pose))
         return min(distance, from_air) if self.is_above_or_just_below_surface(model.pose) else from_air
+
+    def _raise_to_surface(self, pose: Pose) -> Pose:
+        """Return a pose, moved up to the undeformed surface if it is below."""
+        x, y, z = pose.position
+        return Pose((x, y, max(z, self._stepper.surface.start.position[2])), pose.orientation)
 
     def is_above_or_just_below_surface(self, pose: Pose) -> bool:
         """Return whether a pose is at any height above the undeformed surface, or at most `short` below.
@@ -106,7 +112,7 @@ class ModelTransition:
         extrapolated = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
         missed = add_screws(after.wrench, scale_screw(-1.0, extrapolated))
         expected = correction.compute_omitted_wrench(old.pose, pose)
-        if any(after.wrench):
+        if any(after.wrench) and new.has_contact:
             correction.apply_secant_update(missed, old.pose, new.pose)
             if new.tangent_pose != old.tangent_pose:
                 correction.reduce_for_new_tangent(self._compute_distance_from_tangent_pose(old),

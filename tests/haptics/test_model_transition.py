@@ -1,0 +1,41 @@
+"""Distance of the tool from a model of the bulk, on a stepper that only measures distances."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from haptics.loop.model_transition import ModelTransition
+from tissue_sim.pose import Pose
+
+RADIUS = 4e-3
+AIR = SimpleNamespace(has_contact=False, pose=Pose((0.0, 0.0, 4e-3)))
+
+
+@pytest.fixture
+def transition():
+    surface = SimpleNamespace(radius=RADIUS, start=Pose((0.0, 0.0, 0.0)), friction=np.zeros(3))
+    return ModelTransition(SimpleNamespace(surface=surface, model=AIR, compute_max_contact_point_travel=lambda way:
+                                           math.hypot(*way[:3])), 4000.0)
+
+
+def down(depth):
+    return Pose((0.0, 0.0, -depth))
+
+
+def test_a_model_of_undeformed_tissue_is_as_far_as_the_surface(transition):
+    transition.free = down(0.0)
+    assert transition.compute_distance_from_model(AIR, down(6e-4)) == pytest.approx(6e-4)
+
+
+def test_a_pose_in_a_dent_is_no_place_in_the_air(transition):
+    """The tool had no force at 0.37 mm because the tissue was pressed in; on undeformed tissue it has one there."""
+    transition.free = down(3.7e-4)
+    assert transition.compute_distance_from_model(AIR, down(6e-4)) == pytest.approx(6e-4)
+    assert transition.compute_distance_from_model(AIR, down(6e-4)) > transition.estimate.short
+
+
+def test_a_place_in_the_air_stays_where_it_is(transition):
+    transition.free = Pose((1e-3, 0.0, 2e-4))
+    assert transition.compute_distance_from_model(AIR, Pose((1e-3, 0.0, -2e-4))) == pytest.approx(4e-4)
