@@ -111,14 +111,23 @@ def _escape_unprintable(text: str) -> str:
 def shorten_text_in_middle(text: str, longest: int) -> str:
     """Return a text of at most `longest` characters; the middle of a longer text is left out.
 
+    Words are kept whole if a blank is in the outer half of each kept part.
+
     Examples:
-        >>> shorten_text_in_middle("a text of thirty characters...", 20)
-        'a text  ... cters...'
+        >>> shorten_text_in_middle("the first words, then many others, and the last words", 30)
+        'the first ... last words'
+        >>> shorten_text_in_middle("one_long_name_without_a_blank", 15)
+        'one_l ... blank'
     """
     if len(text) <= longest:
         return text
     front = (longest - 5) // 2
-    return f"{text[:front]} ... {text[len(text) - (longest - 5 - front):]}"
+    head, tail = text[:front], text[len(text) - (longest - 5 - front):]
+    if text[front] != " " and (end := head.rfind(" ")) >= front // 2:
+        head = head[:end]
+    if text[-len(tail) - 1] != " " and 0 <= (start := tail.find(" ")) <= len(tail) // 2:
+        tail = tail[start:]
+    return f"{head.rstrip()} ... {tail.lstrip()}"
 
 
 def format_foreign_exception_message(error: BaseException) -> str:
