@@ -18,8 +18,8 @@ class LinearisationErrorSettings:
             estimates for more models.
         validity: the estimate is valid up to this many times the distance between the two models from which it was
             learned. A larger factor trusts a longer extrapolation.
-        first_step: factor on the difference between a model of undeformed tissue and the first one with contact, which
-            covers a Newton step that reduces the error by a third instead of a half.
+        first_step: factor on the difference of two models if the second is the first one with contact or of a new
+            material, which covers a Newton step that reduces the error by a third instead of a half.
     """
 
     short: float = 0.1
@@ -112,6 +112,15 @@ class LinearisationError:
         self.growth = max(memory * self.growth, missed / squares)
         self.reach, self.time = max(memory * self.reach, between), time
         self.base, self.interval = (ERROR_ESTIMATE.first_step if from_rest else 1.0) * missed, interval
+
+    def set_error_of_first_model_of_material(self, missed: float, time: float) -> None:
+        """Set the error of the first model of a new material, which is one Newton step from the state of the old one.
+
+        Args:
+            missed: difference of its force from that of the model of the old material, N.
+            time: time of the model, s.
+        """
+        self.base, self.time = ERROR_ESTIMATE.first_step * missed, time
 
     def _compute_growth_coefficient(self, distance: float, depth: float | None) -> float:
         """Return `growth`, N/m2, raised at least to a contact's curvature; arguments as `estimate_force_error`."""

@@ -105,12 +105,14 @@ class ModelTransition:
         """
         new, correction = self._newest_model, self._correction
         self._largest_error = 0.0
-        if new.material != old.material:
-            self.clear_offset_and_correction()
-            return
         slope = np.array(before.stiffness_matrix) @ np.array(motion(last, pose))
         extrapolated = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
         missed = add_screws(after.wrench, scale_screw(-1.0, extrapolated))
+        if new.material != old.material:
+            self.clear_offset_and_correction()
+            if any(after.wrench):
+                self.estimate.set_error_of_first_model_of_material(self._compute_max_equivalent_force(missed), new.time)
+            return
         expected = correction.compute_omitted_wrench(old.pose, pose)
         if any(after.wrench) and new.has_contact:
             correction.apply_secant_update(missed, old.pose, new.pose)

@@ -150,3 +150,13 @@ def test_growth_is_that_of_the_difference_of_both_errors():
     # A tool that turned round, with both models at one distance, gives no infinite growth.
     estimate.update_estimate(1e-3, 2e-3, 1e-3, 0.2, 0.1, newer=2e-3)
     assert estimate.growth <= max(growth, 1e-3 / estimate.short**2)
+
+
+def test_the_first_model_of_a_new_material_has_its_own_error():
+    """What was learned of the old material says nothing about the Newton step to the new one."""
+    estimate = learned()
+    estimate.set_error_of_first_model_of_material(0.1, 2.0)
+    assert estimate.estimate_force_error(0.0) == pytest.approx(0.2)
+    unknown = LinearisationError(RADIUS, MODULUS)
+    unknown.set_error_of_first_model_of_material(0.1, 2.0)
+    assert unknown.estimate_force_error(0.0) == pytest.approx(0.2)
