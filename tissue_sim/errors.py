@@ -111,7 +111,7 @@ def _escape_unprintable(text: str) -> str:
 def shorten_text_in_middle(text: str, longest: int) -> str:
     """Return a text of at most `longest` characters; the middle of a longer text is left out.
 
-    Words are kept whole if a blank is in the outer half of each kept part.
+    A kept part ends at a whole word if it has a blank in its half next to the gap.
 
     Examples:
         >>> shorten_text_in_middle("the first words, then many others, and the last words", 30)

@@ -38,7 +38,7 @@ def describe_worst_uncertain_contact_or_empty(estimate: Estimate, misfitted_test
     """Describe the recordings whose contact is not known well enough; empty if there are none.
 
     The standard errors of the parameters include the uncertainty of a fitted contact offset. An unclear contact does
-    not count if the residuals are near the noise: the fit then confirms that the displacement is measured from contact.
+    not count if the residuals are near the noise: they then show no motion in air.
 
     Args:
         estimate: minimum of the sum of squares.
@@ -64,11 +64,12 @@ def describe_worst_uncertain_contact_or_empty(estimate: Estimate, misfitted_test
         return ""
     error, curve, (low, high) = max(errors, key=lambda each: each[0])
     scale, unit, of = (1.0, "", "a strain of ") if curve.stressed else (1e3, " mm", "")
-    place = f"at {of}{scale * low:.4g} to {scale * high:.4g}{unit}" if np.isfinite(low) else \
-        f"before {of}{scale * high:.4g}{unit}"
+    known = f"contact is known to be at {of}{scale * low:.4g} to {scale * high:.4g}{unit} (95 %)" if np.isfinite(low) \
+        else (f"contact is not found, and the force does not rise clearly before {of}{scale * high:.4g}{unit}, so the "
+              "tool may be in the air")
     more = f" and {len(errors) - 1} more" if len(errors) > 1 else ""
-    return (f"{curve.name}{more}: contact is known to be {place} (95 %), and the shear modulus changes by "
-            f"{100 * error:.2g} % within that interval; the limit is {100 * MODULUS_TOLERANCE:g} %")
+    return (f"{curve.name}{more}: {known}; the shear modulus changes by {100 * error:.2g} % within this range, and the "
+            f"limit is {100 * MODULUS_TOLERANCE:g} %")
 
 
 def _find_last_displacement_without_clear_rise(curve: MeasuredCurve) -> float:

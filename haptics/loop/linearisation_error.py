@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 
@@ -46,8 +47,9 @@ class LinearisationError:
     the errors growth d1**2 and growth d2**2, of the same sign while the tool moves on. Their difference divided by
     d1**2 - d2**2 gives `growth` (Richardson's extrapolation). It describes the tissue between the poses of
     the two models, so the estimate is valid up to `LinearisationErrorSettings.validity` times the distance between
-    these poses. Beyond, and before two models of the deformed tissue have come, the error is unknown. Two models of the
-    undeformed tissue are equal; their difference contains no information and must not be passed to `update_estimate`.
+    these poses. Beyond, and before two models of the deformed tissue have come, the error is unknown, except that of a
+    force of zero below the undeformed surface. Two models of the undeformed tissue are equal; their difference contains
+    no information and must not be passed to `update_estimate`.
 
     The tangent of a model may have been assembled at an earlier pose, at a distance D from that of the model. The
     stiffness of the model is then wrong by 2 growth D, and its force by 2 growth D distance more.
@@ -57,13 +59,15 @@ class LinearisationError:
     of the tool, and at least its distance from the pose of the model. Where the depth is unknown, the limit is mu.
 
     A tool that a model leaves without a force may still touch tissue that rises faster than the model knows. The force
-    of this contact is at most that on undeformed tissue: under a flat punch of the radius a of the contact 8 mu a
-    depth, under a ball 16/3 mu sqrt(R) depth^(3/2) (Hertz) if this is smaller.
+    of this contact is at most that on undeformed tissue. It is estimated by that of a flat punch with the radius a of
+    the contact at the depth of the tool on a half space, 8 mu a depth. Under a ball it is 1.5 times Hertz's force; this
+    leaves a margin for a thin specimen.
 
     Args:
         radius: radius of the contact, m.
         shear_modulus: shear modulus of the tissue, Pa.
         tip_radius: radius of curvature of the tool, m; None, or below `radius`: `radius`.
+        contact_radius_at_depth: radius of the contact, m, as a function of the depth of the tool, m; None: `radius`.
 
     Attributes:
         radius: radius of the contact, m.
@@ -77,8 +81,9 @@ class LinearisationError:
         tip_radius: radius of curvature of the tool, m.
     """
 
-    def __init__(self, radius: float, shear_modulus: float = 0.0, tip_radius: float | None = None):
-        self.tip_radius, self._is_round = max(radius, tip_radius or 0.0), tip_radius is not None
+    def __init__(self, radius: float, shear_modulus: float = 0.0, tip_radius: float | None = None,
+                 contact_radius_at_depth: Callable[[float], float] | None = None):
+        self.tip_radius, self._contact_radius_at_depth = max(radius, tip_radius or 0.0), contact_radius_at_depth
         self.radius, self.short, self.shear_modulus = radius, ERROR_ESTIMATE.short * radius, shear_modulus
         self.discard_estimate()
 
@@ -155,14 +160,13 @@ class LinearisationError:
         """Return the estimated force error, N, where the model gives zero force; infinite if it is unknown.
 
         The error by linearisation is at most the force on undeformed tissue, and zero above the undeformed surface.
-        Below this surface the error is that force also before models were compared. Arguments as in
-        `estimate_force_error`.
+        Below this surface the error is that force also before models were compared, when `time` is minus infinity.
+        Arguments as in `estimate_force_error`.
         """
         of_model = self.estimate_force_error(0.0, age)
         if depth <= 0.0:
             return of_model
-        largest = 8.0 * self.shear_modulus * self.radius * depth
-        if self._is_round:
-            largest = min(largest, 16.0 / 3.0 * self.shear_modulus * math.sqrt(self.tip_radius) * depth**1.5)
+        reached = self.radius if self._contact_radius_at_depth is None else self._contact_radius_at_depth(depth)
+        largest = 8.0 * self.shear_modulus * min(reached, self.radius) * depth
         return min(largest + (of_model if math.isfinite(of_model) else 0.0),
                    self.estimate_force_error(distance, age, depth, tangent))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
@@ -45,6 +46,8 @@ class ModelTransition:
         stepper: solver of the contact with the newest model.
         shear_modulus: shear modulus of the tissue, Pa.
         tip_radius: radius of curvature of the tool, m; None: the radius of the contact.
+        contact_radius_at_depth: radius of the contact, m, as a function of the depth of the tool, m; None: the radius
+            of the contact of the surface.
 
     Attributes:
         offset: remaining difference of the models so far, N and N m, which is added to the wrench.
@@ -52,10 +55,11 @@ class ModelTransition:
         free: last pose of the tool without contact force, near the surface or above it.
     """
 
-    def __init__(self, stepper: CondensedStepper, shear_modulus: float, tip_radius: float | None = None):
+    def __init__(self, stepper: CondensedStepper, shear_modulus: float, tip_radius: float | None = None,
+                 contact_radius_at_depth: Callable[[float], float] | None = None):
         self._stepper, radius = stepper, stepper.surface.radius
         self._correction = BroydenCorrection(radius)
-        self.estimate = LinearisationError(radius, shear_modulus, tip_radius)
+        self.estimate = LinearisationError(radius, shear_modulus, tip_radius, contact_radius_at_depth)
         self._has_friction = bool(np.any(stepper.surface.friction > 0.0))
         self.reset(stepper.surface.start)
 
@@ -206,7 +210,8 @@ class ModelTransition:
             return 0.0
         distance = self._stepper.compute_max_contact_point_travel(motion(model.tangent_pose, model.pose))
         if self.is_above_or_just_below_surface(model.tangent_pose):
-            distance = min(distance, self._stepper.compute_max_contact_point_travel(motion(self.free, model.pose)))
+            distance = min(distance, self._stepper.compute_max_contact_point_travel(
+                motion(self._raise_to_surface(self.free), model.pose)))
         return distance
 
     @property

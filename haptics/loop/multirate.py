@@ -139,8 +139,8 @@ class MultiRateTissue(KernelOwner):
         surface = self._link.contact_surface
         self._stepper = CondensedStepper(surface)
         self._stepper.set_linearisation(self._first)
-        self._transition = ModelTransition(self._stepper, self.model.material.mu0,
-                                           self.model.experiment.tool.radius)
+        tool = self.model.experiment.tool
+        self._transition = ModelTransition(self._stepper, self.model.material.mu0, tool.radius, tool.contact_radius)
         x, y, z = surface.start.position
         # Touch the tissue once so that all functions of a tick are compiled, then return to the start.
         for depth in MULTIRATE.touch_depths:
@@ -324,13 +324,13 @@ class MultiRateTissue(KernelOwner):
         self._left = self._reduced.record_depth_and_get_force_factor(pose.depth, dt)
         if self._left != 1.0:
             wrench, stiffness = scale_screw(self._left, wrench), scale_matrix(self._left, stiffness)
-        is_known = math.isfinite(self.error)
+        is_known, learned_at = math.isfinite(self.error), transition.estimate.time
         return ToolForce(
             wrench, stiffness, ForceStatus.CONVERGED if good else ForceStatus.LATE, step.iterations, step.residual,
             clock.perf_counter() - began, age=max(0.0, age), pose=self._frame.pose_in_scene(model.pose),
             stiffness_age=max(0.0, self._time - self._tangent_made),
             force_error=self._left * self.error if is_known else None,
-            error_age=max(0.0, self._time - transition.estimate.time) if is_known else 0.0)
+            error_age=max(0.0, self._time - learned_at) if is_known and math.isfinite(learned_at) else 0.0)
 
     @make_single_thread_method
     def reset(self) -> None:

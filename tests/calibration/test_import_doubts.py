@@ -119,7 +119,7 @@ def test_a_contact_that_is_not_found_makes_a_misfit_unusable(tmp_path, monkeypat
     monkeypatch.setattr("tissue_sim.recording.segments.find_contact", lambda *arguments: unclear)
     found = imported(tmp_path, CYLINDER + HEADER, with_air(0.003, air=60))
     assert "contact" not in found.text.split("[[test]]")[1]
-    assert "contact is known to be before" in (fit(tmp_path).unusable or "")
+    assert "the force does not rise clearly before" in (fit(tmp_path).unusable or "")
     # The recorded displacement is measured from contact: the residuals are noise, which confirms it.
     imported(tmp_path, CYLINDER + HEADER, with_air(0.003, air=0))
     assert fit(tmp_path).unusable is None

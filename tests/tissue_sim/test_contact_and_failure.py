@@ -60,6 +60,16 @@ def test_a_contact_is_found_although_no_window_fits_better_than_chance():
     assert contact.status == "found" and contact.displacement == pytest.approx(3.57e-3, abs=0.1e-3)
 
 
+@pytest.mark.parametrize("samples", [300, 20000])
+def test_a_clear_contact_is_found_where_the_law_describes_no_long_window(samples):
+    """Simulated data without noise: each misfit is significant, and that of a straight line is the least so."""
+    displacement = np.linspace(0.0, 6e-3, samples)
+    depth = np.clip(displacement - 1.5e-3, 0.0, None)
+    noise = 1e-6 * np.random.default_rng(5).standard_normal(samples)
+    contact = ts.find_contact(displacement, 200 * depth + 3e5 * np.clip(depth - 1e-3, 0.0, None) ** 2 + noise)
+    assert contact.status == "found" and contact.displacement == pytest.approx(1.5e-3, abs=0.06e-3)
+
+
 def test_a_contact_before_the_recording_is_not_given_a_place():
     """A settled preload: the force is there before the motion, and rises with it."""
     time, displacement, force = pressed(air=-0.2e-3, wait=60)

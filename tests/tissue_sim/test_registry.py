@@ -39,7 +39,7 @@ def test_a_taken_name_is_refused_and_the_same_thing_is_not():
     table.unregister("third")
     assert "third" not in table and not any(group == "tests.taken" for group,
                                             *_ in list_registered_groups_names_objects())
-    with pytest.raises(InputError, match="'first' cannot be removed: this process has registered no thing of this name"):
+    with pytest.raises(InputError, match="'first' cannot be removed: this process has registered no thing"):
         table.unregister("first")
 
 

@@ -220,6 +220,15 @@ class TestControl:
         assert found.relaxation == pytest.approx(1 - load[-1] / elastic[-1], abs=0.02)
         assert not found.can_elastic_law_describe_loading
 
+    def test_relaxation_begins_again_after_an_unloading(self):
+        """Eight cycles of a ramp, a hold, an unloading and a rest: in each, 4 % of the force relaxes and recovers."""
+        cycle = np.interp(np.arange(0.0, 48.0, 0.5), [0.0, 4.0, 24.0, 28.0, 48.0], [0.0, 2e-3, 2e-3, 0.0, 0.0])
+        way = np.tile(cycle, 8)
+        time = 0.5 * np.arange(way.size)
+        found = analyse_control_and_creep(way, relax(1500.0 * way, time, 0.04, 5.0), time)
+        assert found.relaxation == pytest.approx(0.04, abs=0.02)
+        assert found.can_elastic_law_describe_loading
+
     def test_a_fast_ramp_before_a_hold_is_elastic_and_a_slow_one_is_not(self):
         time = np.arange(0.0, 120.0, 0.5)
         for duration, is_elastic in ((1.0, True), (30.0, False)):

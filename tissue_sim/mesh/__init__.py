@@ -10,6 +10,9 @@ from tissue_sim.mesh.axisymmetric import (
     structured_mesh,
     with_lines,
 )
+from tissue_sim.public_names import make_getattr_for_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"tip_mesh": "cylinder_mesh_refined_under_tip"})
 
 __all__ = [
     "Mesh",

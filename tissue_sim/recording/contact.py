@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class ContactSettings:
             left out are small.
         adequate: a part is short enough if three more terms improve its fit no more than chance does with this
             probability.
-        doubtful: probability of a chance misfit below which the law does not describe even the shortest part.
+        doubtful: probability of a chance misfit below which the law does not describe the chosen part.
         smaller_residual: a shorter part replaces a part if the ratio of their residuals is below this value.
         drift_slope: largest slope of a drift in the air, as a fraction of the slope of the force after contact; a
             steeper rise belongs to contact.
@@ -169,7 +169,6 @@ class Contact:
                 f"{basis}{doubt}")
 
 
-@cache_by_array_content(_SETTINGS.most_results)
 def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None, *,
                  exponents: tuple[float, float] = EXPONENTS) -> Contact:
     """Return the contact in the first loading; its `status` states whether contact was found.
@@ -196,6 +195,13 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     if displacement.size < _SETTINGS.fewest:
         raise InputError(f"the search for contact needs at least {_SETTINGS.fewest} samples; got "
                          f"{displacement.size}. Record more samples", field="force")
+    return _find_contact_of_arrays(displacement, force, time, (float(exponents[0]), float(exponents[1])))
+
+
+@cache_by_array_content(_SETTINGS.most_results)
+def _find_contact_of_arrays(displacement: np.ndarray, force: np.ndarray, time: np.ndarray,
+                            exponents: tuple[float, float]) -> Contact:
+    """Return the contact in float arrays of equal shape; see `find_contact`."""
     loading = _LoadingUpToFirstHold.from_arrays(time, displacement, force)
     if (latest := loading.find_displacement_of_immediate_rise()) is not None:
         return Contact("before", loading.start, (-np.inf, latest), loading.zero, noise=loading.noise, step=loading.step)
@@ -217,23 +223,22 @@ def _choose_window_and_misfit_p(parts: Sequence[LoadingWindow], terms: int,
                                 exponents: tuple[float, float]) -> tuple[LoadingWindow, float]:
     """Choose the window for the final fit; return it with the p value of a chance misfit of the law.
 
-    It is the longest window with a p value above `ContactSettings.adequate`. Without such a window it is that of the
-    largest p value, because in the shortest window the few samples after contact do not determine a law.
+    It is the longest window with a p value above `ContactSettings.adequate`, or without one that of the largest p
+    value: in the shortest window, few samples after contact do not determine a law. A window is left out if the next,
+    shorter one has a much smaller residual: its law fits nowhere, and a slow misfit looks like correlated noise.
     """
     candidates: list[tuple[float, LoadingWindow]] = []
-    judged = None
-    for number, part in enumerate(parts):
-        chance, noise = judged or _compute_misfit_p_and_residual_deviation(part, terms, exponents)
-        candidates.append((chance, part))
-        judged = None
-        if chance <= _SETTINGS.adequate:
-            continue
-        if number + 1 < len(parts):
-            judged = _compute_misfit_p_and_residual_deviation(parts[number + 1], terms, exponents)
-        # A slow misfit of the law looks like correlated noise, and a shorter part has a smaller misfit.
-        if judged is None or judged[1] > _SETTINGS.smaller_residual * noise:
+    judged = _compute_misfit_p_and_residual_deviation(parts[0], terms, exponents)
+    for part, shorter in zip_longest(parts, parts[1:]):
+        chance, noise = judged
+        if shorter is not None:
+            judged = _compute_misfit_p_and_residual_deviation(shorter, terms, exponents)
+            if judged[1] <= _SETTINGS.smaller_residual * noise:
+                candidates = []
+                continue
+        if chance > _SETTINGS.adequate:
             return part, chance
-        candidates = []
+        candidates.append((chance, part))
     chance, part = max(candidates, key=lambda each: each[0])
     return part, chance
 

@@ -183,23 +183,23 @@ def _find_largest_relaxed_fraction_and_hold(motion: np.ndarray, load: np.ndarray
     """Return the largest relaxed fraction of the load, first sample and end of its hold; (0, 0, 0) without relaxation.
 
     The fraction is the load lost in a hold, or in a hold and the holds before it, over the load without this loss. In a
-    staircase only the last step of the load relaxes in a hold, because the earlier steps are relaxed already. A hold
-    at a smaller motion than the hold before begins a new sum.
+    staircase only the last step of the load relaxes in a hold, because the earlier steps are relaxed already. An
+    unloading between two holds begins a new sum, because a material that rests recovers.
 
     A sum of n losses is significant above sqrt(n) times the noise, and above sqrt(n) times the loss that an error of
     the position at both ends of a hold explains.
     """
-    found, reached = (0.0, 0, 0), -np.inf
+    found, reached, previous = (0.0, 0, 0), -np.inf, 0
     noise, span, lowest = estimate_noise_deviation(load), float(np.ptp(motion)), float(motion.min())
     losses: list[float] = []
     for first, last in holds:
         begin = float(np.median(load[first:first + _SETTINGS.end_samples])) - rest
         end = float(np.median(load[max(last - _SETTINGS.end_samples, first):last])) - rest
+        if float(motion[previous:first + 1].min()) < reached - _SETTINGS.position_error * span:
+            losses = []
+        reached, previous = float(motion[first]), last
         if begin <= _SETTINGS.loaded * np.ptp(load) or motion[first] <= lowest:
             continue
-        if motion[first] < reached:
-            losses = []
-        reached = float(motion[first])
         losses.append(begin - end)
         explained = 2.0 * _SETTINGS.position_error * span * begin / (reached - lowest)
         for count in {1, len(losses)}:

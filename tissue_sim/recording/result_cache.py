@@ -17,7 +17,8 @@ def cache_by_array_content(most: int) -> Callable[[Callable[Parameters, Result]]
     """Return a decorator that stores the last results of a function of arrays.
 
     The function must be pure and its result immutable: a call with equal arguments returns the same object. The key is
-    a hash of the arguments, so that the cache keeps no arrays. Errors are not stored.
+    a hash of the arguments, so that the cache keeps no arrays. Errors are not stored. Arguments must be numeric arrays,
+    or numbers, texts and tuples of these, whose representation is complete.
 
     Args:
         most: number of stored results; the oldest one is discarded first.
