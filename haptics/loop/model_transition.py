@@ -100,6 +100,8 @@ class ModelTransition:
                                     after: ContactStepResult) -> None:
         """Add the jump of the wrench at the change of the model to the offset; update correction and error estimate.
 
+        If one of the two steps did not converge, offset and correction are zero afterwards, and the error is unknown.
+
         Args:
             before: last step on the old model.
             old: the old model.
@@ -109,6 +111,11 @@ class ModelTransition:
         """
         new, correction = self._newest_model, self._correction
         self._largest_error = 0.0
+        if not (before.converged and after.converged):
+            # The wrench of a step that did not converge says nothing about the difference of the models.
+            self.clear_offset_and_correction()
+            self.estimate.discard_estimate()
+            return
         slope = np.array(before.stiffness_matrix) @ np.array(motion(last, pose))
         extrapolated = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
         missed = add_screws(after.wrench, scale_screw(-1.0, extrapolated))

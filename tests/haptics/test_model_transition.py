@@ -39,3 +39,16 @@ def test_a_pose_in_a_dent_is_no_place_in_the_air(transition):
 def test_a_place_in_the_air_stays_where_it_is(transition):
     transition.free = Pose((1e-3, 0.0, 2e-4))
     assert transition.compute_distance_from_model(AIR, Pose((1e-3, 0.0, -2e-4))) == pytest.approx(4e-4)
+
+
+@pytest.mark.parametrize(("before", "after"), [(True, False), (False, True)])
+def test_a_step_that_did_not_converge_teaches_nothing(transition, before, after):
+    """Its wrench is that of an earlier step: two models seemed to agree, and a force of 2.7 N had an error of 0.3 N."""
+    pressed = SimpleNamespace(has_contact=True, pose=down(5e-3), tangent_pose=down(5e-3), material=0, time=0.4)
+    steps = [SimpleNamespace(wrench=(0.0, 0.0, 0.4, 0.0, 0.0, 0.0), stiffness_matrix=((0.0,) * 6,) * 6, converged=each)
+             for each in (before, after)]
+    transition._stepper.model = pressed
+    transition.estimate.update_estimate(0.01, 1e-3, 1e-3, 0.2, 0.2)
+    transition.update_offset_for_new_model(steps[0], SimpleNamespace(material=0, pose=down(0.0), has_contact=False,
+                                                                     time=0.2), down(1e-3), down(1e-3), steps[1])
+    assert math.isinf(transition.estimate.estimate_force_error(0.0)) and not any(transition.offset)
