@@ -130,6 +130,7 @@ def test_a_pause_holds_the_tool(needle_loop, until):
 
 def test_a_refused_command_changes_nothing(needle_loop, until):
     simulation = needle_loop.simulation
+    simulation.send_command_and_wait("aim", depth=2e-3)
     until(needle_loop, at_rest(2e-3))
     force = steady_force(needle_loop, until)
     for command, values, expected in (("aim", {"depth": float("nan")},
@@ -145,6 +146,7 @@ def test_a_refused_command_changes_nothing(needle_loop, until):
 
 def test_a_changed_material_is_shown_on_the_same_mesh(needle_loop, needle, until):
     simulation = needle_loop.simulation
+    simulation.send_command_and_wait("aim", depth=2e-3)
     until(needle_loop, at_rest(2e-3))
     mesh, force = simulation.snapshot.fields.mesh, steady_force(needle_loop, until)
     simulation.send_command_and_wait("set_parameters", C10=2000.0)
