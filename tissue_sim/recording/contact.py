@@ -223,9 +223,10 @@ def _choose_window_and_misfit_p(parts: Sequence[LoadingWindow], terms: int,
                                 exponents: tuple[float, float]) -> tuple[LoadingWindow, float]:
     """Choose the window for the final fit; return it with the p value of a chance misfit of the law.
 
-    It is the longest window with a p value above `ContactSettings.adequate`, or without one that of the largest p
-    value: in the shortest window, few samples after contact do not determine a law. A window is left out if the next,
-    shorter one has a much smaller residual: its law fits nowhere, and a slow misfit looks like correlated noise.
+    It is the longest window with a p value above `ContactSettings.adequate`, without one that of the largest p value
+    above `ContactSettings.doubtful`, and without such a window the shortest one, in which few samples after contact may
+    not determine a law. A window is left out if the next, shorter one has a much smaller residual: its law fits
+    nowhere, and a slow misfit looks like correlated noise.
     """
     candidates: list[tuple[float, LoadingWindow]] = []
     judged = _compute_misfit_p_and_residual_deviation(parts[0], terms, exponents)
@@ -239,7 +240,8 @@ def _choose_window_and_misfit_p(parts: Sequence[LoadingWindow], terms: int,
         if chance > _SETTINGS.adequate:
             return part, chance
         candidates.append((chance, part))
-    chance, part = max(candidates, key=lambda each: each[0])
+    described = [each for each in candidates if each[0] > _SETTINGS.doubtful]
+    chance, part = max(described, key=lambda each: each[0]) if described else candidates[-1]
     return part, chance
 
 
