@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
 from calibration.fit.ordinary_problem import OrdinaryProblem
+from calibration.fit.usability_settings import UsabilitySettings
 from tissue_sim.recording.contact_error import (
     relative_modulus_error_from_contact,
     relative_modulus_error_from_contact_range,
@@ -18,23 +18,8 @@ from tissue_sim.recording.contact_error import (
 from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
 
 
-@dataclass(frozen=True)
-class ClearRiseSettings:
-    """Settings of the search for a clear rise of the force, before which the tool may be in the air.
-
-    Attributes:
-        deviations: rise in standard deviations of the noise; a larger value gives a later rise.
-        start_samples: number of samples whose mean is the force at the start.
-    """
-
-    deviations: float = 5.0
-    start_samples: int = 3
-
-
-_SETTINGS = ClearRiseSettings()
-
-
-def describe_worst_uncertain_contact_or_empty(estimate: Estimate, misfitted_tests: Collection[str]) -> str:
+def describe_worst_uncertain_contact_or_empty(estimate: Estimate, misfitted_tests: Collection[str],
+                                              limits: UsabilitySettings) -> str:
     """Describe the recordings whose contact is not known well enough; empty if there are none.
 
     The standard errors of the parameters include the uncertainty of a fitted contact offset. An unclear contact does
@@ -43,6 +28,7 @@ def describe_worst_uncertain_contact_or_empty(estimate: Estimate, misfitted_test
     Args:
         estimate: minimum of the sum of squares.
         misfitted_tests: names of the tests whose residuals are far above the noise.
+        limits: limits of a clear rise of the force, `start_samples` and `start_noise`.
     """
     if _has_fitted_contact_offsets(estimate.problem):
         return ""
@@ -55,7 +41,7 @@ def describe_worst_uncertain_contact_or_empty(estimate: Estimate, misfitted_test
             error = relative_modulus_error_from_contact(curve.displacement, curve.force, curve.time, contact)
             found.append((error, curve, contact.interval))
         elif curve.test.contact == "recorded" and contact.status == "unclear" and curve.test.name in misfitted_tests:
-            high = _find_last_displacement_without_clear_rise(curve)
+            high = _find_last_displacement_without_clear_rise(curve, limits)
             error = relative_modulus_error_from_contact_range(curve.displacement, curve.force, curve.time,
                                                               0.5 * (high - float(curve.displacement[0])))
             found.append((error, curve, (-np.inf, high)))
@@ -72,13 +58,13 @@ def describe_worst_uncertain_contact_or_empty(estimate: Estimate, misfitted_test
             f"limit is {100 * MODULUS_TOLERANCE:g} %")
 
 
-def _find_last_displacement_without_clear_rise(curve: MeasuredCurve) -> float:
+def _find_last_displacement_without_clear_rise(curve: MeasuredCurve, limits: UsabilitySettings) -> float:
     """Return the displacement, m, of the last sample of the loading whose force is not clearly above that at the start.
 
     The tool may be in the air up to this displacement.
     """
-    start = float(np.mean(curve.force[:_SETTINGS.start_samples]))
-    low = np.flatnonzero(curve.force - start <= _SETTINGS.deviations * curve.noise.deviation)
+    start = float(np.mean(curve.force[:limits.start_samples]))
+    low = np.flatnonzero(curve.force - start <= limits.start_noise * curve.noise.deviation)
     return float(curve.displacement[low[low <= np.argmax(curve.displacement)].max(initial=0)])
 
 

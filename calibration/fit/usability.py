@@ -170,7 +170,7 @@ def _evaluate_contact_clause(evidence: UsabilityEvidence) -> UsabilityClauseResu
     _, ratios = compute_misfit_percents_and_noise_ratios(evidence.estimate)
     misfitted = [name for name, ratio in ratios.items() if ratio > evidence.limits.noise_ratio]
     return _clause_from_reason("contact", "not_determined",
-                               describe_worst_uncertain_contact_or_empty(evidence.estimate, misfitted),
+                               describe_worst_uncertain_contact_or_empty(evidence.estimate, misfitted, evidence.limits),
                                "set offset = \"fit\" in [fit], state the contact in mm, or record more air with less "
                                "noise")
 

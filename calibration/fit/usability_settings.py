@@ -24,6 +24,7 @@ class UsabilitySettings:
         start_samples: number of samples whose mean is the force at the start of a recording.
         start_fraction: a force against the load at the start counts above this fraction of the range of the force ...
         start_noise: ... and above this many times the noise; the remedy of a misfit is then the zero of the load cell.
+            A force that exceeds that at the start by more is a clear rise, before which the tool may be in the air.
 
     Raises:
         InputError: a limit is not positive, or `smallest_R2` is 1 or more.

@@ -86,8 +86,8 @@ class ModelTransition:
 
     def _raise_to_surface(self, pose: Pose) -> Pose:
         """Return a pose, moved up to the undeformed surface if it is below."""
-        x, y, z = pose.position
-        return Pose((x, y, max(z, self._stepper.surface.start.position[2])), pose.orientation)
+        (x, y, z), height = pose.position, self._stepper.surface.start.position[2]
+        return pose if z >= height else Pose((x, y, height), pose.orientation)
 
     def is_above_or_just_below_surface(self, pose: Pose) -> bool:
         """Return whether a pose is at any height above the undeformed surface, or at most `short` below.

@@ -27,8 +27,8 @@ from scenes.commands.shared.parsing import (
 from scenes.commands.shared.tissue_flags import (
     add_reduced_flag,
     add_resolution_and_solver_flags,
-    load_material_or_study_silicone,
     load_reduced_model_and_set_flags,
+    load_scene_material,
     require_known_solver,
 )
 from scenes.doctor.platform_services import VIEWER_PORT
@@ -113,10 +113,7 @@ def run(arguments) -> int:
     from scenes.viewer.run import run_headless_and_return_curve, run_viewer_page
     from scenes.viewer.scene import BUILT_IN, Scene, read_measurements_by_kind
 
-    if reduced and not arguments.material:
-        material = reduced.model.material
-    else:
-        material = load_material_or_study_silicone(arguments.material)
+    material = load_scene_material(arguments.material, reduced)
     experiment = (reduced.model.experiment if reduced else
                   make_experiment_from_flags(arguments, make_protocol_from_flags(arguments), material))
     source = arguments.material or arguments.reduced

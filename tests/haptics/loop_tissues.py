@@ -86,6 +86,7 @@ def die():
 
 
 def build_slowly(seconds):
+    """A tissue whose computation takes this long; tests stop or outlive it, and none waits for its end."""
     time.sleep(seconds)
     return Spring()
 

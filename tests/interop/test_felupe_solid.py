@@ -1,5 +1,6 @@
 """3D specimens compared with FElupe on the same meshes: hexahedra of eight nodes with mean dilatation."""
 
+import felupe
 import numpy as np
 import pytest
 
@@ -9,8 +10,6 @@ from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.pose import Pose
-
-felupe = pytest.importorskip("felupe", reason="compares with FElupe, not installed: pip install -e .[test]")
 
 #: Shear modulus, Pa.
 MODULUS = 2800.0

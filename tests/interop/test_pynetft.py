@@ -9,6 +9,7 @@ import sys
 import tarfile
 from importlib.metadata import version
 
+import pynetft
 import pytest
 from waiting import wait_until
 
@@ -20,8 +21,6 @@ from haptics.emulators.rdt import RdtEmulator
 from haptics.protocols import rdt
 from haptics.protocols.rdt import BoxSettings
 
-pynetft = pytest.importorskip("pynetft", reason="compares with the independent client pynetft, which has no wheel for "
-                                                "every platform and is not installed: pip install pynetft")
 PATIENCE = 60.0
 LOAD = (0.1, -0.2, 3.0, 0.01, 0.02, -0.03)
 

@@ -4,15 +4,13 @@ import time
 
 import pytest
 import serial
+import ticlib
 from waiting import wait_until
 
 from haptics.devices.contracts import Bench, StageLimits
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.devices.virtual.stage import VirtualStage
 from haptics.emulators.emulator import open_emulator
-
-ticlib = pytest.importorskip("ticlib", reason="compares with the independent client ticlib, not installed: "
-                             "pip install -e .[test]")
 
 COMMAND_TIMEOUT = 1 << 6
 SAFE_START = 1 << 7

@@ -29,8 +29,8 @@ from scenes.commands.shared.parsing import (
 from scenes.commands.shared.tissue_flags import (
     add_reduced_flag,
     add_resolution_and_solver_flags,
-    load_material_or_study_silicone,
     load_reduced_model_and_set_flags,
+    load_scene_material,
     require_known_solver,
 )
 from tissue_sim.errors import InputError
@@ -166,10 +166,7 @@ def run(arguments) -> int:
     from haptics.loop.tissue_factory import make_real_time_tissue_factory
     from tissue_sim import Model
 
-    if reduced and not arguments.material:
-        material = reduced.model.material
-    else:
-        material = load_material_or_study_silicone(arguments.material)
+    material = load_scene_material(arguments.material, reduced)
     protocol = make_protocol_from_flags(arguments)
     model = Model(reduced.model.experiment if reduced else make_experiment_from_flags(arguments, protocol, material),
                   material)

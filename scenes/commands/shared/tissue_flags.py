@@ -91,6 +91,11 @@ def require_known_solver(name: str) -> None:
                          field="--solver")
 
 
+def load_scene_material(path: Path | None, reduced: ReducedModel | None) -> Material:
+    """Return the material of a file, or for None that of the reduced model, or without one that of the study."""
+    return reduced.model.material if reduced and path is None else load_material_or_study_silicone(path)
+
+
 def load_material_or_study_silicone(path: Path | None) -> Material:
     """Return the material of a file, or for None the silicone of the reference study."""
     import tissue_sim as ts
