@@ -2,11 +2,13 @@
 
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from scenes.field_labels import LABELS
+from scenes.viewer.page.readouts import readouts_html
 from scenes.viewer.page.solid import SIZE
 from scenes.viewer.tone import compute_displayed_srgb
 
@@ -56,6 +58,23 @@ def test_bar_and_section_have_the_same_colours_and_the_label_of_the_field(shown,
     title = page.locator("[data-colour]").last
     # The tool has moved 2 mm, so the largest displacement is about 2 mm.
     reader.until(lambda: title.get_attribute("title"), lambda words: 1.0 < float(words.split()[-1]) <= 2.0)
+
+
+def test_a_warning_does_not_move_the_controls_below_it(shown, reader):
+    # A button that moves between press and release of the mouse loses the click.
+    last = reader.until(lambda: shown.frame, lambda frame: frame.readouts is not None)
+    heights = []
+    for warning in ("", "The force is late."):
+        now = replace(last, readouts=replace(last.readouts, status="inaccurate", warning=warning))
+        heights.append(reader.page.evaluate("""html => {
+            const probe = document.body.appendChild(document.createElement("div"));
+            Object.assign(probe.style, {position: "absolute", width: "360px"});
+            probe.innerHTML = html;
+            const height = probe.getBoundingClientRect().height;
+            probe.remove();
+            return height;
+        }""", readouts_html(now)))
+    assert heights[0] == heights[1] > 100
 
 
 @pytest.mark.slow

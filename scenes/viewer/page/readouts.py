@@ -74,9 +74,12 @@ _NAMED_FRACTION = 0.0005
 
 
 def _badge_with_tooltip_html(word: str, meaning: str, colour: str) -> str:
-    """Return HTML of a highlighted word with a tooltip."""
-    return (f'<div data-testid="badge" title="{escape(meaning, quote=True)}" style="display:inline-block;'
-            f'margin-top:0.2em;padding:0 0.6em;border-radius:0.3em;color:white;font-weight:600;'
+    """Return HTML of a highlighted word with a tooltip, in the upper right corner of its container.
+
+    The word takes no space: controls below it stay in place when it appears, so that a click does not miss them.
+    """
+    return (f'<div data-testid="badge" title="{escape(meaning, quote=True)}" style="position:absolute;top:0;right:0;'
+            f'font-size:0.8em;padding:0 0.6em;border-radius:0.3em;color:white;font-weight:600;'
             f'background:{colour}">{escape(word)}</div>')
 
 
@@ -112,7 +115,7 @@ def readouts_html(frame: SessionFrame) -> str:
                    f'<td data-testid="{key}" style="font-variant-numeric:tabular-nums">{escape(value)}</td></tr>'
                    for key, label, value in small)
     faded = ";opacity:0.45" if stale else ""
-    return (f'<div style="padding:0.3em 0.75em{faded}"><div style="display:flex">{cells}</div>{badge}'
+    return (f'<div style="padding:0.3em 0.75em{faded}"><div style="display:flex;position:relative">{cells}{badge}</div>'
             f'<table style="font-size:0.8em;margin-top:0.3em;border-collapse:collapse">{rows}</table></div>')
 
 
