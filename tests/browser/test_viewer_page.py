@@ -10,6 +10,7 @@ import pytest
 from scenes.field_labels import LABELS
 from scenes.viewer.page.readouts import readouts_html
 from scenes.viewer.page.solid import SIZE
+from scenes.viewer.plots import make_depth_grid
 from scenes.viewer.tone import compute_displayed_srgb
 
 FAULT = "ramp 3mm; wander 2s"
@@ -146,10 +147,16 @@ def test_a_protocol_is_played_paused_stepped_and_reset(shown, reader):
     reader.press("Play")
     reader.wait_for("depth", "4.00")
     assert reader.read("phase") == "running · protocol"
-    load, _ = shown.frame.curves.trace.branches()
-    # A busy machine misses ticks, and tissue with inertia overshoots.
-    reader.until(lambda: reader.curves()[0]["live load"], lambda live: len(live) >= min(len(load.depth), 156)
-                 and max(live) >= 0.98 * shown.frame.readouts.force)
+    # On a busy machine some forces of the loading are late, so the page is compared with the frame.
+    grid = make_depth_grid(shown.scene.max_tool_displacement)
+
+    def compute_loading():
+        force, _ = shown.frame.curves.trace.interpolate_newest_force_at_each_depth(grid)
+        return force[np.isfinite(force)]
+
+    live = reader.until(lambda: reader.curves()[0]["live load"],
+                        lambda live: len(live) > 100 and live == pytest.approx(compute_loading()))
+    assert max(live) > 0.5 * shown.frame.readouts.force
     reader.press("Reset")
     reader.wait_for("depth", "0.00")
     assert reader.read("phase") == "running · by hand"
