@@ -80,7 +80,7 @@ def against_lapack(name: str, lower: np.ndarray, repeats: int, *, solve: bool) -
     half_band, size = lower.shape[0] - 1, lower.shape[1]
     blocks, right = band.pack_lapack_band_to_blocks(lower), np.random.default_rng(0).normal(size=size)
     rows = len(blocks)
-    matrix, inverse = allocate_array(blocks.shape), allocate_array((rows * band.BLOCK,))
+    matrix, inverse = allocate_array(blocks.shape), allocate_array((rows, band.BLOCK))
     x = allocate_array((rows, band.BLOCK))
     offsets = band.make_band_table(matrix, matrix, matrix, matrix, inverse, x)
 

@@ -65,7 +65,7 @@ def factorised(functions, lower: np.ndarray, added: np.ndarray, skewed: int = 0,
     # Entries that must not be read are NaN.
     for array in (upper, factor, upper_factor):
         array[:] = np.nan
-    inverse, x, good = allocate_array((rows * band.BLOCK,)), allocate_array((rows, band.BLOCK)), np.zeros(1, np.int32)
+    inverse, x, good = allocate_array((rows, band.BLOCK)), allocate_array((rows, band.BLOCK)), np.zeros(1, np.int32)
     table = band.make_band_table(matrix, upper, factor, upper_factor, inverse, x)
     for more in (added, later):
         if more is None:

@@ -28,7 +28,7 @@ def run(table: numbers):
 
 lower = np.vstack([np.full(64, 4.0), np.ones(64)])
 blocks = band.pack_lapack_band_to_blocks(lower)
-matrix, inverse, right = allocate_array(blocks.shape), allocate_array((64,)), allocate_array((8, 8))
+matrix, inverse, right = allocate_array(blocks.shape), allocate_array((8, 8)), allocate_array((8, 8))
 matrix[:] = blocks
 run(band.make_band_table(matrix, matrix, matrix, matrix, inverse, right))
 assert abs(matrix[0, -1, 0, 0] - 2.0) < 1e-12, matrix[0, -1]

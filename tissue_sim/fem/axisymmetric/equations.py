@@ -113,7 +113,7 @@ class EquilibriumEquations:
         upper_rows = rows if self.surface.has_coulomb_friction_points else 1
         self.upper = allocate_array((upper_rows, *self.entries.shape[1:]))
         self._factor, self._upper_factor = allocate_array(self.entries.shape), allocate_array(self.upper.shape)
-        self._inverse = allocate_array((rows * band.BLOCK,))
+        self._inverse = allocate_array((rows, band.BLOCK))
         self._right = allocate_array((rows, band.BLOCK))
         self._band_table = band.make_band_table(self.entries, self.upper, self._factor, self._upper_factor,
                                                 self._inverse, self._right)

@@ -25,7 +25,7 @@ from tissue_sim.fem.linear.band import BandTableIndex
 from tissue_sim.fem.linear.cholesky import make_cholesky_functions
 from tissue_sim.fem.linear.lu import make_lu_functions
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.fem.taichi.origins import get_origins
+from tissue_sim.fem.taichi.origins import get_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
@@ -54,7 +54,7 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
     block1 = ti.types.ndarray(dtype=block, ndim=1)
-    vectors = get_origins().blocks
+    vectors = get_origin().field
     fill_unused_diagonal = band_matrix.make_fill_diagonal_function()
     symmetrise_diagonal_blocks = band_matrix.make_symmetrise_diagonal_blocks_function()
     copy_lower_band_to_upper_band = band_matrix.make_copy_lower_to_upper_band_function()

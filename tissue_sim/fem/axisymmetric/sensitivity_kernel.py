@@ -28,7 +28,7 @@ from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.band import BandTableIndex
 from tissue_sim.fem.linear.cholesky import make_cholesky_functions
 from tissue_sim.fem.linear.lu import make_lu_functions
-from tissue_sim.fem.taichi.origins import get_origins
+from tissue_sim.fem.taichi.origins import get_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
@@ -80,7 +80,7 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
     real1, real2, real3, real4 = (ti.types.ndarray(dtype=ti.f64, ndim=n) for n in range(1, 5))
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
-    vectors = get_origins().blocks
+    vectors = get_origin().field
     fill_unused_diagonal = band_matrix.make_fill_diagonal_function()
     cholesky, lu = make_cholesky_functions(), make_lu_functions()
 

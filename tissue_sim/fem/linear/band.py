@@ -5,7 +5,7 @@ The lower band is divided into square blocks of `BLOCK` columns. Block (I, J) is
 factorisations run on vectors. A matrix that is not symmetric has two such bands: its lower triangle with the full
 diagonal blocks, and the lower triangle of its transpose.
 
-The factorisations and solutions address bands and vectors by their offsets from the origins of
+The factorisations and solutions address bands and vectors by their offsets from the origin of
 `tissue_sim.fem.taichi.origins`. A `BandTableIndex` names the entries of the table of these offsets, which
 `make_band_table` computes.
 """
@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.fem.taichi.origins import BLOCK, compute_block_offset, compute_real_offset, get_origins
+from tissue_sim.fem.taichi.origins import compute_block_offset, get_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
+from tissue_sim.fem.taichi.scratch import BLOCK
 
 
 class BandTableIndex(IntEnum):
@@ -30,7 +31,7 @@ class BandTableIndex(IntEnum):
         MATRIX_UPPER: offset of the lower band of its transpose.
         LOWER: offset of the lower factor.
         UPPER: offset of the upper factor.
-        INVERSE: offset of the reciprocals of the diagonal, in numbers.
+        INVERSE: offset of the reciprocals of the diagonal.
         RIGHT: offset of the right-hand side, which the solution replaces.
     """
 
@@ -81,12 +82,12 @@ def make_band_table(matrix: np.ndarray, matrix_upper: np.ndarray, lower: np.ndar
         matrix_upper: lower band of its transpose, same shape; another array if the solver is symmetric.
         lower: lower factor, same shape.
         upper: upper factor, same shape; another array if the solver is symmetric.
-        inverse: reciprocals of the diagonal, shape (rows * BLOCK,).
+        inverse: reciprocals of the diagonal, shape (rows, BLOCK).
         right: right-hand side, shape (rows, BLOCK).
     """
     rows, width = matrix.shape[:2]
-    blocks = [compute_block_offset(array) for array in (matrix, matrix_upper, lower, upper)]
-    return np.array([rows, width, *blocks, compute_real_offset(inverse), compute_block_offset(right)], dtype=np.int32)
+    offsets = [compute_block_offset(array) for array in (matrix, matrix_upper, lower, upper, inverse, right)]
+    return np.array([rows, width, *offsets], dtype=np.int32)
 
 
 def pack_lapack_band_to_blocks(lower: np.ndarray) -> np.ndarray:
@@ -155,10 +156,10 @@ def make_subtract_earlier_products_function():
     """Return the Taichi function ``subtract_earlier_block_products(I, J, first, width, matrix, left, right)``.
 
     left(I, J) = matrix(I, J) - sum of left(I, K) right(J, K)^T over the block columns K from `first` to J - 1. Matrix,
-    left and right are offsets of bands from the origin of blocks.
+    left and right are offsets of bands.
     """
     ti = get_initialised_taichi()
-    vectors, locate_block = get_origins().blocks, make_locate_block_function()
+    vectors, locate_block = get_origin().field, make_locate_block_function()
 
     @ti.func
     def subtract_earlier_block_products(I, J, first, width, matrix, left, right):
@@ -192,7 +193,7 @@ def make_copy_lower_to_upper_band_function():
     It copies the lower band of a symmetric matrix to the upper band, for block rows `begin` to `end` - 1.
     """
     ti = get_initialised_taichi()
-    vectors = get_origins().blocks
+    vectors = get_origin().field
 
     @ti.func
     def copy_lower_band_to_upper_band(table: ti.template(), begin, end):
@@ -212,7 +213,7 @@ def make_symmetrise_diagonal_blocks_function():
     It fills the upper triangles of the diagonal blocks of a symmetric matrix.
     """
     ti = get_initialised_taichi()
-    vectors, locate_block = get_origins().blocks, make_locate_block_function()
+    vectors, locate_block = get_origin().field, make_locate_block_function()
 
     @ti.func
     def symmetrise_diagonal_blocks(table: ti.template()):
@@ -234,7 +235,7 @@ def make_fill_diagonal_function():
     It sets the diagonal of the equations from `free` on to 1, which fill the last block.
     """
     ti = get_initialised_taichi()
-    vectors, locate_block = get_origins().blocks, make_locate_block_function()
+    vectors, locate_block = get_origin().field, make_locate_block_function()
 
     @ti.func
     def fill_unused_diagonal(table: ti.template(), free):

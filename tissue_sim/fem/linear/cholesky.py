@@ -9,7 +9,7 @@ from tissue_sim.fem.linear.band import (
     make_locate_block_function,
     make_subtract_earlier_products_function,
 )
-from tissue_sim.fem.taichi.origins import get_origins
+from tissue_sim.fem.taichi.origins import get_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
@@ -17,7 +17,7 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 def make_cholesky_functions() -> BandSolverFunctions:
     """Return the Taichi functions of L L^T; `factorise_band` fails if the matrix is not positive definite."""
     ti = get_initialised_taichi()
-    vectors, reals = get_origins().blocks, get_origins().reals
+    vectors = get_origin().field
     locate_block = make_locate_block_function()
     subtract_block_products = make_subtract_earlier_products_function()
     lanes = ti.Vector(list(range(BLOCK)))
@@ -39,7 +39,7 @@ def make_cholesky_functions() -> BandSolverFunctions:
                         v = vectors[block + c]
                         for k in range(c):
                             v -= vectors[block + k] * vectors[diagonal + k][c]
-                        vectors[block + c] = v * reals[inverse + J * BLOCK + c]
+                        vectors[block + c] = v * vectors[inverse + J][c]
                 else:
                     for c in range(BLOCK):
                         v = vectors[block + c]
@@ -52,9 +52,9 @@ def make_cholesky_functions() -> BandSolverFunctions:
                         if not pivot > 0.0:
                             ok = 0
                             pivot = 1.0
-                        reals[inverse + I * BLOCK + c] = 1.0 / ti.sqrt(pivot)
+                        vectors[inverse + I][c] = 1.0 / ti.sqrt(pivot)
                         # `solve_band` relies on zeros above the diagonal.
-                        vectors[block + c] = ti.select(lanes >= c, v * reals[inverse + I * BLOCK + c], 0.0)
+                        vectors[block + c] = ti.select(lanes >= c, v * vectors[inverse + I][c], 0.0)
             if ok == 0:
                 break
         return ok
@@ -73,7 +73,7 @@ def make_cholesky_functions() -> BandSolverFunctions:
                     v -= vectors[block + k] * y[k]
             diagonal = locate_block(lower, I, I, width)
             for c in ti.static(range(BLOCK)):
-                value = v[c] * reals[inverse + I * BLOCK + c]
+                value = v[c] * vectors[inverse + I][c]
                 v += (unit[c] - vectors[diagonal + c]) * value
             vectors[x + I] = v
         for reverse in range(rows):
@@ -87,7 +87,7 @@ def make_cholesky_functions() -> BandSolverFunctions:
             diagonal = locate_block(lower, I, I, width)
             for c in ti.static(range(BLOCK - 1, -1, -1)):
                 column = vectors[diagonal + c]
-                value = (v[c] * (1.0 + column[c]) - column.dot(v)) * reals[inverse + I * BLOCK + c]
+                value = (v[c] * (1.0 + column[c]) - column.dot(v)) * vectors[inverse + I][c]
                 v += unit[c] * (value - v[c])
             vectors[x + I] = v
 

@@ -14,7 +14,7 @@ from tissue_sim.fem.linear.band import (
     make_locate_block_function,
     make_subtract_earlier_products_function,
 )
-from tissue_sim.fem.taichi.origins import get_origins
+from tissue_sim.fem.taichi.origins import get_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
@@ -22,7 +22,7 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 def make_lu_functions() -> BandSolverFunctions:
     """Return the Taichi functions of L U (unit diagonal of L); `factorise_band` fails if a pivot is too small."""
     ti = get_initialised_taichi()
-    vectors, reals = get_origins().blocks, get_origins().reals
+    vectors = get_origin().field
     locate_block = make_locate_block_function()
     subtract_block_products = make_subtract_earlier_products_function()
     lanes = ti.Vector(list(range(BLOCK)))
@@ -55,7 +55,7 @@ def make_lu_functions() -> BandSolverFunctions:
                             v -= vectors[left + k] * vectors[diagonal + c][k]
                         if skewed > J:
                             vectors[above + c] = v
-                        vectors[left + c] = v * reals[inverse + J * BLOCK + c]
+                        vectors[left + c] = v * vectors[inverse + J][c]
             block = locate_block(lower, I, I, width)
             for c in range(BLOCK):
                 v = vectors[block + c]
@@ -67,7 +67,7 @@ def make_lu_functions() -> BandSolverFunctions:
                 if not ti.abs(pivot) > 1e-14 * largest:
                     ok = 0
                     pivot = 1.0
-                reals[inverse + I * BLOCK + c] = 1.0 / pivot
+                vectors[inverse + I][c] = 1.0 / pivot
                 vectors[block + c] = ti.select(lanes > c, v / pivot, v)
             if ok == 0:
                 break
@@ -100,7 +100,7 @@ def make_lu_functions() -> BandSolverFunctions:
                     v -= unit[k] * vectors[block + k].dot(y)
             diagonal = locate_block(lower, I, I, width)
             for c in ti.static(range(BLOCK - 1, -1, -1)):
-                value = v[c] * reals[inverse + I * BLOCK + c]
+                value = v[c] * vectors[inverse + I][c]
                 v -= ti.select(lanes < c, vectors[diagonal + c], 0.0) * value
                 v += unit[c] * (value - v[c])
             vectors[x + I] = v

@@ -1,4 +1,4 @@
-"""Fields shared by all kernels: the scratch field for one batch of elements, and the origins of arrays.
+"""Fields shared by all kernels: the scratch field for one batch of elements, and the origin of arrays.
 
 Taichi numbers its fields in the order of creation, and the key of a cached kernel contains these numbers. All fields
 are created together, so that the key does not depend on the kernels that a process created before.
@@ -14,7 +14,9 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 LANES = 4
 #: Number of vectors in the scratch field.
 VECTORS = 3200
-#: Number of elements of an origin. Kernels use its address only.
+#: Number of numbers in a vector of the origin, and in a row of a block of a band matrix.
+BLOCK = 8
+#: Number of vectors of the origin. Kernels use its address only.
 ORIGIN_SIZE = 64
 
 
@@ -54,13 +56,12 @@ class SharedFields:
     """The fields of a process.
 
     Attributes:
-        blocks: origin of arrays of vectors of 8 numbers, see `tissue_sim.fem.taichi.origins`.
-        reals: origin of arrays of numbers.
+        origin: field of vectors of `BLOCK` numbers relative to which kernels address arrays, see
+            `tissue_sim.fem.taichi.origins`.
         scratch: scratch field, `VECTORS` vectors of `LANES` numbers.
     """
 
-    blocks: object
-    reals: object
+    origin: object
     scratch: object
 
 
@@ -68,6 +69,6 @@ class SharedFields:
 def get_shared_fields() -> SharedFields:
     """Return the fields of this process; the first call creates them."""
     ti = get_initialised_taichi()
-    # The first field begins on a page of memory, so that the arrays whose origin it is are aligned to cache lines.
-    return SharedFields(blocks=ti.Vector.field(8, ti.f64, shape=ORIGIN_SIZE), reals=ti.field(ti.f64, shape=ORIGIN_SIZE),
+    # The first field begins on a page of memory, so that the arrays that it addresses are aligned to cache lines.
+    return SharedFields(origin=ti.Vector.field(BLOCK, ti.f64, shape=ORIGIN_SIZE),
                         scratch=ti.Vector.field(LANES, ti.f64, shape=VECTORS))
