@@ -156,7 +156,8 @@ def test_a_protocol_is_played_paused_stepped_and_reset(shown, reader):
 
     live = reader.until(lambda: reader.curves()[0]["live load"],
                         lambda live: len(live) > 100 and live == pytest.approx(compute_loading()))
-    assert max(live) > 0.5 * shown.frame.readouts.force
+    if not shown.frame.curves.trace.is_late.any():
+        assert max(live) >= 0.98 * shown.frame.readouts.force
     reader.press("Reset")
     reader.wait_for("depth", "0.00")
     assert reader.read("phase") == "running · by hand"
