@@ -45,12 +45,13 @@ def turns_back(points=21):
 
 def presses_twice(points=11, change=0.0):
     """Flat tissue between plates with friction, pressed, released and pressed again: in 11 steps the first one of the
-    second time errs by 2 % of the largest force, and one twice as long by as much again and more. `change` is a relative
-    change of the modulus."""
+    second time errs by 2 % of the largest force, and one twice as long by as much again and more. `change` is a
+    relative change of the modulus."""
     experiment = ts.Experiment(ts.Specimen(57.1e-3, 12.4e-3), ts.Protocol.parse(
         "ramp 0.3733mm @2.09mm/s; unload; ramp 0.6222mm; unload; reload; unload", points=points), ts.Tool("plate"),
         friction=0.194, friction_base=0.194)
-    return ts.Model(experiment, ts.Material("neo_hooke", {"C10": 1377.0 * (1.0 + change)}, ts.Bulk("bulk_ratio", 57490.0)))
+    law = ts.Material("neo_hooke", {"C10": 1377.0 * (1.0 + change)}, ts.Bulk("bulk_ratio", 57490.0))
+    return ts.Model(experiment, law)
 
 
 def solver_says(recording):
