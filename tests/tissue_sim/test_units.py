@@ -19,6 +19,22 @@ def test_si(unit, quantity, value, si):
     assert value * factor + offset == pytest.approx(si, rel=1e-15)
 
 
+@pytest.mark.parametrize(("unit", "quantity", "si"), [
+    ("us", "time", 1e-6), ("h", "time", 3600.0), ("cm", "length", 1e-2), ("nm", "length", 1e-9),
+    ("in", "length", 0.0254), ("mil", "length", 2.54e-5), ("kN", "force", 1e3), ("uN", "force", 1e-6),
+    ("nN", "force", 1e-9), ("pN", "force", 1e-12), ("cN", "force", 1e-2), ("dyn", "force", 1e-5),
+    ("g", "force", 9.80665e-3), ("gf", "force", 9.80665e-3), ("mg", "force", 9.80665e-6), ("kg", "force", 9.80665),
+    ("kgf", "force", 9.80665), ("lb", "force", 4.4482216152605), ("lbf", "force", 4.4482216152605),
+    ("ozf", "force", 0.27801385095378125), ("Nm", "torque", 1.0), ("mNm", "torque", 1e-3), ("uNm", "torque", 1e-6),
+    ("Nmm", "torque", 1e-3), ("Pa", "stress", 1.0), ("MPa", "stress", 1e6), ("GPa", "stress", 1e9),
+    ("N/mm^2", "stress", 1e6), ("N/mm2", "stress", 1e6), ("N/cm2", "stress", 1e4), ("N/m2", "stress", 1.0),
+    ("bar", "stress", 1e5), ("psi", "stress", 6894.757293168361), ("ksi", "stress", 6894757.293168361),
+    ("g/mm2", "stress", 9806.65), ("kgf/cm2", "stress", 98066.5)])
+def test_factors_are_those_of_nist(unit, quantity, si):
+    """NIST Special Publication 811 (2008), appendix B."""
+    assert get_si_factor_and_offset(unit, quantity) == (pytest.approx(si, rel=1e-12), 0.0)
+
+
 @pytest.mark.parametrize(("unit", "quantity", "message"), [
     ("mmm", None, "did you mean 'mm'"), ("lbx", "force", "unknown unit 'lbx'"), ("", None, "unknown unit ''"),
     ("mm", "force", "unit 'mm' is a length, expected a force (N, kN, mN, uN, nN, pN, cN, "

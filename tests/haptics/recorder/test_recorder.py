@@ -29,9 +29,13 @@ def test_a_run_records_the_plan(bench):
     bench.run()
     state = state_of(bench)
     assert state["state"] == "waiting" and state["done"] == ["spring_1.csv", "spring_2.csv"] and not state["stops"]
+    limits = {"force_N": 5.0, "lowest_mm": -5.0, "highest_mm": 10.0, "speed_mm_s": 5.0, "stiffness_N_per_mm": 1.0,
+              "duration_s": 600.0}
+    assert {name: state["limits"][name] for name in limits} == pytest.approx(limits)
     for number in (1, 2):
         recording = read_recording(bench.folder / f"spring_{number}.csv")
         metadata = recording.metadata
+        assert "left_out" not in metadata
         touch = metadata["touch_mm"] * 1e-3
         assert touch == pytest.approx(SURFACE, abs=10e-6)
         assert recording.displacement.max() == pytest.approx(3e-3, abs=2e-6)
