@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tissue_sim.errors import ConvergenceError, InputError, make_hint_with_similar_or_known_words
+from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.fem.axisymmetric.contact_pairs import build_contact_pairs_or_none
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, STUDY_SLENDERNESS, UNMEASURED, MeshResolution
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
-from tissue_sim.fem.solver import StepStatus
+from tissue_sim.fem.settling import settle
+from tissue_sim.fem.solver import Step
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh import (
     Mesh,
@@ -180,7 +181,7 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     layers = element_layers(mesh, model.material.layers)
     uniform = experiment.homogeneous and not model.material.layers
     if weight:
-        start = _make_settled_solver_of_moulded_specimen(model, mesh, layers)
+        start = settle(_SelfWeight(model, mesh, layers), experiment.specimen, -float(mesh.nodes[:, 1].min()))
         mesh = start.mesh
     held = {}
     if experiment.friction == "bonded":
@@ -206,42 +207,34 @@ def _get_base_fixed_components_by_node_set(experiment: Experiment) -> dict[str, 
     return {"base": _FIXED_COMPONENTS[interface]} if interface in _FIXED_COMPONENTS else {}
 
 
-def _make_settled_solver_of_moulded_specimen(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver:
-    """Return the solver of the specimen as moulded, settled under its own weight without the tool."""
-    specimen = model.experiment.specimen
-    height = -float(mesh.nodes[:, 1].min())
-    factor = 1.0
-    for _ in range(50):
-        moulded = mesh.scale_height(factor)
-        solver = AxisymmetricSolver(moulded, model.material, _get_base_fixed_components_by_node_set(model.experiment),
-                                    {}, contact=build_contact_pairs_or_none(model.experiment, moulded, tool=False),
-                                    element_layers=layers, contact_radius=model.experiment.contact_radius)
-        _apply_weight_and_store_start(solver, specimen.specific_weight)
-        stands = factor * height - solver.sag
-        if specimen.height_is == "moulded" or abs(stands / height - 1) < 1e-10:
-            return solver
-        # The sag grows with the square of the height: one Newton step on factor - c factor^2 = 1.
-        loss = (factor * height - stands) / (factor**2 * height)
-        factor -= (factor - loss * factor**2 - 1) / (1 - 2 * loss * factor) if 2 * loss * factor < 1 else -0.1
-    raise ConvergenceError(f"no moulded height settles to {height * 1e3:g} mm under a specific weight of "
-                           f"{specimen.specific_weight:g} N/m3. Check density and moduli.")
+@dataclass(frozen=True)
+class _SelfWeight:
+    """Self-weight of an axisymmetric specimen; see `SelfWeightProblem`.
 
+    Attributes:
+        model: experiment and material.
+        mesh: undeformed mesh of the stated height.
+        layers: layer of each element, see `element_layers`.
+    """
 
-def _apply_weight_and_store_start(solver: AxisymmetricSolver, specific_weight: float) -> None:
-    """Apply the weight in increments, halved after a failure, and store the result as the start of the solver."""
-    applied, increment = 0.0, 1.0
-    while applied < 1.0:
-        solver.equations.specific_weight = min(1.0, applied + increment) * specific_weight
-        # An infinite time step: all relaxation has ended.
-        step = solver.step(0.0, np.inf)
-        if step.status is StepStatus.CONVERGED:
-            applied = min(1.0, applied + increment)
-            increment *= 2.0
-        else:
-            increment /= 2.0
-            if increment < 2.0**-10:
-                raise ConvergenceError("the specimen has no equilibrium under its own weight: the solver stopped at "
-                                       f"{applied:.0%} of the weight ({step.status.message}). Check density and "
-                                       "moduli.")
-    start = solver.equations.start
-    start[:] = solver.state[: start.size]
+    model: Model
+    mesh: Mesh
+    layers: np.ndarray
+    smallest_increment: float = 2.0**-10
+
+    def make_solver(self, stretch: float) -> AxisymmetricSolver:
+        """See `SelfWeightProblem.make_solver`."""
+        experiment, mesh = self.model.experiment, self.mesh.scale_height(stretch)
+        return AxisymmetricSolver(mesh, self.model.material, _get_base_fixed_components_by_node_set(experiment), {},
+                                  contact=build_contact_pairs_or_none(experiment, mesh, tool=False),
+                                  element_layers=self.layers, contact_radius=experiment.contact_radius)
+
+    def apply_weight(self, solver: AxisymmetricSolver, specific_weight: float) -> Step:
+        """See `SelfWeightProblem.apply_weight`."""
+        solver.equations.specific_weight = specific_weight
+        return solver.step(0.0, np.inf)
+
+    def store_resting_state(self, solver: AxisymmetricSolver) -> None:
+        """See `SelfWeightProblem.store_resting_state`."""
+        start = solver.equations.start
+        start[:] = solver.state[: start.size]

@@ -18,7 +18,7 @@ from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.placement import PLACEMENT, FirstTouchHeightAndSolverMaker
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives
-from tissue_sim.fem.solid.settling import SelfWeightLoadStepRecord, settle_and_get_solver_and_load_steps
+from tissue_sim.fem.solid.settling import SolidSelfWeight, settle_solid
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solid.tissue import element_layers
 from tissue_sim.fem.solid.touch import FirstTouch, find_first_touch
@@ -98,10 +98,10 @@ def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datu
     """
     experiment, undeformed = model.experiment, mesh
     layers, weight = element_layers(mesh, model.material.layers), experiment.specimen.specific_weight
-    settled = settling = None
+    settled = load = None
     if weight:
-        settled, settling = settle_and_get_solver_and_load_steps(
-            lambda moulded: _make_solver_without_tool(model, moulded, layers), mesh, experiment.specimen)
+        settled, load = settle_solid(lambda moulded: _make_solver_without_tool(model, moulded, layers), mesh,
+                                     experiment.specimen)
         mesh = settled.mesh
     tool = experiment.tool
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
@@ -120,7 +120,7 @@ def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datu
     laws = NodalContactLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2,
                             _compute_law_areas(experiment, mesh))
     lift = _get_height_of_nearest_top_node(mesh, top[:, 2] - datum) if weight and tool.is_plate else None
-    rates = None if placed else settling and partial(_differentiate_first_touch_or_none, settling, experiment, first)
+    rates = partial(_differentiate_first_touch_or_none, load, experiment, first) if load and not placed else None
     solver = SolidSolver(mesh, model.material, _map_fixed_node_set_to_axes(experiment), bonded, bodies=bodies,
                          laws=laws, tolerance=tolerance, start=start, datum=datum,
                          contact_radius=experiment.contact_radius, pins=_choose_rigid_motion_pins(experiment, mesh),
@@ -183,7 +183,7 @@ def _get_height_of_nearest_top_node(mesh: SolidMesh, heights: np.ndarray) -> np.
     return heights[nearest_top]
 
 
-def _differentiate_first_touch_or_none(settling: SelfWeightLoadStepRecord, experiment: Experiment,
+def _differentiate_first_touch_or_none(settling: SolidSelfWeight, experiment: Experiment,
                                        first: FirstTouch, neighbours: Neighbours) -> FirstTouchDerivatives | None:
     """Differentiate the state of the first touch with respect to parameters; None if no derivatives are available."""
     mesh = settling.mesh
