@@ -31,24 +31,33 @@ class RelativeForceErrorEstimate:
     Attributes:
         fraction: largest error as a fraction of the largest force.
         first, last: numbers of the samples between which the error exceeds half of its maximum.
-        shorter: whether the comparison test has steps half as long; otherwise its steps are twice as long.
+        compared: number of the last compared sample; after it the error is unknown.
+        shorter: whether the comparison test has steps a quarter as long; otherwise its steps are twice as long.
     """
 
     fraction: float
     first: int
     last: int
+    compared: int
     shorter: bool = False
 
-    def in_words(self, displacement: np.ndarray, remedy: str) -> str:
-        """Return the text of the warning: size of the error, range of the displacement, and remedy.
+    def warning_or_none(self, displacement: np.ndarray, remedy: str) -> str | None:
+        """Return the warning of a large error or of an error that is unknown from a sample on; None: no warning.
 
         Args:
             displacement: of all samples, m, shape (n,).
-            remedy: what the user can do about the error.
+            remedy: what the user can do about a large error.
         """
+        if self.compared < displacement.size - 1:
+            return (f"the error of the force is unknown after sample {self.compared + 1} of {displacement.size} "
+                    f"({displacement[self.compared] * 1e3:.3g} mm), where the simulations on another mesh did not "
+                    f"converge; up to there it is about {100 * self.fraction:.2g} % of the largest force; use more "
+                    f"samples")
+        if self.fraction <= FORCE_ERROR.warning_fraction:
+            return None
         there = displacement[self.first: self.last + 1] * 1e3
         places = f"{there[-1]:.3g} mm" if self.first == self.last else f"{there.min():.3g} to {there.max():.3g} mm"
-        seen = "in steps half as long it differs by half as much" if self.shorter else \
+        seen = "in steps a quarter as long it differs by three quarters of that" if self.shorter else \
             "in other steps it differs by as much"
         return (f"the force may err by about {100 * self.fraction:.2g} % of its largest at {places}: on another mesh "
                 f"and {seen}; {remedy}")
@@ -104,4 +113,5 @@ def estimate_error_from_two_forces_or_none(force: np.ndarray, samples: np.ndarra
         first -= 1
     while last + 1 < samples.size and is_large[last + 1]:
         last += 1
-    return RelativeForceErrorEstimate(float(error[worst]), int(samples[first]), int(samples[last]), shorter)
+    return RelativeForceErrorEstimate(float(error[worst]), int(samples[first]), int(samples[last]), int(samples[-1]),
+                                      shorter)

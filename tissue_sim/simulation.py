@@ -192,10 +192,11 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         most = max(_SETTINGS.always_to_compare, _SETTINGS.most_to_compare * report["newton_iterations"])
         found = _estimate_force_error(tissue, model, forces, solver, resolution, topology, most)
         if found is not None:
-            report["force_error"] = found.fraction
-            if found.fraction > FORCE_ERROR.warning_fraction:
-                report["warnings"] = [found.in_words(protocol.displacement, _REMEDIES.get(resolution, _REMEDY)),
-                                      *report["warnings"]]
+            if found.compared == forces.size - 1:
+                report["force_error"] = found.fraction
+            warning = found.warning_or_none(protocol.displacement, _REMEDIES.get(resolution, _REMEDY))
+            if warning is not None:
+                report["warnings"] = [warning, *report["warnings"]]
     cuts = report["cuts"]
     return make_recording("converged", f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}")
 
@@ -204,12 +205,13 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
                           topology: Model | None, most_solves: int) -> RelativeForceErrorEstimate | None:
     """Estimate the error of a force from a second solution on another mesh with other steps.
 
-    If the error is worth a warning, a third solution with half the steps on the other mesh is used as well. The solver
-    of the first solution is `tissue`, its force at each sample is `force`, N, shape (n,). The second solution has at
-    most `most_solves` linear solves. The other arguments are those of `simulate`.
+    If the error is worth a warning, or if the second solution ends early, a third solution in quarter steps on the
+    other mesh is used. The solver of the first solution is `tissue`, its force at each sample is `force`, N, shape
+    (n,). The second and the third solution have at most `most_solves` linear solves each. The other arguments are those
+    of `simulate`.
 
     Returns:
-        None if the solver has no other mesh, or if the second solution does not reach a sample.
+        None if the solver has no other mesh, or if no other solution reaches a sample.
     """
     estimate, protocol = tissue.error_estimate(resolution), model.experiment.protocol
     if estimate is None:
@@ -237,14 +239,15 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
     other = simulate_forces(samples)
     common = np.flatnonzero(samples[:other.size] % 1.0 == 0.0)
     found = estimate_error_from_two_forces_or_none(force, samples[common].astype(int), other[common], estimate.fraction)
-    if found is None or found.fraction <= FORCE_ERROR.warning_fraction:
+    if found is not None and found.compared == force.size - 1 and found.fraction <= FORCE_ERROR.warning_fraction:
         return found
     # A step in which contact begins again may err by many times more than a step half as long. Errors in proportion to
-    # the step length, and the error of the mesh, are at most twice the difference to steps half as long.
-    other = simulate_forces(0.5 * np.arange(2 * protocol.time.size - 1))[::2]
-    again = estimate_error_from_two_forces_or_none(force, np.arange(force.size), other, 2.0 * estimate.fraction,
+    # the step length are 4/3 times the difference to steps a quarter as long; other errors are at most as large.
+    other = simulate_forces(0.25 * np.arange(4 * protocol.time.size - 3))[::4]
+    again = estimate_error_from_two_forces_or_none(force, np.arange(force.size), other, 4.0 / 3.0 * estimate.fraction,
                                                    shorter=True)
-    return again if again is not None and other.size == force.size and again.fraction < found.fraction else found
+    known = [each for each in (found, again) if each is not None]
+    return min(known, key=lambda each: (-each.compared, each.fraction), default=None)
 
 
 def _store_larger_values_in_report(report: dict, step: Step) -> None:

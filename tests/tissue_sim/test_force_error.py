@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
+from tissue_sim import simulation
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
+from tissue_sim.fem.solver import StepStatus
 from tissue_sim.force_error import (
     FORCE_ERROR,
     RelativeForceErrorEstimate,
@@ -124,12 +126,45 @@ def test_warning_names_where_the_error_is():
     samples, force = np.arange(0, 9, 2), np.linspace(0.0, 2.0, 9)
     other = force[samples] + [0.0, 0.01, 0.2, 0.12, 0.0]
     found = estimate_error_from_two_forces_or_none(force, samples, other, 0.5)
-    assert found == RelativeForceErrorEstimate(pytest.approx(0.05), 4, 6)
-    assert "of its largest at 4 to 6 mm:" in found.in_words(1e-3 * np.arange(9.0), "more samples show it")
-    ended = estimate_error_from_two_forces_or_none(force, samples, other[:2], 1.0)
-    assert ended == RelativeForceErrorEstimate(pytest.approx(0.005), 2, 2) \
-        and estimate_error_from_two_forces_or_none(force, samples, other[:0],
-                                                   1.0) is None
+    assert found == RelativeForceErrorEstimate(pytest.approx(0.05), 4, 6, 8)
+    assert "of its largest at 4 to 6 mm:" in found.warning_or_none(1e-3 * np.arange(9.0), "more samples show it")
+    assert replace(found, fraction=0.02).warning_or_none(1e-3 * np.arange(9.0), "more samples show it") is None
+
+
+def test_warning_names_the_sample_after_which_the_error_is_unknown():
+    samples, force = np.arange(0, 9, 2), np.linspace(0.0, 2.0, 9)
+    ended = estimate_error_from_two_forces_or_none(force, samples, force[samples[:2]] + [0.0, 0.01], 1.0)
+    assert ended == RelativeForceErrorEstimate(pytest.approx(0.005), 2, 2, 2)
+    assert "unknown after sample 3 of 9 (2 mm)" in ended.warning_or_none(1e-3 * np.arange(9.0), "")
+    assert estimate_error_from_two_forces_or_none(force, samples, np.zeros(0), 1.0) is None
+
+
+def test_error_is_unknown_if_no_other_simulation_reaches_the_last_sample(monkeypatch):
+    monkeypatch.setattr(simulation, "_SETTINGS", replace(simulation._SETTINGS, most_to_compare=0, always_to_compare=4))
+    recording = ts.simulate(study(points=5, **PLATES))
+    assert solver_says(recording)["force_error"] is None
+    warning, = solver_says(recording)["warnings"]
+    assert warning.startswith("the error of the force is unknown after sample ")
+
+
+def test_quarter_steps_replace_double_steps_that_end_early(monkeypatch):
+    """The second simulation fails at its second step; the third one is complete."""
+    model, counts = study(points=5, **PLATES), []
+
+    class EndsEarly(simulation._ToolDrive):
+        def iterate_positions_times_and_steps(self, samples):
+            counts.append(samples.size)
+            for number, (position, dt, steps) in enumerate(super().iterate_positions_times_and_steps(samples)):
+                steps = list(steps)
+                if counts == [5, 3] and number == 2:
+                    steps[-1] = replace(steps[-1], status=StepStatus.SLOW)
+                yield position, dt, steps
+
+    both = solver_says(ts.simulate(model))["force_error"]
+    monkeypatch.setattr(simulation, "_ToolDrive", EndsEarly)
+    recording = ts.simulate(model)
+    assert counts == [5, 3, 17] and solver_says(recording)["warnings"] == []
+    assert both / 3 < solver_says(recording)["force_error"] < 3 * both
 
 
 def test_partly_slipping_face_has_the_error_of_both_its_tests():
