@@ -67,11 +67,11 @@ class _Watch:
 
     def before_first_step(self, solver) -> None:
         with self._clock.off():
-            self._do(self._check.begin, solver)
+            self._do(self._check.before_first_step, solver)
 
     def after_sample(self, solver, factor: float) -> None:
         with self._clock.off():
-            self._do(self._check.sample, solver, factor)
+            self._do(self._check.after_sample, solver, factor)
 
     def _do(self, work, *arguments) -> None:
         try:

@@ -45,13 +45,19 @@ def figures(entries: Sequence[dict]) -> dict:
                              if entry["status"] == "end" and entry["quarter"]["status"] != "end"],
             "apart_unwarned": [entry["seed"] for entry, apart in quarters if apart > APART and not entry["warnings"]],
             "apart_warned": [entry["seed"] for entry, apart in quarters if apart > APART and entry["warnings"]
-                             and apart / RIGHT <= entry["force_error"] <= apart * RIGHT],
+                             and _is_known(entry) and apart / RIGHT <= entry["force_error"] <= apart * RIGHT],
             "apart_misjudged": [entry["seed"] for entry, apart in quarters if apart > APART and entry["warnings"]
-                                and not apart / RIGHT <= entry["force_error"] <= apart * RIGHT],
+                                and _is_known(entry) and not apart / RIGHT <= entry["force_error"] <= apart * RIGHT],
+            "unknown": [entry["seed"] for entry, _ in quarters if not _is_known(entry)],
             "together": sum(apart <= TOGETHER for _, apart in quarters),
             "together_warned": [entry["seed"] for entry, apart in quarters if apart <= TOGETHER and entry["warnings"]],
             "largest": max((apart for _, apart in quarters), default=0.0)}
     return found
+
+
+def _is_known(entry: dict) -> bool:
+    """Whether the error of the force was estimated up to the last sample."""
+    return entry["force_error"] is not None
 
 
 def _row(entries: Sequence[dict]) -> dict:
@@ -93,7 +99,8 @@ def draw_runs(result: dict, console) -> None:
             f"{quarter['largest']:.1%} of the largest force.\n"
             f"By more than {APART:.0%} without a warning: {_numbers(quarter['apart_unwarned'])}; with a "
             f"right one: {_numbers(quarter['apart_warned'])}; with one that is wrong by more than {RIGHT:g} times: "
-            f"{_numbers(quarter['apart_misjudged'])}.\nWithin {TOGETHER:.0%}: {quarter['together']}, of which warned: "
+            f"{_numbers(quarter['apart_misjudged'])}.\nError unknown: {_numbers(quarter['unknown'])}.\n"
+            f"Within {TOGETHER:.0%}: {quarter['together']}, of which warned: "
             f"{_numbers(quarter['together_warned'])}.\nOnly the longer steps reach the end: "
             f"{_numbers(quarter['finer_failed'])}.")
     for failure in found["failures"]:

@@ -3,7 +3,6 @@
 from calibration.campaign.campaign import Test
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation, get_experiment
-from tissue_sim.errors import InputError
 
 
 class PartialSlip(Effect):
@@ -28,10 +27,5 @@ class PartialSlip(Effect):
 
 def _can_bonded_faces_be_simulated_free(test: Test) -> bool:
     """Return whether a test has bonded faces and the same test with frictionless faces can be simulated."""
-    if get_experiment(test).friction != "bonded":
-        return False
-    try:
-        get_experiment(test).with_slipping_faces_frictionless()
-    except InputError:
-        return False
-    return True
+    experiment = get_experiment(test)
+    return experiment.friction == "bonded" and not experiment.tool.sharp_edge

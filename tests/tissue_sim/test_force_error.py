@@ -43,13 +43,15 @@ def turns_back(points=21):
     return ts.Model(experiment, law)
 
 
-def presses_twice(points=11):
+def presses_twice(points=11, change=0.0):
     """Flat tissue between plates with friction, pressed, released and pressed again: in 11 steps the first one of the
-    second time errs by 2 % of the largest force, and one twice as long by as much again and more."""
+    second time errs by 2 % of the largest force, and one twice as long by as much again and more. `change` is a
+    relative change of the modulus."""
     experiment = ts.Experiment(ts.Specimen(57.1e-3, 12.4e-3), ts.Protocol.parse(
         "ramp 0.3733mm @2.09mm/s; unload; ramp 0.6222mm; unload; reload; unload", points=points), ts.Tool("plate"),
         friction=0.194, friction_base=0.194)
-    return ts.Model(experiment, ts.Material("neo_hooke", {"C10": 1377.0}, ts.Bulk("bulk_ratio", 57490.0)))
+    law = ts.Material("neo_hooke", {"C10": 1377.0 * (1.0 + change)}, ts.Bulk("bulk_ratio", 57490.0))
+    return ts.Model(experiment, law)
 
 
 def solver_says(recording):
@@ -70,13 +72,20 @@ def test_estimate_has_the_size_of_the_error_against_an_independent_solver(refere
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("change", [0.0, 1e-13, -1e-12, 1e-10])
 @pytest.mark.parametrize("points", [5, 6, 7, 9, 11, 16, 21])
-def test_first_step_after_a_turn_is_compared(points):
-    """The first step after a reversal is compared for odd and even numbers of steps."""
-    recording, shorter = (ts.simulate(presses_twice(each)) for each in (points, 4 * points - 3))
+def test_first_step_after_a_turn_is_compared(points, change):
+    """The first step after a reversal is compared for odd and even numbers of steps.
+
+    The force of this step, and the number of solves of the comparison, depend on rounding. Changes of the modulus by
+    rounding errors must not change the size of the stated error.
+    """
+    recording, shorter = (ts.simulate(presses_twice(each, change)) for each in (points, 4 * points - 3))
     error = abs(recording.force - shorter.force[::4]).max() / shorter.force.max()
-    assert 0.005 < error < 0.05 and 0.7 * error < solver_says(recording)["force_error"] < 2.0 * error
-    assert len(solver_says(recording)["warnings"]) == (error > FORCE_ERROR.warning_fraction)
+    stated = solver_says(recording)["force_error"]
+    assert 0.005 < error < 0.05 and 0.7 * error < stated < 2.0 * error
+    # Not `error`: it may be above the limit of the warning, and the stated error below, if both are close to the limit.
+    assert len(solver_says(recording)["warnings"]) == (stated > FORCE_ERROR.warning_fraction)
 
 
 def test_coarse_mesh_gives_a_warning_with_its_difference_to_the_accurate_one():

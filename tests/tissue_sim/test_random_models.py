@@ -47,6 +47,16 @@ def test_the_check_sees_what_is_no_equilibrium(random):
     assert {"residual"} <= set(check.found.faults)
 
 
+def test_a_run_of_the_benchmark_gives_its_figures(benchmark_module):
+    """One model, with its check and in quarter steps."""
+    runs, tables = (benchmark_module(f"random_models.{name}") for name in ("runs", "tables"))
+    model = benchmark_module("random_models.generator").draw(64)
+    entry = {"seed": 64, "stratum": runs.stratum(model)} | runs.run(model, "fast")
+    figures = tables.figures([entry | {"quarter": runs.run_quarter(model, "fast", entry)}])
+    assert figures["in_all"]["end"] == 1 and not figures["failures"] and figures["quarter"]["compared"] == 1
+    assert 0.0 < figures["quarter"]["largest"] < 0.03 and not figures["quarter"]["unknown"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [15, 23, 62, 95])
 def test_nothing_is_made_of_nothing(random, seed):

@@ -29,6 +29,27 @@ def _declare_friction_parameter(symbol: str, key: str, default: str | None) -> A
 
 
 @dataclass(frozen=True)
+class SharpFaceLimits:
+    """Largest depth of a sharp face without friction.
+
+    The tissue under the face slides in its plane, and no tissue slides around the edge. The force is exact for small
+    depths. At these limits it is larger than that of edge radii of 1 and 2 % of the radius, extrapolated to zero, by
+    0.5 % (a thick block) and 2 % (an incompressible layer as thick as the radius).
+
+    Attributes:
+        radius_fraction: depth over the radius of the tool, 1.
+        height_fraction: depth over the thickness of the specimen, 1.
+    """
+
+    radius_fraction: float = 0.25
+    height_fraction: float = 0.02
+
+
+#: Limits of all experiments.
+SHARP_FACE = SharpFaceLimits()
+
+
+@dataclass(frozen=True)
 class Experiment:
     """Specimen, tool, interfaces and protocol of one test.
 
@@ -124,10 +145,15 @@ class Experiment:
         if self.tool.face_radius == 0 and self.friction == "bonded":
             raise InputError(f"a {self.tool.shape} tool has no flat face to be bonded to; use 'stick', 'frictionless' "
                              "or a coefficient of friction", field="friction")
-        slides = self.friction not in ("bonded", "stick")
-        if slides and self.tool.sharp_edge:
-            raise InputError("tissue cannot slide around a sharp edge, where the edge has no tangent; give the tool an "
-                             "edge radius, or friction 'stick' or 'bonded'", field="tool.edge_radius")
+        if self.tool.sharp_edge and not isinstance(self.friction, str):
+            raise InputError("must be positive with a coefficient of friction: at a sharp edge the slip has no "
+                             "direction. Give the tool an edge radius, or use friction 'frictionless', 'stick' or "
+                             "'bonded'", field="tool.edge_radius")
+        if self.protocol.depth > (limit := self.largest_accurate_depth):
+            raise InputError(f"must be positive without friction at a depth of {self.protocol.depth * 1e3:g} mm: "
+                             f"beyond {limit * 1e3:.3g} mm tissue slides around the sharp edge. Give the tool an edge "
+                             "radius",
+                             field="tool.edge_radius")
         if self.slip:
             self.with_slipping_faces_frictionless()
 
@@ -152,6 +178,13 @@ class Experiment:
     def thickness(self) -> float:
         """Thickness of the specimen under the axis of the tool, m."""
         return self.specimen.vertical_thickness(*(() if self.approach is None else (self.approach.offset,)))
+
+    @property
+    def largest_accurate_depth(self) -> float:
+        """Largest depth for a sharp face without friction, m, see `SharpFaceLimits`; infinite for other contacts."""
+        if not self.tool.sharp_edge or self.friction != "frictionless":
+            return float("inf")
+        return min(SHARP_FACE.radius_fraction * self.tool.require_radius(), SHARP_FACE.height_fraction * self.thickness)
 
     def tool_pose(self, displacement: float) -> Pose:
         """Pose of the tool at a displacement of the protocol, m."""

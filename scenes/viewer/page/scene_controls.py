@@ -17,7 +17,7 @@ from tissue_sim.experiment.tools.tool import TOOLS, list_all_tool_sizes_by_key, 
 from tissue_sim.parameters import Declaration
 
 _INTERFACES = (*INTERFACES, "friction")
-#: Interfaces along which tissue slides; tissue cannot slide around a sharp edge.
+#: Interfaces along which tissue slides; tissue cannot slide far around a sharp edge.
 _SLIDING = ("frictionless", "friction")
 
 

@@ -89,7 +89,7 @@ class Tool(metaclass=_MakeToolByShapeNameMeta):
 
     @property
     def sharp_edge(self) -> bool:
-        """Whether a flat face ends in an edge without rounding; tissue cannot slide around such an edge."""
+        """Whether a flat face ends in an edge without rounding. Tissue cannot slide around such an edge."""
         return False
 
     def contact_radius(self, depth: float, specimen_radius: float = math.inf) -> float:

@@ -126,6 +126,7 @@ class ContactPairs:
         laws: additional tractions, as of adhesion, at points that have touched the tool.
         face: contact area of the tool at the largest depth, m2.
         level: whether the moving body is a plate, which touches the whole settled top at once.
+        largest_depth: largest depth at which the contact conditions are accurate, m.
     """
 
     pairs: tuple[ContactPair, ...]
@@ -133,6 +134,12 @@ class ContactPairs:
     laws: tuple[ContactLaw, ...] = ()
     face: float = 1.0
     level: bool = False
+    largest_depth: float = np.inf
+
+    @property
+    def tool_profile(self) -> Profile:
+        """Outline of the tool, in the frame of the tool: that of the last pair. A sharp face may have its own one."""
+        return self.pairs[-1].profile
 
 
 class ContactPoints:

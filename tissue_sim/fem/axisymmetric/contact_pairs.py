@@ -6,7 +6,7 @@ import numpy as np
 
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
-from tissue_sim.experiment.tools.plate import PLATE_RADIUS
+from tissue_sim.experiment.tools.plate import PLATE_RADIUS, Plate
 from tissue_sim.fem.axisymmetric.contact import ContactPair, ContactPairs
 from tissue_sim.fem.contact_settings import STICK, TOLERANCES
 from tissue_sim.mesh import Mesh
@@ -55,7 +55,7 @@ def build_contact_pairs_or_none(experiment: Experiment, mesh: Mesh, *, tool: boo
         tolerance = TOLERANCES.needle * experiment.tool.require_radius()
     level = tool and experiment.tool.is_plate
     return ContactPairs(tuple(pairs), tolerance, experiment.acting_laws if tool else (),
-                        np.pi * experiment.contact_radius**2, level)
+                        np.pi * experiment.contact_radius**2, level, experiment.largest_accurate_depth)
 
 
 def _split_side_edges_at_mid_height(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
@@ -105,7 +105,10 @@ def _make_needle_pairs(experiment: Experiment, mesh: Mesh) -> list[ContactPair]:
     face, free = mesh.select_edges_in_node_set("face"), mesh.select_edges_in_node_set("free")
     if experiment.friction == "bonded":
         return [ContactPair(profile, free, friction, first_line=1)]
-    # Tissue next to a sharp edge cannot come under the face without slip.
-    first, tied = 0 if tool.edge_radius else 1, friction[0] == STICK
-    return [ContactPair(profile, face, friction, tied=tied, between_nodes=not tied),
-            ContactPair(profile, free, friction, first_line=first, between_nodes=not tied)]
+    # The nodes under a sharp face without friction slide in its plane; its edge has no tangent. Tissue next to a sharp
+    # edge cannot come under the face.
+    tied, is_plane = friction[0] == STICK, tool.sharp_edge and friction[0] == 0.0
+    first = 0 if tool.edge_radius else 1
+    return [ContactPair(Plate().profile if is_plane else profile, face, friction, tied=tied,
+                        between_nodes=not (tied or is_plane)),
+            ContactPair(profile, free, friction, first_line=first, between_nodes=not (tied or is_plane))]

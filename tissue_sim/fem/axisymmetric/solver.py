@@ -104,7 +104,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
             else bind_at_first_touch_and_get_height(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
         self.committed.store_initial_bonds()
-        self._max_depth = MAX_RELATIVE_DEPTH * float(np.ptp(mesh.nodes[:, 1]))
+        self._max_depth = min(MAX_RELATIVE_DEPTH * float(np.ptp(mesh.nodes[:, 1])),
+                              np.inf if contact is None else contact.largest_depth)
         self._holds_tissue = any(mesh.sets[name].size for name in tool)
 
     def set_material(self, material: Material) -> None:
@@ -126,7 +127,10 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return Pose((0.0, 0.0, z))
 
     def accepts_pose(self, pose: Pose) -> bool:
-        """Whether the depth is at most `MAX_RELATIVE_DEPTH` times the height, up to which equilibria are unique."""
+        """Whether equilibria are unique and contact conditions are accurate at the depth of a pose.
+
+        The limits are `MAX_RELATIVE_DEPTH` times the height, and `ContactPairs.largest_depth`.
+        """
         return pose.depth <= self._max_depth
 
     def step(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,

@@ -138,12 +138,12 @@ def _shift_points_to_level_top_in_place(mesh: Mesh, surface: ContactPoints, disp
 
 def _find_first_touch_height(mesh: Mesh, contact: ContactPairs, displacement: np.ndarray, points: np.ndarray) -> float:
     """Return z of the tool's deepest point at the first touch of the top nodes or of further points (n, 2), m."""
-    profiles = [pair.profile for pair in contact.pairs if pair.moves]
+    profile = contact.tool_profile
     positions = np.concatenate([(mesh.nodes + displacement)[mesh.sets["top"]], points])
 
     def find_smallest_gap(datum):
         """Return the smallest gap of all positions, m, if the tool's deepest point is at the height `datum`, m."""
-        return min(profile.gap(positions - [0.0, datum]).min() for profile in profiles)
+        return profile.gap(positions - [0.0, datum]).min()
 
     high = positions[:, 1].max()
     if find_smallest_gap(high) <= 0.0:

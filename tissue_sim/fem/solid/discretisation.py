@@ -349,6 +349,9 @@ def _make_moving_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndar
     wall = _get_friction_coefficient_or_stick_code(experiment.friction_wall)
     if tool.face_radius == 0:
         return [RigidBody(tool.profile, free, (mu, wall))]
+    if tool.sharp_edge and mu == 0.0:
+        raise InputError("must be positive for a solid without friction. Give the tool an edge radius, or use the "
+                         'solver "axisymmetric"', field="tool.edge_radius")
     upright = not any(start.orientation[1:3])
     under = np.intersect1d(mesh.sets["face"], free)
     outside = np.setdiff1d(free, under)
