@@ -7,6 +7,7 @@ from scipy.linalg import solve_banded, solveh_banded
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.linear.cholesky import make_cholesky_functions
 from tissue_sim.fem.linear.lu import make_lu_functions
+from tissue_sim.fem.taichi.origins import allocate_array
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
@@ -17,30 +18,27 @@ def kernels(functions: band.BandSolverFunctions):
     complete, mirror = band.make_symmetrise_diagonal_blocks_function(), band.make_copy_lower_to_upper_band_function()
     add_any = band.make_add_unsymmetric_entry_function()
     init, solve = functions
-    block = ti.types.vector(band.BLOCK, ti.f64)
-    blocks, entries, inverses, vectors = (
-        ti.types.ndarray(dtype=block, ndim=3), ti.types.ndarray(dtype=ti.f64, ndim=4),
-        ti.types.ndarray(dtype=ti.f64, ndim=1), ti.types.ndarray(dtype=block, ndim=1))
+    entries, reals = ti.types.ndarray(dtype=ti.f64, ndim=4), ti.types.ndarray(dtype=ti.f64, ndim=1)
     places, numbers = ti.types.ndarray(dtype=ti.i32, ndim=2), ti.types.ndarray(dtype=ti.i32, ndim=1)
 
     @ti.kernel
-    def run_init(free: ti.i32, rows: ti.i32, width: ti.i32, begin: ti.i32, skewed: ti.i32, place: places,
-                 value: inverses, lower: blocks, lower_entries: entries, upper: blocks, upper_entries: entries,
-                 factor: blocks, upper_factor: blocks, inverse: inverses, good: numbers):
+    def run_init(free: ti.i32, begin: ti.i32, skewed: ti.i32, place: places, value: reals, lower: entries,
+                 upper: entries, table: numbers, good: numbers):
         ti.loop_config(serialize=True)
         for _ in range(1):
+            rows, width = table[band.BandTableIndex.ROWS], table[band.BandTableIndex.WIDTH]
             if begin == 0:
-                complete(lower, rows, width)
-                mirror(lower, upper, skewed, rows, width)
+                complete(table)
+                mirror(table, skewed, rows)
             for i in range(value.shape[0]):
-                add_any(place[i, 0], place[i, 1], value[i], free, width, lower_entries, upper_entries)
-            good[0] = init(lower, upper, factor, upper_factor, inverse, rows, width, begin, skewed)
+                add_any(place[i, 0], place[i, 1], value[i], free, width, lower, upper)
+            good[0] = init(table, begin, skewed)
 
     @ti.kernel
-    def run_solve(lower: blocks, upper: blocks, inverse: inverses, x: vectors, rows: ti.i32, width: ti.i32):
+    def run_solve(table: numbers):
         ti.loop_config(serialize=True)
         for _ in range(1):
-            solve(lower, upper, inverse, x, rows, width)
+            solve(table)
 
     return run_init, run_solve
 
@@ -60,24 +58,29 @@ def factorised(functions, lower: np.ndarray, added: np.ndarray, skewed: int = 0,
     entries (row, column, value), and others `later`, after a first factorisation; and whether it was good. All entries
     that are not symmetric stand in the block row `skewed` and column or behind."""
     run_init, run_solve = functions
-    size, blocks = lower.shape[1], band.pack_lapack_band_to_blocks(lower)
-    rows, width = blocks.shape[:2]
+    size, packed = lower.shape[1], band.pack_lapack_band_to_blocks(lower)
+    rows = len(packed)
+    matrix, upper, factor, upper_factor = (allocate_array(packed.shape) for _ in range(4))
+    matrix[:] = packed
     # Entries that must not be read are NaN.
-    upper, factor, upper_factor = np.full((3, *blocks.shape), np.nan)
-    inverse, good = np.zeros(rows * band.BLOCK), np.zeros(1, np.int32)
+    for array in (upper, factor, upper_factor):
+        array[:] = np.nan
+    inverse, x, good = allocate_array((rows, band.BLOCK)), allocate_array((rows, band.BLOCK)), np.zeros(1, np.int32)
+    table = band.make_band_table(matrix, upper, factor, upper_factor, inverse, x)
     for more in (added, later):
         if more is None:
             continue
         place, value = np.ascontiguousarray(more[:, :2], np.int32), np.ascontiguousarray(more[:, 2])
         begin = 0 if more is added else int(place.min()) // band.BLOCK
-        run_init(size, rows, width, begin, skewed, place, value, blocks, blocks, upper, upper, factor, upper_factor,
-                 inverse, good)
+        run_init(size, begin, skewed, place, value, matrix, upper, table, good)
 
     def solution(right):
-        x = np.zeros((rows, band.BLOCK))
+        # The arrays are kept alive by this function.
+        assert band.make_band_table(matrix, upper, factor, upper_factor, inverse, x).tolist() == table.tolist()
+        x[:] = 0.0
         x.ravel()[:size] = right
-        run_solve(factor, upper_factor, inverse, x, rows, width)
-        return x.ravel()[:size]
+        run_solve(table)
+        return x.ravel()[:size].copy()
 
     return solution, bool(good[0])
 

@@ -26,6 +26,7 @@ from tissue_sim.fem.history import MaterialMemory
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.point_effects import PointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
+from tissue_sim.fem.taichi.origins import allocate_array
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
 from tissue_sim.laws import KernelEnergy
@@ -106,13 +107,16 @@ class EquilibriumEquations:
         rows, width = band.count_block_rows_and_blocks_per_row(self.free, self.half_band)
         self.batches.store_scatter_indices(self.mesh, self.equation, self.free, self.direction, (rows, width))
         # The last entry collects the values that belong to no equation.
-        self._scattered = np.zeros(rows * width * band.BLOCK**2 + 1)
+        self._scattered = allocate_array((rows * width * band.BLOCK**2 + 1,))
         self.entries = self._scattered[:-1].reshape(rows, width, band.BLOCK, band.BLOCK)
         # The tangent of slipping contact is unsymmetric and needs its upper half.
-        self.upper = np.zeros_like(self.entries if self.surface.has_coulomb_friction_points else self.entries[:1])
-        self._factor, self._upper_factor = np.zeros_like(self.entries), np.zeros_like(self.upper)
-        self._inverse = np.zeros(rows * band.BLOCK)
-        self._right = np.zeros((rows, band.BLOCK))
+        upper_rows = rows if self.surface.has_coulomb_friction_points else 1
+        self.upper = allocate_array((upper_rows, *self.entries.shape[1:]))
+        self._factor, self._upper_factor = allocate_array(self.entries.shape), allocate_array(self.upper.shape)
+        self._inverse = allocate_array((rows, band.BLOCK))
+        self._right = allocate_array((rows, band.BLOCK))
+        self._band_table = band.make_band_table(self.entries, self.upper, self._factor, self._upper_factor,
+                                                self._inverse, self._right)
         self.residual = np.zeros(max(rows * band.BLOCK, int(self.equation.max()) + 1) + 1)
         self._pull, self._reaction = np.zeros(self.free + 1), np.zeros(self.free + 1)
 
@@ -366,9 +370,7 @@ class EquilibriumEquations:
                 "contact_rates": surface.rates, "known_rates": surface.known_rates,
                 "coefficients": self._coefficients, "past": memory.past,
                 "inherited": memory.inherited, "largest": memory.largest, "stresses": memory.stresses,
-                "energies": memory.energies, "x": state.x, "entries": self.entries, "blocks": self.entries,
-                "upper_blocks": self.upper, "factor": self._factor, "upper_factor": self._upper_factor,
-                "inverse": self._inverse, "right": self._right,
+                "energies": memory.energies, "x": state.x, "entries": self.entries, "band_table": self._band_table,
                 "residual": self.residual, "pull": self._pull, **self.batches.make_condensation_arrays_by_name(),
                 **{name: batches[name] for name in of_elements}}
 

@@ -21,9 +21,11 @@ from tissue_sim.fem.axisymmetric.newton_tables import (
     StepIntegerIndex,
 )
 from tissue_sim.fem.linear import band as band_matrix
+from tissue_sim.fem.linear.band import BandTableIndex
 from tissue_sim.fem.linear.cholesky import make_cholesky_functions
 from tissue_sim.fem.linear.lu import make_lu_functions
 from tissue_sim.fem.solver import StepStatus
+from tissue_sim.fem.taichi.origins import get_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
@@ -51,7 +53,9 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
     real1, real2, real3, real4 = (ti.types.ndarray(dtype=ti.f64, ndim=n) for n in range(1, 5))
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
-    block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
+    block1 = ti.types.ndarray(dtype=block, ndim=1)
+    vectors = get_origin().field
+    fill_unused_diagonal = band_matrix.make_fill_diagonal_function()
     symmetrise_diagonal_blocks = band_matrix.make_symmetrise_diagonal_blocks_function()
     copy_lower_band_to_upper_band = band_matrix.make_copy_lower_to_upper_band_function()
     cholesky, lu = make_cholesky_functions(), make_lu_functions()
@@ -85,9 +89,9 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
             contact_rates: real2, known_rates: real2, law_settings: real1, coefficients: real1, past: real1,
             inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
             effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1, before: real1,
-            motion: real1, history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1,
-            scattered: real1, upper: real4, upper_blocks: block3, factor: block3, upper_factor: block3, inverse: real1,
-            right: block1, residual: real1, pull: real1, reaction: real1, report: real1):
+            motion: real1, history: real2, slots: int1, weights: real1, entries: real4, flat: block1,
+            scattered: real1, upper: real4, band_table: int1, residual: real1, pull: real1, reaction: real1,
+            report: real1):
         # One serial task, which starts without a thread pool; the number of passes is an argument, so that the compiler
         # does not unroll the loop into many tasks.
         ti.loop_config(serialize=True)
@@ -98,7 +102,8 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
             tolerance, inertia = settings[SettingIndex.TOLERANCE], settings[SettingIndex.INERTIA]
             floor, rounding = settings[SettingIndex.FLOOR], settings[SettingIndex.ROUNDING]
             weight = settings[SettingIndex.WEIGHT]
-            width, rows = entries.shape[1], entries.shape[0]
+            width, rows = band_table[BandTableIndex.WIDTH], band_table[BandTableIndex.ROWS]
+            right = band_table[BandTableIndex.RIGHT]
             batches, equations = real.shape[0], residual.shape[0] - 1
             pressures, multipliers = equation.shape[0], x.shape[0] - 2 * springs.shape[0]
             if counts[StepIntegerIndex.START_MODE] == StartMode.PREDICT:
@@ -220,10 +225,9 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                             if counts[StepIntegerIndex.UNSYMMETRIC] == 0:
                                 # A Cholesky factorisation cannot be updated to an unsymmetric one.
                                 counts[StepIntegerIndex.UNSYMMETRIC], begin = 1, 0
-                                symmetrise_diagonal_blocks(blocks, rows, width)
+                                symmetrise_diagonal_blocks(band_table)
                             if skewed < counts[StepIntegerIndex.SKEWED]:
-                                copy_lower_band_to_upper_band(blocks, upper_blocks, skewed,
-                                                              counts[StepIntegerIndex.SKEWED], width)
+                                copy_lower_band_to_upper_band(band_table, skewed, counts[StepIntegerIndex.SKEWED])
                                 counts[StepIntegerIndex.SKEWED] = skewed
                     rates.add_contact_rates_to_matrix(
                         contacts, fresh, counts[StepIntegerIndex.UNSYMMETRIC], free, width, contact_nodes,
@@ -321,28 +325,25 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                                                                known_rates, equation, residual)
                     for I in range(rows):
                         for k in ti.static(range(B)):
-                            right[I][k] = residual[I * B + k] if I * B + k < free else 0.0
+                            vectors[right + I][k] = residual[I * B + k] if I * B + k < free else 0.0
                     if begin < rows and definite == 1:
-                        for i in range(free, rows * B):
-                            entries[i // B, width - 1, i % B, i % B] = 1.0
+                        fill_unused_diagonal(band_table, free)
                         if ti.static(slips):
                             if counts[StepIntegerIndex.UNSYMMETRIC] == 1:
-                                definite = lu.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse, rows,
-                                                             width, begin, counts[StepIntegerIndex.SKEWED])
+                                definite = lu.factorise_band(band_table, begin, counts[StepIntegerIndex.SKEWED])
                         if counts[StepIntegerIndex.UNSYMMETRIC] == 0:
-                            definite = cholesky.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse,
-                                                               rows, width, begin, rows)
+                            definite = cholesky.factorise_band(band_table, begin, rows)
                         counts[StepIntegerIndex.FACTORISED] = definite
                         begin = rows if definite == 1 else 0
                     if definite == 1:
                         if ti.static(slips):
                             if counts[StepIntegerIndex.UNSYMMETRIC] == 1:
-                                lu.solve_band(factor, upper_factor, inverse, right, rows, width)
+                                lu.solve_band(band_table)
                         if counts[StepIntegerIndex.UNSYMMETRIC] == 0:
-                            cholesky.solve_band(factor, upper_factor, inverse, right, rows, width)
+                            cholesky.solve_band(band_table)
                     if asked == 1 and definite == 1:
                         for i in range(free):
-                            stiff -= reaction[i] * right[i // B][i % B]
+                            stiff -= reaction[i] * vectors[right + i // B][i % B]
                         report[ReportIndex.STIFFNESS] = stiff
                     elif part == EvaluatedEquations.CONTACT and definite == 0:
                         part, tangent = EvaluatedEquations.FULL, 1
@@ -368,7 +369,7 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                                 motion[dof] = target[dof] - x[dof]
                                 x[dof] = target[dof]
                             elif i >= 0:
-                                motion[dof] = -right[i // B][i % B]
+                                motion[dof] = -vectors[right + i // B][i % B]
                                 x[dof] = x[dof] + motion[dof]
                         for b in range(batches):
                             own.update_condensed_unknowns(b, kappa, x, pressures, motion, elements, dofs, real, moduli,

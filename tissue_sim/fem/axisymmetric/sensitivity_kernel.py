@@ -25,8 +25,10 @@ from tissue_sim.fem.axisymmetric.sensitivity_points import make_sensitivity_func
 from tissue_sim.fem.axisymmetric.sensitivity_product import make_tangent_product_functions
 from tissue_sim.fem.axisymmetric.sensitivity_tables import SensitivityControlIndex
 from tissue_sim.fem.linear import band as band_matrix
+from tissue_sim.fem.linear.band import BandTableIndex
 from tissue_sim.fem.linear.cholesky import make_cholesky_functions
 from tissue_sim.fem.linear.lu import make_lu_functions
+from tissue_sim.fem.taichi.origins import get_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
@@ -74,12 +76,12 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
     work, tangent = make_sensitivity_functions(element_name, energy,
                                                remembers), make_tangent_product_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
-    block = ti.types.vector(band_matrix.BLOCK, ti.f64)
     B = band_matrix.BLOCK
     real1, real2, real3, real4 = (ti.types.ndarray(dtype=ti.f64, ndim=n) for n in range(1, 5))
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
-    block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
+    vectors = get_origin().field
+    fill_unused_diagonal = band_matrix.make_fill_diagonal_function()
     cholesky, lu = make_cholesky_functions(), make_lu_functions()
 
     @ti.func
@@ -122,19 +124,15 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
         return fr, fz
 
     @ti.func
-    def factorise_assembled_tangent(counts: ti.template(), entries: ti.template(), blocks: ti.template(),
-                                    upper_blocks: ti.template(), factor: ti.template(), upper_factor: ti.template(),
-                                    inverse: ti.template(), rows, width):
+    def factorise_assembled_tangent(counts: ti.template(), band_table: ti.template()):
         """Factorise the assembled exact tangent; return 1, or 0 if the tangent is singular or not positive definite."""
-        for i in range(counts[StepIntegerIndex.FREE], rows * B):
-            entries[i // B, width - 1, i % B, i % B] = 1.0
+        fill_unused_diagonal(band_table, counts[StepIntegerIndex.FREE])
         good = 1
         if ti.static(slips):
             if counts[StepIntegerIndex.UNSYMMETRIC] == 1:
-                good = lu.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0,
-                                         counts[StepIntegerIndex.SKEWED])
+                good = lu.factorise_band(band_table, 0, counts[StepIntegerIndex.SKEWED])
         if counts[StepIntegerIndex.UNSYMMETRIC] == 0:
-            good = cholesky.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0, rows)
+            good = cholesky.factorise_band(band_table, 0, band_table[BandTableIndex.ROWS])
         return good
 
     @ti.func
@@ -143,8 +141,7 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
                                        contact_shapes: ti.template(), springs: ti.template(), held: ti.template(),
                                        slip_signs: ti.template(), contact_rates: ti.template(),
                                        known_rates: ti.template(),
-                                       factor: ti.template(), upper_factor: ti.template(), inverse: ti.template(),
-                                       right: ti.template(), residual: ti.template(), forces: ti.template(),
+                                       band_table: ti.template(), residual: ti.template(), forces: ti.template(),
                                        multiplier_rates: ti.template(), anchor_rates: ti.template(),
                                        point_rates: ti.template(), law: ti.template(), dx: ti.template(),
                                        motion: ti.template(), dofs: ti.template(), real: ti.template(),
@@ -163,7 +160,8 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
         exact equations, and `SensitivityControlIndex.SETTLED` is 1 if they converged. `motion` contains the last
         displacement increment, followed by the residual before that increment.
         """
-        free, width, rows = counts[StepIntegerIndex.FREE], factor.shape[1], factor.shape[0]
+        free, rows, right = (counts[StepIntegerIndex.FREE], band_table[BandTableIndex.ROWS],
+                             band_table[BandTableIndex.RIGHT])
         last, before_last = 0.0, 0.0
         refines = which[SensitivityControlIndex.REFINES]
         goes_on = float(refines)
@@ -219,17 +217,17 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
                 last = missing
             for I in range(rows):
                 for i in ti.static(range(B)):
-                    right[I][i] = residual[I * B + i] if I * B + i < free else 0.0
+                    vectors[right + I][i] = residual[I * B + i] if I * B + i < free else 0.0
             if ti.static(slips):
                 if counts[StepIntegerIndex.UNSYMMETRIC] == 1:
-                    lu.solve_band(factor, upper_factor, inverse, right, rows, width)
+                    lu.solve_band(band_table)
             if counts[StepIntegerIndex.UNSYMMETRIC] == 0:
-                cholesky.solve_band(factor, upper_factor, inverse, right, rows, width)
+                cholesky.solve_band(band_table)
             for dof in range(equation.shape[0]):
                 i = equation[dof]
                 motion[dof] = 0.0
                 if i >= 0 and i < free:
-                    motion[dof] = -right[i // B][i % B]
+                    motion[dof] = -vectors[right + i // B][i % B]
                     dx[k, dof] = goes_on * dx[k, dof] + motion[dof]
             if ti.static(not remembers):
                 if refines == 1:
@@ -260,8 +258,7 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
                              gradient_r: vector1, gradient_z: vector1, value_r: vector1, point_weights: vector1,
                              mode_values: vector1, moduli: vector1, equations_r: int2, equations_z: int2,
                              coefficients: real1, past: real1, inherited: real3, largest: real2, stresses: real3,
-                             before: real3, internal: real4, recent: vector1, x: real1, entries: real4, blocks: block3,
-                             upper_blocks: block3, factor: block3, upper_factor: block3, inverse: real1,
+                             before: real3, internal: real4, recent: vector1, x: real1, band_table: int1,
                              residual: real1, volume_r: vector1, volume_z: vector1, rows_rr: vector1, rows_rz: vector1,
                              rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz: vector1,
                              inverse_zz: vector1, acts: int1, relaxes: int1, directions: real2, kappa_rates: real1,
@@ -276,9 +273,7 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
             if which[SensitivityControlIndex.REFINES] == 1:
                 which[SensitivityControlIndex.FACTORISES] = 0
             else:
-                which[SensitivityControlIndex.FACTORISES] = 1 - factorise_assembled_tangent(
-                    counts, entries, blocks, upper_blocks, factor, upper_factor, inverse, blocks.shape[0],
-                    blocks.shape[1])
+                which[SensitivityControlIndex.FACTORISES] = 1 - factorise_assembled_tangent(counts, band_table)
             for k in range(parameters):
                 for i in range(residual.shape[0]):
                     forces[k, i] = 0.0
@@ -310,7 +305,7 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
                                 contact_nodes: int2, contact_shapes: real2, spans: int2, springs: real1, held: real2,
                                 slip_signs: real1, contact_rates: real2, known_rates: real2, largest: real2,
                                 stresses: real3, energies: real2, before: real3, internal: real4, recent: vector1,
-                                factor: block3, upper_factor: block3, inverse: real1, right: block1, residual: real1,
+                                band_table: int1, residual: real1,
                                 pull: real1, volume_r: vector1, volume_z: vector1, known_volume_r: vector1,
                                 known_volume_z: vector1, pressure_rates: vector1, swelling: vector1, rows_rr: vector1,
                                 rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1,
@@ -328,7 +323,7 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
                 if which[SensitivityControlIndex.FACTORISES] == 0 or which[SensitivityControlIndex.REFINES] == 0:
                     solve_one_parameter_derivative(k, kappa, batches, which, counts, equation, contact_nodes,
                                                    contact_shapes, springs, held, slip_signs, contact_rates,
-                                                   known_rates, factor, upper_factor, inverse, right, residual, forces,
+                                                   known_rates, band_table, residual, forces,
                                                    multiplier_rates, anchor_rates, point_rates, law, dx, motion, dofs,
                                                    real, gradient_r, gradient_z, value_r, moduli, equations_r,
                                                    equations_z,

@@ -4,30 +4,56 @@ The lower band is divided into square blocks of `BLOCK` columns. Block (I, J) is
 ``w = J - I + width - 1``, by columns, each a vector of its `BLOCK` rows, so that the inner products of the
 factorisations run on vectors. A matrix that is not symmetric has two such bands: its lower triangle with the full
 diagonal blocks, and the lower triangle of its transpose.
+
+The factorisations and solutions address bands and vectors by their offsets from the origin of
+`tissue_sim.fem.taichi.origins`. A `BandTableIndex` names the entries of the table of these offsets, which
+`make_band_table` computes.
 """
 
+from enum import IntEnum
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
+from tissue_sim.fem.taichi.origins import compute_block_offset, get_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
+from tissue_sim.fem.taichi.scratch import BLOCK
 
-#: Rows and columns of a block; the number of lanes of a vector.
-BLOCK = 8
+
+class BandTableIndex(IntEnum):
+    """Indices of the table of a band matrix, its factors and the right-hand side.
+
+    Attributes:
+        ROWS: number of block rows.
+        WIDTH: number of blocks per row.
+        MATRIX: offset of the lower band of the matrix.
+        MATRIX_UPPER: offset of the lower band of its transpose.
+        LOWER: offset of the lower factor.
+        UPPER: offset of the upper factor.
+        INVERSE: offset of the reciprocals of the diagonal.
+        RIGHT: offset of the right-hand side, which the solution replaces.
+    """
+
+    ROWS = 0
+    WIDTH = 1
+    MATRIX = 2
+    MATRIX_UPPER = 3
+    LOWER = 4
+    UPPER = 5
+    INVERSE = 6
+    RIGHT = 7
 
 
 class BandSolverFunctions(NamedTuple):
     """Taichi functions of a direct solver for band matrices, for use inside kernels.
 
     Attributes:
-        factorise_band: ``factorise_band(matrix, matrix_upper, lower, upper, inverse, rows, width, begin, skewed) ->
-            int`` writes the factors to the bands `lower` and `upper`, and the reciprocals of their diagonal to
-            `inverse` (rows * BLOCK). It returns 1, or 0 if the factorisation fails. The factors of block rows before
-            `begin` are kept. Entries with a row or column before block row `skewed` are symmetric, and their upper half
-            is not read. A symmetric solver reads no upper half.
-        solve_band: ``solve_band(lower, upper, inverse, x, rows, width)`` overwrites the right-hand side x, (rows)
-            vectors, with the solution.
+        factorise_band: ``factorise_band(table, begin, skewed) -> int`` writes the factors of the matrix, and the
+            reciprocals of their diagonal. `table` has the entries of `BandTableIndex`. It returns 1, or 0 if the
+            factorisation fails. The factors of block rows before `begin` are kept. Entries with a row or column before
+            block row `skewed` are symmetric, and their upper half is not read. A symmetric solver reads no upper half.
+        solve_band: ``solve_band(table)`` overwrites the right-hand side, ROWS vectors, with the solution.
 
     Source: the pair init and compute of lineax (Rader, Lyons and Kidger, 2023, arXiv:2311.17283).
     """
@@ -44,6 +70,24 @@ def count_block_rows_and_blocks_per_row(size: int, half_band: int) -> tuple[int,
         half_band: half-bandwidth, number of subdiagonals.
     """
     return max(1, -(-size // BLOCK)), -(-half_band // BLOCK) + 1
+
+
+def make_band_table(matrix: np.ndarray, matrix_upper: np.ndarray, lower: np.ndarray, upper: np.ndarray,
+                    inverse: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the table of a band matrix, int32, with the entries of `BandTableIndex`; its owner keeps the arrays alive.
+
+    Args:
+        matrix: lower band of the matrix, shape (rows, width, BLOCK, BLOCK), as all arrays here allocated by
+            `tissue_sim.fem.taichi.origins.allocate_array`.
+        matrix_upper: lower band of its transpose, same shape; another array if the solver is symmetric.
+        lower: lower factor, same shape.
+        upper: upper factor, same shape; another array if the solver is symmetric.
+        inverse: reciprocals of the diagonal, shape (rows, BLOCK).
+        right: right-hand side, shape (rows, BLOCK).
+    """
+    rows, width = matrix.shape[:2]
+    offsets = [compute_block_offset(array) for array in (matrix, matrix_upper, lower, upper, inverse, right)]
+    return np.array([rows, width, *offsets], dtype=np.int32)
 
 
 def pack_lapack_band_to_blocks(lower: np.ndarray) -> np.ndarray:
@@ -95,25 +139,39 @@ def make_add_lower_entry_function():
 
 
 @cache
-def make_subtract_earlier_products_function():
-    """Return the Taichi function ``subtract_earlier_block_products(I, J, first, width, matrix, left, right)``.
-
-    left(I, J) = matrix(I, J) - sum of left(I, K) right(J, K)^T over the block columns K from `first` to J - 1.
-    """
+def make_locate_block_function():
+    """Return the Taichi function ``locate_block(band, I, J, width)``: offset of block (I, J), J <= I, of a band."""
     ti = get_initialised_taichi()
 
     @ti.func
-    def subtract_earlier_block_products(I, J, first, width, matrix: ti.template(), left: ti.template(),
-                                        right: ti.template()):
+    def locate_block(band, I, J, width):
+        """Return the offset of the first column of block (I, J); `band` is the offset of the band."""
+        return band + (I * width + J - I + width - 1) * BLOCK
+
+    return locate_block
+
+
+@cache
+def make_subtract_earlier_products_function():
+    """Return the Taichi function ``subtract_earlier_block_products(I, J, first, width, matrix, left, right)``.
+
+    left(I, J) = matrix(I, J) - sum of left(I, K) right(J, K)^T over the block columns K from `first` to J - 1. Matrix,
+    left and right are offsets of bands.
+    """
+    ti = get_initialised_taichi()
+    vectors, locate_block = get_origin().field, make_locate_block_function()
+
+    @ti.func
+    def subtract_earlier_block_products(I, J, first, width, matrix, left, right):
         """Write matrix(I, J) minus the sum of left(I, K) right(J, K)^T over earlier columns K to left(I, J)."""
-        w = J - I + width - 1
+        source, target = locate_block(matrix, I, J, width), locate_block(left, I, J, width)
         # Eight columns stay in registers while all earlier blocks are subtracted.
-        t0, t1, t2, t3 = matrix[I, w, 0], matrix[I, w, 1], matrix[I, w, 2], matrix[I, w, 3]
-        t4, t5, t6, t7 = matrix[I, w, 4], matrix[I, w, 5], matrix[I, w, 6], matrix[I, w, 7]
+        t0, t1, t2, t3 = vectors[source], vectors[source + 1], vectors[source + 2], vectors[source + 3]
+        t4, t5, t6, t7 = vectors[source + 4], vectors[source + 5], vectors[source + 6], vectors[source + 7]
         for K in range(ti.max(first, J - width + 1), J):
-            wi, wj = K - I + width - 1, K - J + width - 1
+            p, q = locate_block(left, I, K, width), locate_block(right, J, K, width)
             for k in range(BLOCK):
-                a, b = left[I, wi, k], right[J, wj, k]
+                a, b = vectors[p + k], vectors[q + k]
                 t0 -= a * b[0]
                 t1 -= a * b[1]
                 t2 -= a * b[2]
@@ -122,48 +180,71 @@ def make_subtract_earlier_products_function():
                 t5 -= a * b[5]
                 t6 -= a * b[6]
                 t7 -= a * b[7]
-        left[I, w, 0], left[I, w, 1], left[I, w, 2], left[I, w, 3] = t0, t1, t2, t3
-        left[I, w, 4], left[I, w, 5], left[I, w, 6], left[I, w, 7] = t4, t5, t6, t7
+        vectors[target], vectors[target + 1], vectors[target + 2], vectors[target + 3] = t0, t1, t2, t3
+        vectors[target + 4], vectors[target + 5], vectors[target + 6], vectors[target + 7] = t4, t5, t6, t7
 
     return subtract_earlier_block_products
 
 
 @cache
 def make_copy_lower_to_upper_band_function():
-    """Return the Taichi function ``copy_lower_band_to_upper_band(lower, upper, begin, end, width)``.
+    """Return the Taichi function ``copy_lower_band_to_upper_band(table, begin, end)``.
 
     It copies the lower band of a symmetric matrix to the upper band, for block rows `begin` to `end` - 1.
     """
     ti = get_initialised_taichi()
+    vectors = get_origin().field
 
     @ti.func
-    def copy_lower_band_to_upper_band(lower: ti.template(), upper: ti.template(), begin, end, width):
+    def copy_lower_band_to_upper_band(table: ti.template(), begin, end):
         """Copy block rows `begin` to `end` - 1 of the lower band to the upper band, which stores the transpose."""
-        for I in range(begin, end):
-            for w in range(width):
-                for c in range(BLOCK):
-                    upper[I, w, c] = lower[I, w, c]
+        lower, upper = table[BandTableIndex.MATRIX], table[BandTableIndex.MATRIX_UPPER]
+        row = table[BandTableIndex.WIDTH] * BLOCK
+        for i in range(begin * row, end * row):
+            vectors[upper + i] = vectors[lower + i]
 
     return copy_lower_band_to_upper_band
 
 
 @cache
 def make_symmetrise_diagonal_blocks_function():
-    """Return the Taichi function ``symmetrise_diagonal_blocks(lower, rows, width)``.
+    """Return the Taichi function ``symmetrise_diagonal_blocks(table)``.
 
     It fills the upper triangles of the diagonal blocks of a symmetric matrix.
     """
     ti = get_initialised_taichi()
+    vectors, locate_block = get_origin().field, make_locate_block_function()
 
     @ti.func
-    def symmetrise_diagonal_blocks(lower: ti.template(), rows, width):
+    def symmetrise_diagonal_blocks(table: ti.template()):
         """Copy the lower triangle of every diagonal block to its upper triangle."""
-        for I in range(rows):
+        lower, width = table[BandTableIndex.MATRIX], table[BandTableIndex.WIDTH]
+        for I in range(table[BandTableIndex.ROWS]):
+            diagonal = locate_block(lower, I, I, width)
             for c in range(BLOCK):
                 for r in range(c):
-                    lower[I, width - 1, c][r] = lower[I, width - 1, r][c]
+                    vectors[diagonal + c][r] = vectors[diagonal + r][c]
 
     return symmetrise_diagonal_blocks
+
+
+@cache
+def make_fill_diagonal_function():
+    """Return the Taichi function ``fill_unused_diagonal(table, free)``.
+
+    It sets the diagonal of the equations from `free` on to 1, which fill the last block.
+    """
+    ti = get_initialised_taichi()
+    vectors, locate_block = get_origin().field, make_locate_block_function()
+
+    @ti.func
+    def fill_unused_diagonal(table: ti.template(), free):
+        """Set the diagonal of the equations from `free` to the end of the last block to 1."""
+        lower, width = table[BandTableIndex.MATRIX], table[BandTableIndex.WIDTH]
+        for i in range(free, table[BandTableIndex.ROWS] * BLOCK):
+            vectors[locate_block(lower, i // BLOCK, i // BLOCK, width) + i % BLOCK][i % BLOCK] = 1.0
+
+    return fill_unused_diagonal
 
 
 @cache

@@ -2,7 +2,14 @@
 
 from functools import cache
 
-from tissue_sim.fem.linear.band import BLOCK, BandSolverFunctions, make_subtract_earlier_products_function
+from tissue_sim.fem.linear.band import (
+    BLOCK,
+    BandSolverFunctions,
+    BandTableIndex,
+    make_locate_block_function,
+    make_subtract_earlier_products_function,
+)
+from tissue_sim.fem.taichi.origins import get_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
@@ -10,71 +17,78 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 def make_cholesky_functions() -> BandSolverFunctions:
     """Return the Taichi functions of L L^T; `factorise_band` fails if the matrix is not positive definite."""
     ti = get_initialised_taichi()
+    vectors = get_origin().field
+    locate_block = make_locate_block_function()
     subtract_block_products = make_subtract_earlier_products_function()
     lanes = ti.Vector(list(range(BLOCK)))
     unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
 
     @ti.func
-    def factorise_band(matrix: ti.template(), _matrix_upper: ti.template(), band: ti.template(), _upper: ti.template(),
-                       inverse: ti.template(), rows, width, begin, _skewed):
-        """Write the Cholesky factor of `matrix` to `band`; return 1, or 0 if `matrix` is not positive definite."""
+    def factorise_band(table: ti.template(), begin, _skewed):
+        """Write the Cholesky factor of the matrix; return 1, or 0 if the matrix is not positive definite."""
         ok = 1
+        rows, width, matrix = table[BandTableIndex.ROWS], table[BandTableIndex.WIDTH], table[BandTableIndex.MATRIX]
+        lower, inverse = table[BandTableIndex.LOWER], table[BandTableIndex.INVERSE]
         for I in range(begin, rows):
             first = ti.max(0, I - width + 1)
             for J in range(first, I + 1):
-                w = J - I + width - 1
-                subtract_block_products(I, J, first, width, matrix, band, band)
+                subtract_block_products(I, J, first, width, matrix, lower, lower)
+                block, diagonal = locate_block(lower, I, J, width), locate_block(lower, J, J, width)
                 if J < I:
                     for c in range(BLOCK):
-                        v = band[I, w, c]
+                        v = vectors[block + c]
                         for k in range(c):
-                            v -= band[I, w, k] * band[J, width - 1, k][c]
-                        band[I, w, c] = v * inverse[J * BLOCK + c]
+                            v -= vectors[block + k] * vectors[diagonal + k][c]
+                        vectors[block + c] = v * vectors[inverse + J][c]
                 else:
                     for c in range(BLOCK):
-                        v = band[I, w, c]
+                        v = vectors[block + c]
                         for k in range(c):
-                            column = band[I, w, k]
-                            v -= column * band[I, w, k][c]
-                        band[I, w, c] = v
-                        pivot = band[I, w, c][c]
+                            column = vectors[block + k]
+                            v -= column * vectors[block + k][c]
+                        vectors[block + c] = v
+                        pivot = vectors[block + c][c]
                         # "not >" also fails for a NaN pivot.
                         if not pivot > 0.0:
                             ok = 0
                             pivot = 1.0
-                        inverse[I * BLOCK + c] = 1.0 / ti.sqrt(pivot)
+                        vectors[inverse + I][c] = 1.0 / ti.sqrt(pivot)
                         # `solve_band` relies on zeros above the diagonal.
-                        band[I, w, c] = ti.select(lanes >= c, v * inverse[I * BLOCK + c], 0.0)
+                        vectors[block + c] = ti.select(lanes >= c, v * vectors[inverse + I][c], 0.0)
             if ok == 0:
                 break
         return ok
 
     @ti.func
-    def solve_band(band: ti.template(), _upper: ti.template(), inverse: ti.template(), x: ti.template(), rows, width):
-        """Overwrite the right-hand side x with the solution, by forward and backward substitution."""
+    def solve_band(table: ti.template()):
+        """Overwrite the right-hand side with the solution, by forward and backward substitution."""
+        rows, width, lower = table[BandTableIndex.ROWS], table[BandTableIndex.WIDTH], table[BandTableIndex.LOWER]
+        inverse, x = table[BandTableIndex.INVERSE], table[BandTableIndex.RIGHT]
         for I in range(rows):
-            v = x[I]
+            v = vectors[x + I]
             for J in range(ti.max(0, I - width + 1), I):
-                w = J - I + width - 1
-                y = x[J]
+                block = locate_block(lower, I, J, width)
+                y = vectors[x + J]
                 for k in ti.static(range(BLOCK)):
-                    v -= band[I, w, k] * y[k]
+                    v -= vectors[block + k] * y[k]
+            diagonal = locate_block(lower, I, I, width)
             for c in ti.static(range(BLOCK)):
-                value = v[c] * inverse[I * BLOCK + c]
-                v += (unit[c] - band[I, width - 1, c]) * value
-            x[I] = v
+                value = v[c] * vectors[inverse + I][c]
+                v += (unit[c] - vectors[diagonal + c]) * value
+            vectors[x + I] = v
         for reverse in range(rows):
             I = rows - 1 - reverse
-            v = x[I]
+            v = vectors[x + I]
             for below in range(I + 1, ti.min(rows, I + width)):
-                w = I - below + width - 1
-                y = x[below]
+                block = locate_block(lower, below, I, width)
+                y = vectors[x + below]
                 for k in ti.static(range(BLOCK)):
-                    v -= unit[k] * band[below, w, k].dot(y)
+                    v -= unit[k] * vectors[block + k].dot(y)
+            diagonal = locate_block(lower, I, I, width)
             for c in ti.static(range(BLOCK - 1, -1, -1)):
-                column = band[I, width - 1, c]
-                value = (v[c] * (1.0 + column[c]) - column.dot(v)) * inverse[I * BLOCK + c]
+                column = vectors[diagonal + c]
+                value = (v[c] * (1.0 + column[c]) - column.dot(v)) * vectors[inverse + I][c]
                 v += unit[c] * (value - v[c])
-            x[I] = v
+            vectors[x + I] = v
 
     return BandSolverFunctions(factorise_band, solve_band)

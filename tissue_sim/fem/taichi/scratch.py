@@ -1,7 +1,7 @@
-"""Scratch field shared by all kernels, for intermediate results of one batch of elements.
+"""Fields shared by all kernels: the scratch field for one batch of elements, and the origin of arrays.
 
-Taichi numbers its fields in the order of creation, and the key of a cached kernel contains these numbers. With a single
-field the key does not depend on the kernels that a process created before.
+Taichi numbers its fields in the order of creation, and the key of a cached kernel contains these numbers. All fields
+are created together, so that the key does not depend on the kernels that a process created before.
 """
 
 from dataclasses import dataclass
@@ -12,8 +12,12 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 #: Number of components of each vector, one per element of a batch (SIMD lanes). Eight lanes (AVX-512) are no faster on
 #: processors with AVX-512, slower on others, and take 1.5 times as long to compile (docs/performance.md).
 LANES = 4
-#: Number of vectors in the field.
+#: Number of vectors in the scratch field.
 VECTORS = 3200
+#: Number of numbers in a vector of the origin, and in a row of a block of a band matrix.
+BLOCK = 8
+#: Number of vectors of the origin. Kernels use its address only.
+ORIGIN_SIZE = 64
 
 
 @dataclass(frozen=True)
@@ -44,11 +48,27 @@ def get_shared_scratch_field(lanes: int, size: int):
     if lanes != LANES or size > VECTORS:
         raise ValueError(f"size must be at most {VECTORS} vectors of {LANES} components; got {size} vectors of "
                          f"{lanes}. Increase VECTORS in tissue_sim/fem/taichi/scratch.py.")
-    return _create_shared_scratch_field_once()
+    return get_shared_fields().scratch
+
+
+@dataclass(frozen=True)
+class SharedFields:
+    """The fields of a process.
+
+    Attributes:
+        origin: field of vectors of `BLOCK` numbers relative to which kernels address arrays, see
+            `tissue_sim.fem.taichi.origins`.
+        scratch: scratch field, `VECTORS` vectors of `LANES` numbers.
+    """
+
+    origin: object
+    scratch: object
 
 
 @cache
-def _create_shared_scratch_field_once():
-    """Return the only scratch field, of `VECTORS` vectors; the first call in a process creates the field."""
+def get_shared_fields() -> SharedFields:
+    """Return the fields of this process; the first call creates them."""
     ti = get_initialised_taichi()
-    return ti.Vector.field(LANES, ti.f64, shape=VECTORS)
+    # The first field begins on a page of memory, so that the arrays that it addresses are aligned to cache lines.
+    return SharedFields(origin=ti.Vector.field(BLOCK, ti.f64, shape=ORIGIN_SIZE),
+                        scratch=ti.Vector.field(LANES, ti.f64, shape=VECTORS))
