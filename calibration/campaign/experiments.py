@@ -83,7 +83,7 @@ def read_experiment_or_none_if_gripped(entry: TestTable, specimen: Specimen | No
         keys = _KEYS | {f"tool.{name}": key for key, (_, name, _) in list_all_tool_sizes_by_key().items()}
         if error.field not in keys:
             raise
-        raise InputError(error.problem.replace("give the tool an edge radius", "give edge_radius_mm"),
+        raise InputError(error.problem.replace("Give the tool an edge radius", "Give edge_radius_mm"),
                          field=f"{place}.{keys[error.field]}") from None
 
 

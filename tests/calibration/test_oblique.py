@@ -76,6 +76,7 @@ def test_a_campaign_states_how_the_needle_comes(folder):
     ('solver = "solud"', "test[0].solver", "did you mean 'solid'"),
     ('solver = "solid"\noffset_mm = 35.0', "test[0].offset_mm", "reaches beyond the specimen"),
     ('solver = "solid"\ntilt_deg = 85.0', "test[0].tilt_deg", "85 degrees"),
+    ("friction = 0.3", "test[0].edge_radius_mm", "Give edge_radius_mm"),
     ('solver = "solid"\nfriction = "bonded"\nslide_mm = 1.0', "test[0].slide_mm", "unknown")])
 def test_what_does_not_fit_is_refused_with_its_field(folder, way, field, words):
     with pytest.raises(ts.InputError) as caught:

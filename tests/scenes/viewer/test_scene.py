@@ -63,7 +63,7 @@ def test_another_scene_resets_the_interfaces(needle):
     ("needle_indentation", {"tool": ts.Tool()},
      "tool: must fit the scene needle indentation; got a 'plate' tool. Choose another tool or scene."),
     ("needle_indentation", {"friction": "sticky"}, "friction"),
-    ("needle_indentation", {"friction": 0.3}, "give the tool an edge radius"),
+    ("needle_indentation", {"friction": 0.3}, "Give the tool an edge radius"),
     ("needle_indentation", {"tool": ts.Tool("sphere", radius=0.005)}, "no flat face to be bonded to"),
     ("needle_indentation", {"tool": ts.Tool("flat", radius=0.05)}, "must be smaller than the specimen's"),
 ])
