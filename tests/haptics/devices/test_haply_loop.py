@@ -16,7 +16,7 @@ from haptics.devices.back_ends import open_haptic
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopError, LoopProcess
 from haptics.safety.limits import ForceLimits
-from haptics.safety.rendering import ForceRendering
+from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 #: Origin of the scene at the initial position of the emulated hand.
@@ -67,7 +67,9 @@ def test_the_loop_renders_the_tissue_to_the_device(other_process):
     assert hand["largest_force_N"] == pytest.approx(report.largest_force, rel=0.05)
     assert hand["force_N"] == [0.0, 0.0, 0.0], "the device is stopped"
     touching = records[records["tool_depth"] > 2e-3]
-    assert len(touching) > 100 and touching["force"].min() > 0.3
+    # On a busy machine the watchdog reduces the force after late poses, and says so in the flags.
+    rendered = touching[touching["flags"] & (RenderFlag.LOST_POSE | RenderFlag.RATE_LIMITED) == 0]
+    assert len(rendered) > 100 and rendered["force"] == pytest.approx(300.0 * rendered["tool_depth"], rel=1e-6)
 
 
 def test_a_dead_service_leaves_no_force_and_the_loop_continues(other_process):
