@@ -50,9 +50,9 @@ class RelativeForceErrorEstimate:
         """
         if self.compared < displacement.size - 1:
             return (f"the error of the force is unknown after sample {self.compared + 1} of {displacement.size} "
-                    f"({displacement[self.compared] * 1e3:.3g} mm), where the simulations on another mesh did not "
-                    f"converge; up to there it is about {100 * self.fraction:.2g} % of the largest force; use more "
-                    f"samples")
+                    f"({displacement[self.compared] * 1e3:.3g} mm), because the simulations on another mesh did not "
+                    f"converge; the error of the earlier samples is about {100 * self.fraction:.2g} % of the largest "
+                    "force; use more samples")
         if self.fraction <= FORCE_ERROR.warning_fraction:
             return None
         there = displacement[self.first: self.last + 1] * 1e3

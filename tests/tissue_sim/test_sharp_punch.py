@@ -48,8 +48,8 @@ def layer(ratio, **changes):
 
 @pytest.mark.parametrize("ratio", HAYES_TABLE)
 def test_force_on_a_layer(ratio):
-    """F = 4 G a kappa d / (1 - nu). The table is 1.5 and 2.2 % too small for the two thinnest layers, compared with the
-    converged solution of its own integral equation."""
+    """F = 4 G a kappa d / (1 - nu). For the two thinnest layers the table is 1.5 and 2.2 % smaller than the converged
+    solution of the integral equation from which it was computed."""
     recording, kappa = ts.simulate(layer(ratio), resolution="accurate"), hayes_kappa(ratio)
     force = 4.0 * SHEAR_MODULUS * RADIUS * kappa * recording.displacement[-1] / (1.0 - POISSON)
     assert recording.force[-1] == pytest.approx(force, rel=3e-3)
