@@ -10,6 +10,7 @@ from calibration.campaign.measured import read_measured_curves as read_measured_
 from calibration.diagnosis.decision_limits import DecisionLimits as DecisionLimits
 from calibration.diagnosis.design import Design as Design
 from calibration.diagnosis.diagnosis import Diagnosis as Diagnosis
+from calibration.diagnosis.refit_settings import RefitSettings as RefitSettings
 from calibration.diagnosis.result import DiagnosisResult as DiagnosisResult
 from calibration.diagnosis.result import diagnosis_to_json as diagnosis_to_json
 from calibration.fit.fit import Fit as Fit

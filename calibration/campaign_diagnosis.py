@@ -35,6 +35,7 @@ from calibration.diagnosis.evidence import (
 from calibration.diagnosis.next_experiment import suggest_experiments
 from calibration.diagnosis.offsets import refit_from_far_contacts_and_describe_them
 from calibration.diagnosis.proposals import CatalogueScores, score_effects
+from calibration.diagnosis.refit_settings import REFITS, RefitSettings
 from calibration.diagnosis.result import DiagnosisResult
 from calibration.diagnosis.statements import list_candidate_statements, list_found_effects
 from calibration.diagnosis.verdict import fit_effects_and_decide_verdict
@@ -100,7 +101,8 @@ class _StageClock:
 
 
 def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
-                      solves: SimulationCache | None = None, limits: DecisionLimits = LIMITS) -> DiagnosisWithFits:
+                      solves: SimulationCache | None = None, limits: DecisionLimits = LIMITS,
+                      refit_settings: RefitSettings = REFITS) -> DiagnosisWithFits:
     """Diagnose a campaign without writing files.
 
     Args:
@@ -109,6 +111,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
         steps: task executor and progress reports.
         solves: store of finished simulations; None: an empty store.
         limits: decision limits.
+        refit_settings: settings of the fits with an effect.
 
     Raises:
         ConvergenceError: no start converges.
@@ -117,7 +120,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
     campaign = make_campaign_with_scaled_offset_defaults(campaign, measured)
     clock = _StageClock(solves)
     with clock.measure_stage("fit without any effect"):
-        plain = fit_without_effects(campaign, measured, solves, steps, limits)
+        plain = fit_without_effects(campaign, measured, solves, steps, limits, refit_settings)
         before, offsets = refit_from_far_contacts_and_describe_them(plain, steps)
     with clock.measure_stage("scores of the catalogue"):
         proposals = score_effects(before, steps)
@@ -157,7 +160,8 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
         contact_jitter_mm=1e3 * jitter.contact, zero_jitter_N=jitter.zero,
         mesh_percent=100.0 * max(before.problem.mesh_error, default=0.0), held_out=held_out,
         next_experiment=further, fit_before=fit_before, fit_after=fit_after, stages=clock.stages,
-        decision_limits=get_changed_settings_by_name(limits))
+        decision_limits=get_changed_settings_by_name(limits),
+        refit_settings=get_changed_settings_by_name(refit_settings))
     return DiagnosisWithFits(diagnosis, before, after, proposals)
 
 
@@ -215,6 +219,7 @@ class CampaignDiagnosis:
         folder: folder of the results.
         steps: task executor and progress reports.
         limits: decision limits.
+        refit_settings: settings of the fits with an effect.
 
     Attributes:
         recordings: all recordings.
@@ -223,12 +228,15 @@ class CampaignDiagnosis:
     """
 
     def __init__(self, campaign: Campaign, measured: Measured, folder: Path, steps: RunContext,
-                 limits: DecisionLimits = LIMITS):
+                 limits: DecisionLimits = LIMITS, refit_settings: RefitSettings = REFITS):
         self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
-        self.limits = limits
+        self.limits, self.refit_settings = limits, refit_settings
         self.recordings = [curve for curves in measured.values() for curve in curves]
         self.digest = hash_content("diagnosis", compute_input_and_version_digest(
-            campaign, self.recordings, get_changed_settings_by_name(limits)), campaign.fit.laws[0],
+            campaign, self.recordings,
+            get_changed_settings_by_name(limits) | {
+                f"refit_settings.{name}": value
+                for name, value in get_changed_settings_by_name(refit_settings).items()}), campaign.fit.laws[0],
                                    sorted(CATALOGUE), _hash_calibration_source_code())
         self.solves = SimulationCache()
         self._clock = _StageClock(self.solves)
@@ -262,7 +270,8 @@ class CampaignDiagnosis:
             ConvergenceError: no start converges.
         """
         self.solves.write_curves_and_use_folder(self.folder / SOLVES)
-        found = diagnose_campaign(self.campaign, self.measured, self.steps, self.solves, self.limits)
+        found = diagnose_campaign(self.campaign, self.measured, self.steps, self.solves, self.limits,
+                                  self.refit_settings)
         self.steps.report_progress("writing the report")
         diagnosis = replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages])
         return write_diagnosis_and_get_result(DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest),

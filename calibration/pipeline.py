@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from calibration.campaign.campaign import Campaign
     from calibration.diagnosis.decision_limits import DecisionLimits
     from calibration.diagnosis.design import Design
+    from calibration.diagnosis.refit_settings import RefitSettings
     from calibration.diagnosis.result import DiagnosisResult
     from calibration.fit.result import CalibrationResult
     from calibration.fit.run_context import IterationListener, Progress
@@ -114,7 +115,8 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
              progress: Progress | None = None, figures: bool = True, figures_format: str | None = None,
              workers: Workers | None = None, law: str | None = None,
              announce: Callable[[str], None] | None = None,
-             limits: DecisionLimits | None = None) -> list[DiagnosisResult]:
+             limits: DecisionLimits | None = None,
+             refit_settings: RefitSettings | None = None) -> list[DiagnosisResult]:
     """Find and name the effects that a plain model misses in each campaign, and write the results.
 
     ``diagnosis.json``, ``report.html``, ``residuals.csv`` and the files that include the effects found are written to
@@ -132,6 +134,8 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
         law: one law of each campaign; None: its first.
         announce: called with the expected duration if it is a minute or more because of three-dimensional tests.
         limits: decision limits; None: the defaults. ``diagnosis.json`` states those that differ.
+        refit_settings: settings of the fits with an effect; None: the defaults. ``diagnosis.json`` states those that
+            differ.
 
     Returns:
         The result of each campaign.
@@ -150,13 +154,15 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     measured = [read_measured_curves(campaign) for campaign in campaigns]
     from calibration.campaign_diagnosis import CampaignDiagnosis
     from calibration.diagnosis.decision_limits import LIMITS
+    from calibration.diagnosis.refit_settings import REFITS
     from calibration.diagnosis.result import read_matching_diagnosis_or_none
     from calibration.fit.run_context import RunContext
     from calibration.report.diagnosis_outputs import list_all_diagnosis_file_paths
 
     with open_tasks(workers or Workers()) as tasks:
         parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
-                                   RunContext(campaign.name, tasks, progress, announce=announce), limits or LIMITS)
+                                   RunContext(campaign.name, tasks, progress, announce=announce), limits or LIMITS,
+                                   refit_settings or REFITS)
                  for campaign, curves in zip(campaigns, measured, strict=True)]
         results, failures = _run_campaigns_and_collect_failures(parts, output, read_matching_diagnosis_or_none,
                                                                 overwrite, figures, figures_format,

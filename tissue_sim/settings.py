@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import Field, fields
 from typing import Any, ClassVar, Protocol
 
@@ -15,21 +17,30 @@ class Settings(Protocol):
 
 
 def require_all_settings_positive(settings: Settings) -> None:
-    """Check that every number of a settings object is positive.
+    """Check that every number of a settings object is positive and finite; a setting may be a sequence of numbers.
 
     Args:
         settings: settings of one algorithm.
 
     Raises:
-        InputError: a number is zero, negative or NaN; the error names the field.
+        InputError: a number is not positive and finite, a count is not a whole number, or a sequence is empty; the
+            error names the field.
     """
     for entry in fields(settings):
         value = getattr(settings, entry.name)
-        if not value > 0:
-            raise InputError(f"{entry.name} must be positive; got {value:g}", field=entry.name)
+        numbers = value if isinstance(value, Sequence) else (value,)
+        if not numbers:
+            raise InputError(f"{entry.name} must contain a number; got none", field=entry.name)
+        for number in numbers:
+            if not number > 0:
+                raise InputError(f"{entry.name} must be positive; got {number:g}", field=entry.name)
+            if math.isinf(number):
+                raise InputError(f"{entry.name} must be finite; got {number:g}", field=entry.name)
+            if isinstance(entry.default, int) and number != int(number):
+                raise InputError(f"{entry.name} must be a whole number; got {number:g}", field=entry.name)
 
 
-def get_changed_settings_by_name(settings: Settings) -> dict[str, float]:
+def get_changed_settings_by_name(settings: Settings) -> dict[str, Any]:
     """Return name -> value of the settings that differ from the defaults.
 
     Args:

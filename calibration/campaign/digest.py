@@ -11,7 +11,7 @@ from calibration.campaign.measured import MeasuredCurve
 
 
 def compute_input_and_version_digest(campaign: Campaign, recordings: Sequence[MeasuredCurve],
-                                     changed: Mapping[str, float] | None = None) -> str:
+                                     changed: Mapping[str, object] | None = None) -> str:
     """Return the SHA-256 digest, in hexadecimal, of all inputs of a campaign and of the program version.
 
     Args:

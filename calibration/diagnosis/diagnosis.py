@@ -228,6 +228,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
         stages: duration of each stage.
         files: kind of file -> name of the written file.
         decision_limits: name -> value of the decision limits that differ from the defaults.
+        refit_settings: name -> value of the settings of the fits with an effect that differ from the defaults.
     """
 
     campaign: str
@@ -252,3 +253,4 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     stages: list[DiagnosisStage] = []
     files: dict[str, str] = {}
     decision_limits: dict[str, float] = {}
+    refit_settings: dict[str, float | tuple[float, ...]] = {}

@@ -13,6 +13,7 @@ from scipy import special
 from calibration.campaign.campaign import Campaign, Noise
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
+from calibration.diagnosis.refit_settings import REFITS, RefitSettings
 from calibration.effects.effect import Situation
 from calibration.fit.estimate import Estimate
 from calibration.fit.fit import RegionMisfitTest
@@ -69,12 +70,14 @@ class FitEvidence:
         measured: test -> its recordings.
         estimate: minimum of the fit.
         limits: decision limits of the diagnosis.
+        refit_settings: settings of the fits with an effect.
     """
 
     campaign: Campaign
     measured: Measured
     estimate: Estimate
     limits: DecisionLimits = LIMITS
+    refit_settings: RefitSettings = REFITS
 
     @property
     def problem(self) -> GeneralisedProblem:
@@ -210,8 +213,8 @@ def _slice_equal_label_runs(labels: np.ndarray | None, size: int) -> list[slice]
 
 
 def fit_without_effects(campaign: Campaign, measured: Measured, solves: SimulationCache,
-                        context: RunContext,
-                        limits: DecisionLimits = LIMITS) -> FitEvidence:
+                        context: RunContext, limits: DecisionLimits = LIMITS,
+                        refit_settings: RefitSettings = REFITS) -> FitEvidence:
     """Fit the plain model of a campaign, without any effect of the catalogue.
 
     Args:
@@ -220,6 +223,7 @@ def fit_without_effects(campaign: Campaign, measured: Measured, solves: Simulati
         solves: cache of simulations.
         context: workers and listeners.
         limits: decision limits of the diagnosis.
+        refit_settings: settings of the later fits with an effect.
 
     Raises:
         ConvergenceError: the simulation fails for all starts.
@@ -237,7 +241,7 @@ def fit_without_effects(campaign: Campaign, measured: Measured, solves: Simulati
     problem.assign_nuisance_columns_and_drop_cache()
     descent = minimise_from_start(problem, estimate.theta, corrected=True)
     estimate = replace(estimate, theta=descent.theta, error=descent.error)
-    return FitEvidence(campaign, measured, estimate, limits)
+    return FitEvidence(campaign, measured, estimate, limits, refit_settings)
 
 
 def compute_jitter_with_upper_limits(problem: GeneralisedProblem, theta: np.ndarray, stated: Noise,

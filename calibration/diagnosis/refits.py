@@ -17,6 +17,7 @@ from calibration.diagnosis.proposals import (
     find_smallest_median_displacement_step,
     refine_jump_displacement,
 )
+from calibration.diagnosis.refit_settings import REFITS, RefitSettings
 from calibration.effects.effect import Candidate, NotTestableError
 from calibration.fit.estimate import Estimate
 from calibration.fit.problem import GeneralisedProblem
@@ -26,53 +27,6 @@ from calibration.forward.contract import InfeasibleError
 from calibration.forward.forms import compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS
 from tissue_sim.errors import InputError
-
-
-@dataclass(frozen=True)
-class RefitSettings:
-    """Settings of the choice of effects for a nonlinear fit, and of these fits.
-
-    Attributes:
-        max_effects: number of effects that are fitted.
-        max_similar: largest number of fitted effects if further scores are close to the best.
-        similar: ratio to the best score above which a further score is close.
-        shape_margin: largest difference of squared scores for which a second value of the shape parameters is fitted.
-        promising: smallest squared score of a fitted effect, as a fraction of the smallest acceptable decrease.
-        rival_margin: an effect is fitted if its squared score is within this difference of the best.
-        near: difference to the best decrease of BIC, as a fraction of it, within which the mesh correction is computed
-            for the effect itself.
-        min_near: smallest absolute difference for the same purpose.
-        shortfall: difference between predicted and achieved decrease of the sum of squares above which the descent
-            continues.
-        on_bound: relative distance at which a parameter counts as on its bound.
-        starts: fractions of the size from the score at which a fit starts; the first that improves the fit is used.
-        jump_steps: trial displacements of a jump after a fit, in sampling steps; a fit may move the contacts.
-        max_jump_moves: maximum number of repetitions of this search.
-        gain: predicted decrease of the sum of squares at which a descent ends; differences between effects are much
-            larger.
-        tolerance: relative tolerance of the descent.
-        patience: number of evaluations without sufficient decrease after which a descent ends.
-    """
-
-    max_effects: int = 6
-    max_similar: int = 10
-    similar: float = 0.9
-    shape_margin: float = 20.0
-    promising: float = 0.6
-    rival_margin: float = 8.0
-    near: float = 0.3
-    min_near: float = 40.0
-    shortfall: float = 1.0
-    on_bound: float = 1e-4
-    starts: tuple[float, ...] = (1.0, 0.3, 0.1)
-    jump_steps: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0)
-    max_jump_moves: int = 3
-    gain: float = 0.1
-    tolerance: float = 2e-5
-    patience: int = 4
-
-
-_SETTINGS = RefitSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +41,7 @@ class EffectRefit:
         error: sum of squares; infinite if the simulation failed.
         gain: decrease of BIC by the effect.
         failure: reason of a failure; empty otherwise.
+        settings: settings of the fit.
     """
 
     proposal: ScoredCandidate
@@ -96,6 +51,7 @@ class EffectRefit:
     error: float
     gain: float
     failure: str = ""
+    settings: RefitSettings = REFITS
 
     @property
     def candidate_name(self) -> str:
@@ -115,8 +71,8 @@ class EffectRefit:
         """Name -> bound, SI, for parameters of the effect on a bound other than their absent value."""
         absent = {name: self.proposal.absent.get(self.problem.space.get_parameter_by_name(name).path)
                   for name in self.effect_values}
-        met = {name: find_reached_bound_value_or_none(self.problem.space, self.theta, name, value) for name,
-               value in absent.items()}
+        met = {name: find_reached_bound_value_or_none(self.problem.space, self.theta, name, value,
+                                                      self.settings.on_bound) for name, value in absent.items()}
         return {name: bound for name, bound in met.items() if bound is not None}
 
     @property
@@ -138,11 +94,11 @@ class EffectRefit:
         """Return the evidence with the effect; jitter and mesh corrections are those of `before`."""
         estimate = Estimate(1, self.theta, self.error, True, "", (), {}, 0.0, problem=self.problem,
                             differences=before.estimate.differences, refreshes=before.estimate.refreshes)
-        return FitEvidence(self.campaign, before.measured, estimate, before.limits)
+        return FitEvidence(self.campaign, before.measured, estimate, before.limits, before.refit_settings)
 
 
 def find_reached_bound_value_or_none(space: ParameterSpace, theta: np.ndarray, name: str,
-                                     absent: float | None) -> float | None:
+                                     absent: float | None, distance: float) -> float | None:
     """Return the bound on which a parameter ended, SI; None if it is on no bound, at its absent value, or fixed.
 
     Args:
@@ -150,12 +106,13 @@ def find_reached_bound_value_or_none(space: ParameterSpace, theta: np.ndarray, n
         theta: free parameters at the minimum, SI, shape (p,).
         name: name of the parameter.
         absent: value at which the effect is absent, SI; None: not defined.
+        distance: relative distance at which a parameter counts as on its bound.
     """
     if name not in space.free:
         return None
     index = space.free.index(name)
     for bound in (space.low[index], space.high[index]):
-        tolerance = _SETTINGS.on_bound * max(abs(bound), abs(theta[index]))
+        tolerance = distance * max(abs(bound), abs(theta[index]))
         near = np.isfinite(bound) and abs(theta[index] - bound) <= tolerance
         if near and bound != absent:
             return float(bound)
@@ -176,12 +133,13 @@ def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, c
     """
     ranked = [(name, -2.0 * each.negative_log_likelihood_gain) for name,
               each in proposals.best_variant_by_candidate_name.items()]
+    settings = evidence.refit_settings
     # Rivals of the best effect are fitted even if all scores are small.
     penalty = evidence.limits.min_bic_decrease + float(np.log(evidence.effective_sample_count))
-    promising = min(_SETTINGS.promising * penalty,
-                    max((squares for _, squares in ranked), default=0.0) - _SETTINGS.rival_margin)
-    chosen = [name for number, (name, squares) in enumerate(ranked[:_SETTINGS.max_similar]) if squares > promising
-              and (number < _SETTINGS.max_effects or squares > _SETTINGS.similar**2 * ranked[0][1])] \
+    promising = min(settings.promising * penalty,
+                    max((squares for _, squares in ranked), default=0.0) - settings.rival_margin)
+    chosen = [name for number, (name, squares) in enumerate(ranked[:settings.max_similar]) if squares > promising
+              and (number < settings.max_effects or squares > settings.similar**2 * ranked[0][1])] \
         if names is None else list(names)
     # An effect may make homogeneous tests inhomogeneous and add a mesh error, so the log determinant is included.
     error = evidence.estimate.error + evidence.evaluation.log_determinant
@@ -192,11 +150,11 @@ def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, c
         if variants[0].candidate.jump:
             variants = [refine_jump_displacement(variants[0], evidence)]
         tasks += [(evidence.problem, evidence.campaign, variant, evidence.parameter_values, error,
-                   evidence.effective_sample_count)
+                   evidence.effective_sample_count, settings)
                   for variant in variants[:2]
                   if variant.negative_log_likelihood_gain < variants[0].negative_log_likelihood_gain + 0.5
-                  * _SETTINGS.shape_margin]
-    titles = [variant.candidate.title for *_, variant, _, _, _ in tasks]
+                  * settings.shape_margin]
+    titles = [variant.candidate.title for _, _, variant, *_ in tasks]
     found = context.run_task_for_all(fit_one_effect_or_none, tasks, words, names=titles) if tasks else []
     fits = [each for each in found if each is not None]
     best: dict[str, EffectRefit] = {}
@@ -207,7 +165,7 @@ def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, c
     if not best:
         return []
     limit = next(iter(best.values())).gain
-    limit -= max(_SETTINGS.near * limit, _SETTINGS.min_near)
+    limit -= max(settings.near * limit, settings.min_near)
     near = [each for each in best.values() if each.gain >= limit]
     if len(near) > 1:
         # The mesh correction depends on the effect and may decide between similar effects.
@@ -244,8 +202,8 @@ def refit_with_mesh_correction(fitted: EffectRefit, plain: GeneralisedProblem, e
         return fitted
     problem.mesh_error = tuple(compute_mesh_uncertainty(test, ACCURATE_MESH_ERRORS) for test in problem.tests)
     problem.assign_nuisance_columns_and_drop_cache()
-    descent = minimise_from_start(problem, fitted.theta, corrected=True, enough=_SETTINGS.gain,
-                                  tolerance=_SETTINGS.tolerance)
+    descent = minimise_from_start(problem, fitted.theta, corrected=True, enough=fitted.settings.gain,
+                                  tolerance=fitted.settings.tolerance)
     if not np.isfinite(descent.error):
         return fitted
     penalty = _compute_bic_penalty(problem, plain, fitted.proposal.candidate, samples)
@@ -261,7 +219,8 @@ def copy_problem(problem: GeneralisedProblem) -> GeneralisedProblem:
 
 
 def fit_one_effect_or_none(problem: GeneralisedProblem, campaign: Campaign, proposal: ScoredCandidate,
-                           values: Mapping[str, float], error: float, samples: float) -> EffectRefit | None:
+                           values: Mapping[str, float], error: float, samples: float,
+                           settings: RefitSettings = REFITS) -> EffectRefit | None:
     """Fit a problem with one effect, starting from the size that its score gives.
 
     Args:
@@ -271,6 +230,7 @@ def fit_one_effect_or_none(problem: GeneralisedProblem, campaign: Campaign, prop
         values: name -> value of the parameters without the effect, SI.
         error: sum of squares plus log determinant without the effect.
         samples: effective number of samples.
+        settings: settings of the fit.
 
     Returns:
         The fit; None if no test has the parameters of the effect.
@@ -295,33 +255,33 @@ def fit_one_effect_or_none(problem: GeneralisedProblem, campaign: Campaign, prop
         return None
     starts = [combine_free_values_with_effect_sizes(extended.space, values, {**candidate.shape, **{
         path: proposal.absent[path] + fraction * (size - proposal.absent[path]) for path, size in start.items()}})
-        for fraction in _SETTINGS.starts]
+        for fraction in settings.starts]
     theta = _choose_start_below_error(extended, starts, error)
-    gain, tolerance, stalled = _SETTINGS.gain, _SETTINGS.tolerance, (_SETTINGS.patience, _SETTINGS.gain)
+    gain, tolerance, stalled = settings.gain, settings.tolerance, (settings.patience, settings.gain)
     descent = minimise_from_start(extended, theta, corrected=True, enough=gain, tolerance=tolerance, stalled=stalled)
     if not np.isfinite(descent.error):
-        return EffectRefit(proposal, extended, changed, descent.theta, descent.error, -np.inf, descent.failure)
+        return EffectRefit(proposal, extended, changed, descent.theta, descent.error, -np.inf, descent.failure,
+                           settings)
     decrease = error - _compute_error_plus_log_determinant(extended, descent)
     shortfall = -2.0 * proposal.negative_log_likelihood_gain - decrease
-    if proposal.direction.degrees_of_freedom == 1 and shortfall > _SETTINGS.shortfall:
+    if proposal.direction.degrees_of_freedom == 1 and shortfall > settings.shortfall:
         # With nearly dependent parameters a step with a small decrease may precede one with a larger decrease.
         again = minimise_from_start(extended, descent.theta, corrected=True, enough=0.0, tolerance=tolerance,
                                     stalled=stalled)
         descent = again if again.error < descent.error else descent
-    for _ in range(_SETTINGS.max_jump_moves if candidate.jump else 0):
-        moved = _refit_with_better_jump_or_none(problem, campaign, proposal, extended, descent)
+    for _ in range(settings.max_jump_moves if candidate.jump else 0):
+        moved = _refit_with_better_jump_or_none(problem, campaign, proposal, extended, descent, settings)
         if moved is None:
             break
         proposal, extended, changed, descent = moved
     decrease = error - _compute_error_plus_log_determinant(extended, descent)
     gain = decrease - _compute_bic_penalty(extended, problem, candidate, samples)
-    return EffectRefit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure)
+    return EffectRefit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure, settings)
 
 
 def _refit_with_better_jump_or_none(problem: GeneralisedProblem, campaign: Campaign, proposal: ScoredCandidate,
-                                    extended: GeneralisedProblem,
-                                    descent: DescentResult) -> tuple[ScoredCandidate, GeneralisedProblem, Campaign,
-                                                                     DescentResult] | None:
+                                    extended: GeneralisedProblem, descent: DescentResult, settings: RefitSettings
+                                    ) -> tuple[ScoredCandidate, GeneralisedProblem, Campaign, DescentResult] | None:
     """Search a better position of the jump at the contacts of the fit, and repeat the fit there.
 
     Args:
@@ -330,6 +290,7 @@ def _refit_with_better_jump_or_none(problem: GeneralisedProblem, campaign: Campa
         proposal: candidate with the jump of the fit.
         extended: problem with the effect.
         descent: end of the fit.
+        settings: settings of the fit.
 
     Returns:
         Candidate, problem, campaign and end of the new fit; None if no better position is found.
@@ -339,7 +300,7 @@ def _refit_with_better_jump_or_none(problem: GeneralisedProblem, campaign: Campa
     position = candidate.shape[candidate.jump]
     low, high = candidate.bounds.get(candidate.jump, (0.0, max(float(c.displacement.max()) for c in curves)))
     found = None
-    for steps in (sign * steps for steps in _SETTINGS.jump_steps for sign in (-1, 1)):
+    for steps in (sign * steps for steps in settings.jump_steps for sign in (-1, 1)):
         depth = float(np.clip(position + steps * find_smallest_median_displacement_step(curves), low, high))
         other = replace(candidate, shape={**candidate.shape, candidate.jump: depth})
         moved, changed = add_effect_to_problem_and_campaign(problem, campaign, other, free=True)
@@ -347,13 +308,13 @@ def _refit_with_better_jump_or_none(problem: GeneralisedProblem, campaign: Campa
             evaluation = moved.evaluate(descent.theta)
         except InfeasibleError:
             continue
-        if evaluation.sum_of_squares + evaluation.log_determinant < best - _SETTINGS.gain:
+        if evaluation.sum_of_squares + evaluation.log_determinant < best - settings.gain:
             best, found = evaluation.sum_of_squares + evaluation.log_determinant, (replace(
                 proposal, candidate=other), moved, changed)
     if found is None:
         return None
-    again = minimise_from_start(found[1], descent.theta, corrected=True, enough=_SETTINGS.gain,
-                                tolerance=_SETTINGS.tolerance)
+    again = minimise_from_start(found[1], descent.theta, corrected=True, enough=settings.gain,
+                                tolerance=settings.tolerance)
     return (*found, again) if np.isfinite(again.error) else None
 
 

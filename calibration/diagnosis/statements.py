@@ -50,7 +50,8 @@ def list_fitted_parameters_of_candidate(candidate: Candidate, evidence: FitEvide
         error = float(errors.get(each.name, 0.0))
         absent = candidate.find_value_without_effect(evidence.campaign, each.path) \
             if each.path in candidate.sizes else None
-        bound = find_reached_bound_value_or_none(space, evidence.estimate.theta, each.name, absent)
+        bound = find_reached_bound_value_or_none(space, evidence.estimate.theta, each.name, absent,
+                                                 evidence.refit_settings.on_bound)
         numbers.append(EffectParameter(path=each.name, symbol=space.symbols[each.name], unit=each.declaration.unit,
                                        value=evidence.parameter_values[each.name], absent=absent, bound=bound,
                                        standard_error=error if np.isfinite(error) else None))

@@ -40,6 +40,7 @@ class GuardedMotion:
         stop_request: function that returns a sentence when the user wants to stop, and None otherwise.
         clock: time on the clock of the devices, s.
         sleep: function that waits for a number of seconds on that clock.
+        make_guard: `MotionGuard`, or a function with its arguments that gives a guard with other tolerances.
 
     Attributes:
         stage_sample: stage sample of the last poll; None before the first poll.
@@ -54,7 +55,7 @@ class GuardedMotion:
     def __init__(self, bench: Bench, limits: MotionLimits, axis: str, sign: int, *,
                  on_poll: Callable[[Sequence[ForceSample], Sequence[float], StageSample], None],
                  stop_request: Callable[[], str | None], clock: Callable[[], float] = time.monotonic,
-                 sleep: Callable[[float], None] = time.sleep):
+                 sleep: Callable[[float], None] = time.sleep, make_guard: Callable[..., MotionGuard] = MotionGuard):
         self.sensor, self.stage, self.limits = bench.sensor, bench.stage, limits
         if axis not in bench.sensor.channels:
             raise InputError(f"the axis must be a channel of the sensor: {', '.join(bench.sensor.channels)}; got "
@@ -62,6 +63,7 @@ class GuardedMotion:
                              field="record.axis")
         self._axis, self._sign = bench.sensor.channels.index(axis), sign
         self._on_poll, self._stop_request, self.now, self._sleep = on_poll, stop_request, clock, sleep
+        self._make_guard = make_guard
         self.stage_sample: StageSample | None = None
         self.zero = self.started = self._polled = 0.0
         self._guard: MotionGuard | None = None
@@ -91,8 +93,8 @@ class GuardedMotion:
             self.sensor.start()
             self.stage.start()
             self.started = self._polled = self.now()
-            self._guard = MotionGuard(self.limits, self.sensor.rate, self.sensor.channels,
-                                      self.stage.measures_position, self.started)
+            self._guard = self._make_guard(self.limits, self.sensor.rate, self.sensor.channels,
+                                           self.stage.measures_position, self.started)
             with self._watched_polls():
                 try:
                     yield

@@ -6,6 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ from haptics.recorder.motion_record import MotionRecord, build_recording, estima
 from haptics.recorder.plan import POLLING, IndentationPlan, check_plans_and_compute_duration
 from haptics.recorder.run_folder import PartialRecording, RunFolder
 from haptics.recorder.stopped import StoppedError
-from haptics.safety.motion_guard import MotionLimits, StopReason
+from haptics.safety.motion_guard import GUARD, MotionGuard, MotionGuardSettings, MotionLimits, StopReason
 from tissue_sim.errors import InputError
+from tissue_sim.settings import get_changed_settings_by_name
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ class Recorder:
         on_progress: function called at each poll of the devices.
         clock: time on the clock of the devices, s.
         sleep: function that waits for a number of seconds on that clock.
+        guard_settings: tolerances of the guard; the state of the run names those that differ from the defaults.
 
     Attributes:
         seconds: shortest possible duration of the plan, s.
@@ -84,13 +87,15 @@ class Recorder:
     def __init__(self, bench: Bench, plan: IndentationPlan, limits: MotionLimits, folder: RunFolder, *,
                  about: dict[str, Any] | None = None, stop_request: Callable[[], str | None] = lambda: None,
                  on_progress: Callable[[RunProgress], None] = lambda progress: None,
-                 clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep):
+                 clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep,
+                 guard_settings: MotionGuardSettings = GUARD):
         self.seconds = check_plans_and_compute_duration([plan], limits, bench.stage, 1.0 / bench.sensor.rate)
         self._motion = GuardedMotion(bench, limits, plan.axis, plan.sign,
                                      on_poll=self._store_samples_and_report_progress,
-                                     stop_request=stop_request, clock=clock, sleep=sleep)
+                                     stop_request=stop_request, clock=clock, sleep=sleep,
+                                     make_guard=partial(MotionGuard, settings=guard_settings))
         self._plan, self._limits, self._folder, self._about = plan, limits, folder, about or {}
-        self._on_progress = on_progress
+        self._on_progress, self._guard_settings = on_progress, guard_settings
         self._record: MotionRecord | None = None
         self._partial: PartialRecording | None = None
         self._phase, self._replicate = "start", 0
@@ -109,7 +114,8 @@ class Recorder:
             DeviceError: a device does not start.
         """
         folder, plan, motion = self._folder, self._plan, self._motion
-        folder.update_state(state="running", limits=_convert_limits_to_json(self._limits), about=self._about)
+        folder.update_state(state="running", limits=_convert_limits_to_json(self._limits),
+                            guard_settings=get_changed_settings_by_name(self._guard_settings), about=self._about)
         try:
             with motion.run_devices(self._get_retraction_position_and_speed):
                 stage = motion.stage

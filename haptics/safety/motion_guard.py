@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from haptics.devices.contracts import ForceSample, SampleStatus, StageSample
 from tissue_sim.errors import InputError
 from tissue_sim.public_names import make_getattr_for_old_names
+from tissue_sim.settings import require_all_settings_positive
 
 #: Default of the longest time without a sample of the sensor, s.
 DEFAULT_SENSOR_SILENCE = 0.05
@@ -28,6 +29,9 @@ class MotionGuardSettings:
         stall_distance: least distance behind the commanded position that counts as a stall, m; also the tolerance of
             the position in the checks of travel and speed.
         path_tolerance: distance from the commanded path, or from the position at rest, that is always allowed, m.
+
+    Raises:
+        InputError: a tolerance is not positive and finite, so that no check can be switched off.
     """
 
     silent_periods: int = 3
@@ -37,9 +41,12 @@ class MotionGuardSettings:
     stall_distance: float = 50e-6
     path_tolerance: float = 0.1e-3
 
+    def __post_init__(self) -> None:
+        require_all_settings_positive(self)
 
-#: Settings of every guard.
-_SETTINGS = MotionGuardSettings()
+
+#: Default tolerances of a guard.
+GUARD = MotionGuardSettings()
 
 
 @dataclass(frozen=True)
@@ -142,6 +149,7 @@ class MotionGuard:
         channels: names of the channels of the sensor; the resultant of Fx, Fy and Fz counts against the force limit.
         measures_position: whether the stage measures its position, so that a stall is visible.
         started: start of the run, s, on the clock of the samples.
+        settings: tolerances of the checks.
 
     Attributes:
         is_stage_homed: whether the stage was homed in this run; before that, its position is not checked.
@@ -150,9 +158,10 @@ class MotionGuard:
     """
 
     def __init__(self, limits: MotionLimits, sensor_rate: float, channels: Sequence[str], measures_position: bool,
-                 started: float):
+                 started: float, settings: MotionGuardSettings = GUARD):
         self.limits, self._measures_position, self._started = limits, measures_position, started
-        self._longest_silence = max(limits.sensor_silence, _SETTINGS.silent_periods / sensor_rate)
+        self.settings = settings
+        self._longest_silence = max(limits.sensor_silence, settings.silent_periods / sensor_rate)
         self._force_channels = [number for number, name in enumerate(channels) if name in ("Fx", "Fy", "Fz")]
         self._last_sample = started
         self._stage_samples: deque[StageSample] = deque()
@@ -224,7 +233,7 @@ class MotionGuard:
         if not self.is_stage_homed or not stage.homed:
             self._stage_samples.clear()
             return None
-        tolerance = _SETTINGS.stall_distance
+        tolerance = self.settings.stall_distance
         if not limits.lowest - tolerance <= stage.position <= limits.highest + tolerance:
             return StopReason("travel", f"the stage is at {stage.position * 1e3:.4g} mm, outside of its limits of "
                               f"{limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm")
@@ -237,7 +246,7 @@ class MotionGuard:
         between request and reply. The time between two readings is therefore at most the time from the request of the
         first to the reply of the second, and that time gives the lowest speed.
         """
-        samples, window = self._stage_samples, _SETTINGS.speed_window
+        samples, window = self._stage_samples, self.settings.speed_window
         samples.append(stage)
         while samples[-1].received - samples[0].received > window:
             samples.popleft()
@@ -245,7 +254,7 @@ class MotionGuard:
         if last.received - first.received > 0.5 * window:
             longest = last.received - first.earliest_reading_time
             speed = abs(last.position - first.position) / longest
-            allowed = (1 + _SETTINGS.speed_tolerance) * self.limits.speed + _SETTINGS.stall_distance / longest
+            allowed = (1 + self.settings.speed_tolerance) * self.limits.speed + self.settings.stall_distance / longest
             if speed > allowed:
                 return StopReason("speed", f"the stage moves at {speed * 1e3:.3g} mm/s or faster, above the limit of "
                                   f"{self.limits.speed * 1e3:g} mm/s")
@@ -253,16 +262,16 @@ class MotionGuard:
 
     def _check_command(self, stage: StageSample, command: CommandedMotion) -> StopReason | None:
         """Check that the tool is on the commanded path and does not stall; return the reason to stop, or None."""
-        tolerance = max(_SETTINGS.path_tolerance, _SETTINGS.stall_time * command.speed)
+        tolerance = max(self.settings.path_tolerance, self.settings.stall_time * command.speed)
         low, high = sorted((command.start, command.goal))
         if not low - tolerance <= stage.position <= high + tolerance:
             return StopReason("stage astray", f"the stage is at {stage.position * 1e3:.4g} mm, off the commanded path "
                               f"from {command.start * 1e3:.4g} to {command.goal * 1e3:.4g} mm; home it "
                               "again")
         behind = command.compute_expected_travel(stage.earliest_reading_time) - abs(stage.position - command.start)
-        is_stall_testable = stage.earliest_reading_time - command.started > _SETTINGS.stall_time
+        is_stall_testable = stage.earliest_reading_time - command.started > self.settings.stall_time
         if self._measures_position and command.speed and is_stall_testable and \
-                behind > max(_SETTINGS.stall_distance, _SETTINGS.stall_time * command.speed):
+                behind > max(self.settings.stall_distance, self.settings.stall_time * command.speed):
             return StopReason("stage stalled", f"the stage is {behind * 1e3:.3g} mm behind its commanded position; "
                               "remove what blocks it, and home it again")
         return None

@@ -190,12 +190,18 @@ def test_several_campaigns_have_folders_and_are_read_back(campaign, tmp_path):
 
 
 @pytest.mark.slow
-def test_other_decision_limits_are_used_and_stated(campaign, diagnosed, tmp_path):
+def test_other_decision_limits_and_refit_settings_are_used_and_stated(campaign, diagnosed, tmp_path):
     limits = calibration.DecisionLimits(region_level=0.9999)
+    refit_settings = calibration.RefitSettings(on_bound=1e9, starts=(0.1,))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("calibration.diagnosis.proposals.CATALOGUE", {"machine_compliance": MachineCompliance})
-        results = calibration.diagnose([campaign], tmp_path, figures=False, limits=limits)
+        results = calibration.diagnose([campaign], tmp_path, figures=False, limits=limits,
+                                       refit_settings=refit_settings)
     assert calibration.diagnosis_to_json(results)["decision_limits"] == {"region_level": 0.9999}
+    assert results[0].diagnosis.refit_settings == {"on_bound": 1e9, "starts": (0.1,)}
+    # With this relative distance every size counts as on its bound.
+    (row,) = results[0].diagnosis.candidates
+    assert row.on_bound == ["c"]
     assert not all(region.adequate_before for region in results[0].diagnosis.regions)
     plain = diagnosed[0].diagnosis
     assert plain.decision_limits == {} and all(region.adequate_before for region in plain.regions)

@@ -6,7 +6,14 @@ from dataclasses import replace
 import pytest
 
 from haptics.devices.contracts import ForceSample, SampleStatus, StageSample
-from haptics.safety.motion_guard import CommandedMotion, MotionGuard, MotionLimits, StopReason, require_stoppable_motion
+from haptics.safety.motion_guard import (
+    CommandedMotion,
+    MotionGuard,
+    MotionGuardSettings,
+    MotionLimits,
+    StopReason,
+    require_stoppable_motion,
+)
 from tissue_sim.errors import InputError
 
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
@@ -22,8 +29,8 @@ def stage_at(position=0.0, at=0.0, moving=False, status=0, homed=True):
     return StageSample(0, position, moving, homed, 0, status, at)
 
 
-def make_guard(measures=True, ready=True):
-    guard = MotionGuard(LIMITS, 1000.0, CHANNELS, measures, 0.0)
+def make_guard(measures=True, ready=True, **settings):
+    guard = MotionGuard(LIMITS, 1000.0, CHANNELS, measures, 0.0, MotionGuardSettings(**settings))
     guard.is_stage_homed = guard.is_sensor_zeroed = ready
     return guard
 
@@ -54,6 +61,29 @@ INWARDS = CommandedMotion(0.0, 5e-3, 1e-3, 0.0)
 def test_each_fault_stops_the_motion(cause, arguments):
     reason = check(make_guard(), **arguments)
     assert reason is not None and reason.cause == cause and reason.message
+
+
+@pytest.mark.parametrize(("settings", "arguments"), [
+    ({"silent_periods": 100}, {"samples": [], "now": 0.06}),
+    ({"stall_distance": 0.3e-3}, {"stage": stage_at(10.2e-3)}),
+    ({"path_tolerance": 1e-3}, {"stage": stage_at(-0.5e-3), "command": INWARDS}),
+    ({"stall_time": 0.6}, {"stage": stage_at(0.5e-3, at=1.0), "command": INWARDS, "now": 0.01}),
+])
+def test_a_guard_with_larger_tolerances_lets_the_motion_continue(settings, arguments):
+    assert check(make_guard(), **arguments) is not None
+    assert check(make_guard(**settings), **arguments) is None
+
+
+@pytest.mark.parametrize(("name", "value", "message"), [
+    ("stall_time", 0.0, "stall_time must be positive; got 0"),
+    ("path_tolerance", math.inf, "path_tolerance must be finite; got inf"),
+    ("speed_tolerance", math.nan, "speed_tolerance must be positive; got nan"),
+    ("silent_periods", 2.5, "silent_periods must be a whole number; got 2.5"),
+])
+def test_no_check_of_the_guard_can_be_switched_off(name, value, message):
+    with pytest.raises(InputError, match=message) as failure:
+        MotionGuardSettings(**{name: value})
+    assert failure.value.field == name
 
 
 @pytest.mark.parametrize("arguments", [

@@ -10,6 +10,7 @@ from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.faults import Faults
 from haptics.recorder.plan import PollSettings
 from haptics.recorder.stopped import StoppedError
+from haptics.safety.motion_guard import MotionGuardSettings
 from tissue_sim import Rig, read_recording
 from tissue_sim.errors import InputError
 
@@ -25,12 +26,21 @@ def stands_still(bench):
     return bench.virtual.stage.compute_tool_position_with_stall(bench.clock()) == before
 
 
+def test_settings_of_the_guard_act_on_the_run_and_are_recorded(bench):
+    # The stage starts with a delay, which is a stall if there is no tolerance.
+    changed = {"stall_time": 1e-9, "stall_distance": 1e-12}
+    with pytest.raises(StoppedError, match="behind its commanded position"):
+        bench.run(guard_settings=MotionGuardSettings(**changed), encoder=True)
+    assert state_of(bench)["guard_settings"] == changed
+
+
 def test_a_run_records_the_plan(bench):
     bench.run()
     state = state_of(bench)
     assert state["state"] == "waiting" and state["done"] == ["spring_1.csv", "spring_2.csv"] and not state["stops"]
     limits = {"force_N": 5.0, "lowest_mm": -5.0, "highest_mm": 10.0, "speed_mm_s": 5.0, "stiffness_N_per_mm": 1.0,
               "duration_s": 600.0}
+    assert state["guard_settings"] == {}
     assert {name: state["limits"][name] for name in limits} == pytest.approx(limits)
     for number in (1, 2):
         recording = read_recording(bench.folder / f"spring_{number}.csv")

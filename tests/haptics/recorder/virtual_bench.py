@@ -8,7 +8,7 @@ from haptics.devices.virtual.rig import VirtualRig
 from haptics.recorder.plan import IndentationPlan
 from haptics.recorder.recorder import Recorder
 from haptics.recorder.run_folder import RunFolder
-from haptics.safety.motion_guard import MotionLimits
+from haptics.safety.motion_guard import GUARD, MotionLimits
 from tissue_sim import Rig
 from tissue_sim.experiment.protocol_text import parse_protocol
 from tissue_sim.experiment.segments import iterate_motion_legs
@@ -76,7 +76,7 @@ class VirtualBench:
         return goals
 
     def run(self, *, plan=None, limits=None, rig=None, faults=None, stop_request=lambda: None, digest="a",
-            on_progress=None, **options):
+            on_progress=None, guard_settings=GUARD, **options):
         plan, limits = plan or self.plan(), limits or self.limits()
         self.virtual = rig or self.rig(faults=faults or Faults(), **options)
         if rig is None:
@@ -87,6 +87,6 @@ class VirtualBench:
         with self.run_folder:
             recorder = Recorder(self.virtual.bench, plan, limits, self.run_folder, stop_request=stop_request,
                                 on_progress=on_progress or self.moments.append, clock=self.clock,
-                                sleep=self.clock.sleep)
+                                sleep=self.clock.sleep, guard_settings=guard_settings)
             recorder.run()
         return self.run_folder
