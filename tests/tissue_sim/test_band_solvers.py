@@ -18,20 +18,19 @@ def kernels(functions: band.BandSolverFunctions):
     complete, mirror = band.make_symmetrise_diagonal_blocks_function(), band.make_copy_lower_to_upper_band_function()
     add_any = band.make_add_unsymmetric_entry_function()
     init, solve = functions
-    entries, reals = ti.types.ndarray(dtype=ti.f64, ndim=4), ti.types.ndarray(dtype=ti.f64, ndim=1)
+    reals = ti.types.ndarray(dtype=ti.f64, ndim=1)
     places, numbers = ti.types.ndarray(dtype=ti.i32, ndim=2), ti.types.ndarray(dtype=ti.i32, ndim=1)
 
     @ti.kernel
-    def run_init(free: ti.i32, begin: ti.i32, skewed: ti.i32, place: places, value: reals, lower: entries,
-                 upper: entries, table: numbers, good: numbers):
+    def run_init(free: ti.i32, begin: ti.i32, skewed: ti.i32, place: places, value: reals, table: numbers,
+                 good: numbers):
         ti.loop_config(serialize=True)
         for _ in range(1):
-            rows, width = table[band.BandTableIndex.ROWS], table[band.BandTableIndex.WIDTH]
             if begin == 0:
                 complete(table)
-                mirror(table, skewed, rows)
+                mirror(table, skewed, table[band.BandTableIndex.ROWS])
             for i in range(value.shape[0]):
-                add_any(place[i, 0], place[i, 1], value[i], free, width, lower, upper)
+                add_any(place[i, 0], place[i, 1], value[i], free, table)
             good[0] = init(table, begin, skewed)
 
     @ti.kernel
@@ -72,7 +71,7 @@ def factorised(functions, lower: np.ndarray, added: np.ndarray, skewed: int = 0,
             continue
         place, value = np.ascontiguousarray(more[:, :2], np.int32), np.ascontiguousarray(more[:, 2])
         begin = 0 if more is added else int(place.min()) // band.BLOCK
-        run_init(size, begin, skewed, place, value, matrix, upper, table, good)
+        run_init(size, begin, skewed, place, value, table, good)
 
     def solution(right):
         # The arrays are kept alive by this function.

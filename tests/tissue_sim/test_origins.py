@@ -10,7 +10,7 @@ import pytest
 
 from tissue_sim.fem.taichi import origins
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.scratch import BLOCK
+from tissue_sim.fem.taichi.shared_fields import BLOCK
 
 #: Flag of Linux for a map without reserved memory, which Python 3.11 does not name.
 MAP_NORESERVE = 0x4000
@@ -43,7 +43,7 @@ def check_kernel_on_array(double_and_count, guarded):
     guarded[:] = 7.0
     inner = guarded[1:-1]
     inner[:] = np.arange(inner.size).reshape(inner.shape)
-    double_and_count(origins.compute_block_offset(inner), count)
+    double_and_count(origins.compute_offset(inner), count)
     np.testing.assert_array_equal(inner.ravel(), 3.0 * np.arange(inner.size) + 1.0)
     assert (guarded[[0, -1]] == 7.0).all()
 
@@ -95,15 +95,15 @@ def test_memory_is_freed_with_the_last_view():
 def test_an_array_that_a_kernel_cannot_address_is_refused():
     array = origins.allocate_array((16, BLOCK))
     with pytest.raises(ValueError, match="whole number of 64 bytes"):
-        origins.compute_block_offset(array.ravel()[1:9])
+        origins.compute_offset(array.ravel()[1:9])
     with pytest.raises(ValueError, match="must be C-contiguous"):
-        origins.compute_block_offset(array[:, ::2])
+        origins.compute_offset(array[:, ::2])
     with pytest.raises(ValueError, match="must be C-contiguous"):
-        origins.compute_block_offset(array.astype(np.float32))
+        origins.compute_offset(array.astype(np.float32))
 
 
 def test_an_array_too_far_away_is_refused(monkeypatch):
     array = origins.allocate_array((1, BLOCK))
-    monkeypatch.setattr(origins, "MAX_OFFSET", abs(origins.compute_block_offset(array)) - 1)
+    monkeypatch.setattr(origins, "MAX_OFFSET", abs(origins.compute_offset(array)) - 1)
     with pytest.raises(OverflowError, match="distance of an array from the origin must be at most"):
-        origins.compute_block_offset(array)
+        origins.compute_offset(array)

@@ -6,6 +6,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from tissue_sim.fem.taichi.origins import allocate_array
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony
 
@@ -45,11 +46,11 @@ class MaterialMemory:
     """
 
     def __init__(self, points: tuple[int, int], components: int):
-        self.past = np.zeros(5)
-        self.inherited, self.stresses = np.zeros((2, *points, components))
-        self.largest, self.energies = np.zeros(points), np.zeros(points)
-        self.before, self._scratch = np.zeros_like(self.stresses), np.zeros_like(self.stresses)
-        self.internal = np.zeros((0, *self.stresses.shape))
+        self.past = allocate_array((len(RelaxationSofteningCoefficient),))
+        self.inherited, self.stresses, self.before, self._scratch = (
+            allocate_array((*points, components)) for _ in range(4))
+        self.largest, self.energies = allocate_array(points), allocate_array(points)
+        self.internal = allocate_array((0, *self.stresses.shape))
         self.step = (np.zeros(0), np.zeros(0))
         self.set_material(None, None, 1.0)
 
@@ -65,7 +66,7 @@ class MaterialMemory:
         self._known: float | None = None
         terms = 0 if relaxation is None else len(relaxation.terms)
         if len(self.internal) != terms:
-            self.internal = np.zeros((terms, *self.stresses.shape))
+            self.internal = allocate_array((terms, *self.stresses.shape))
         self.past[RelaxationSofteningCoefficient.FACTOR] = factor
         self.past[[RelaxationSofteningCoefficient.LOSS, RelaxationSofteningCoefficient.LOSS_MODULUS,
                    RelaxationSofteningCoefficient.LOSS_SHARE]] = (

@@ -8,6 +8,7 @@ from itertools import chain
 import numpy as np
 
 from tissue_sim.errors import InputError, located_and_converted_errors
+from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.trace import TRIED, FormulaClassAndConstants, wrap_as_traced_numbers
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
@@ -29,16 +30,16 @@ class PointEffects:
     def __init__(self, points: tuple[int, int]):
         self._points = points
         self.formulas: tuple[FormulaClassAndConstants[PointEffect], ...] = ()
-        self.settings = np.zeros(1)
+        self.settings = allocate_array((1,))
         self._allocate_states(())
 
     def _allocate_states(self, rest: tuple[float, ...]) -> None:
         """Allocate the state variables; `rest` are their values at rest."""
         # Without effects the kernel does not read the arrays.
         shape = (*self._points, len(rest) + 4) if self.formulas else (1, 1, 1)
-        self.states = np.zeros(shape)
+        self.states = allocate_array(shape)
         self.states[..., : len(rest)] = rest
-        self.found = self.states.copy()
+        self.found = copy_to_addressable_array(self.states)
 
     def set_effects(self, effects: Iterable[TissueEffect]) -> None:
         """Set the effects of a material; state variables are kept if the formulas are the same.
@@ -58,7 +59,7 @@ class PointEffects:
         if settings.shape == self.settings.shape:
             self.settings[:] = settings  # in place: the kernel has a reference to the array
         else:
-            self.settings = settings
+            self.settings = copy_to_addressable_array(settings)
 
     def prepare_step(self, dt: float) -> None:
         """Set the duration dt of the next step, s, in the settings of the formulas."""

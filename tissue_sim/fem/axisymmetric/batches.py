@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.fem.linear import band
-from tissue_sim.fem.taichi.scratch import LANES
+from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
+from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.mesh import Mesh
 
 
@@ -26,8 +27,8 @@ class ElementBatches:
         weights: volumes of the quadrature points, m3 [points].
         modes: pressure modes [points, modes].
         volumes: integrals of the shape functions, m3 [nodes].
-        places: indices of the stiffness of each pair (rr, zr, rz, zz) in the flattened band matrix, shape (batches,
-            4 pairs LANES); the last entry of the band matrix is unused.
+        places: indices of the stiffness of each pair in the flattened band matrix [rr, zr, rz, zz; pairs]; the last
+            entry of the band matrix is unused.
         pull_starts: index of the first row of `pulls` of each batch.
         pulls: rows (target, index of the stiffness) for the forces caused by nodes that move with the tool. The target
             is an equation, or the last entry for the force on the moving nodes themselves.
@@ -59,20 +60,21 @@ class ElementBatches:
         batches = -(-count // LANES)
         self.count, self.batches, self.pairs = count, batches, pairs
         numbers = np.arange(batches * LANES).reshape(batches, LANES)
-        self.elements = np.minimum(numbers, count - 1).astype(np.int32)
-        self.real = (numbers < count).astype(float)
-        self.moduli = np.ones((batches, LANES))
+        self.elements = copy_to_addressable_array(np.minimum(numbers, count - 1).astype(np.int32))
+        self.real = copy_to_addressable_array((numbers < count).astype(float))
+        self.moduli = copy_to_addressable_array(np.ones((batches, LANES)))
         self.dofs = self._arrange_in_lanes(2 * mesh.connectivity.astype(np.int32))
         self.gradients = tuple(self._arrange_in_lanes(gradients[..., i]) for i in range(3))
         self.weights, self.modes, self.volumes = (
             self._arrange_in_lanes(values) for values in (weights, modes, volumes))
-        self.stiffness = np.zeros((4 * pairs, LANES))
+        self.stiffness = allocate_array((4 * pairs, LANES))
         m = mesh.element.pressure_modes
-        self.volume, self.known_volume = np.zeros((2, 2, batches * m * nodes, LANES))
-        self.gap = np.zeros((batches * m, LANES))
-        self.centre_rows = tuple(np.zeros((batches * shared, LANES)) for _ in range(4))
-        self.centre_inverse = tuple(np.zeros((batches, LANES)) for _ in range(3))
-        self.centre_force = tuple(np.zeros((batches, LANES)) for _ in range(2))
+        self.volume, self.known_volume = (
+            tuple(allocate_array((batches * m * nodes, LANES)) for _ in range(2)) for _ in range(2))
+        self.gap = allocate_array((batches * m, LANES))
+        self.centre_rows = tuple(allocate_array((batches * shared, LANES)) for _ in range(4))
+        self.centre_inverse = tuple(allocate_array((batches, LANES)) for _ in range(3))
+        self.centre_force = tuple(allocate_array((batches, LANES)) for _ in range(2))
 
     def _arrange_in_lanes(self, values: np.ndarray) -> np.ndarray:
         """Return element values in SIMD order.
@@ -84,25 +86,23 @@ class ElementBatches:
             Shape (rows, `LANES`); the rows are numbered by batch and by the entries of an element, the last fastest.
         """
         taken = values[self.elements]
-        return np.ascontiguousarray(np.moveaxis(taken, 1, -1).reshape(-1, LANES))
+        return copy_to_addressable_array(np.moveaxis(taken, 1, -1).reshape(-1, LANES))
 
-    def make_condensation_arrays_by_name(self) -> dict[str, np.ndarray]:
-        """Return the arrays of the static condensation (pressures, interior nodes), by their names in the kernels."""
-        named = dict(zip(("volume_r", "volume_z"), self.volume, strict=True))
-        named |= zip(("known_volume_r", "known_volume_z"), self.known_volume, strict=True)
-        named |= zip(("rows_rr", "rows_rz", "rows_zr", "rows_zz"), self.centre_rows, strict=True)
-        return named | dict(zip(("inverse_rr", "inverse_rz", "inverse_zz"), self.centre_inverse, strict=True))
-
-    def make_step_kernel_arrays_by_name(self) -> dict[str, np.ndarray]:
-        """Return all arrays except `make_condensation_arrays_by_name`, by their names in the kernel of a step."""
-        named = {"elements": self.elements, "dofs": self.dofs, "real": self.real, "point_weights": self.weights,
+    def make_arrays_by_name(self) -> dict[str, np.ndarray]:
+        """Return all arrays by their names in `tissue_sim.fem.axisymmetric.array_layouts.ELEMENT_ARRAYS`."""
+        named = {"numbers": self.elements, "dofs": self.dofs, "real": self.real, "point_weights": self.weights,
                  "mode_values": self.modes, "volumes": self.volumes, "moduli": self.moduli, "places": self.places,
                  "pull_starts": self.pull_starts, "pulls": self.pulls, "pull_factors": self.pull_factors,
-                 "element_stiffness": self.stiffness.reshape(-1), "gap": self.gap}
-        named |= zip(("gradient_r", "gradient_z", "value_r"), self.gradients, strict=True)
-        named |= zip(("equations_r", "equations_z"), self.equations, strict=True)
-        named |= zip(("k_rr", "k_zr", "k_rz", "k_zz"), np.split(self.stiffness, 4), strict=True)
-        return named | dict(zip(("force_r", "force_z"), self.centre_force, strict=True))
+                 "stiffness": self.stiffness, "stiffness_numbers": self.stiffness.reshape(-1), "gap": self.gap}
+        for names, arrays in (
+                (("gradient_r", "gradient_z", "value_r"), self.gradients),
+                (("equations_r", "equations_z"), self.equations),
+                (("volume_r", "volume_z"), self.volume), (("known_volume_r", "known_volume_z"), self.known_volume),
+                (("rows_rr", "rows_rz", "rows_zr", "rows_zz"), self.centre_rows),
+                (("inverse_rr", "inverse_rz", "inverse_zz"), self.centre_inverse),
+                (("force_r", "force_z"), self.centre_force)):
+            named |= zip(names, arrays, strict=True)
+        return named
 
     def back_substitute_interior_displacements(self, displacement: np.ndarray) -> None:
         """Set the displacements of the interior nodes from those of the shared nodes, by back substitution.
@@ -141,8 +141,8 @@ class ElementBatches:
         unused = max(shape[0] * band.BLOCK, int(equation.max()) + 1)
         own = equation.reshape(-1, 2)[mesh.connectivity[:, :shared]]  # (elements, shared, 2)
         lanes = np.where(self.real[:, :, None, None] > 0, own[self.elements], unused)
-        self.equations = tuple(np.ascontiguousarray(np.moveaxis(lanes[..., i], 1, -1).reshape(-1, LANES),
-                                                    dtype=np.int32) for i in range(2))
+        self.equations = tuple(copy_to_addressable_array(
+            np.moveaxis(lanes[..., i], 1, -1).reshape(-1, LANES).astype(np.int32)) for i in range(2))
         c, a = np.array([(c, a) for c in range(shared) for a in range(c + 1)]).T
         # Force on node a along i per displacement of node c along k: rr, zr, rz, zz.
         i, k = np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])
@@ -153,7 +153,7 @@ class ElementBatches:
         last = shape[0] * shape[1] * band.BLOCK**2
         places = np.where(places < 0, last, places)
         lanes = np.where(self.real[:, :, None, None] > 0, places[self.elements], last)
-        self.places = np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
+        self.places = copy_to_addressable_array(np.moveaxis(lanes, 1, -1).reshape(-1, LANES).astype(np.int32))
         self._store_pull_table_of_moving_nodes(mesh, own, direction, rows, columns, twice, free)
 
     def _store_pull_table_of_moving_nodes(self, mesh, own, direction, rows, columns, twice, free) -> None:
@@ -177,9 +177,10 @@ class ElementBatches:
         if not len(table):
             table = np.zeros((1, 4))
             table[0, 0] = self.batches
-        self.pull_starts = np.searchsorted(table[:, 0], np.arange(self.batches + 1)).astype(np.int32)
-        self.pulls = np.ascontiguousarray(table[:, 1:3], dtype=np.int32)
-        self.pull_factors = np.ascontiguousarray(table[:, 3])
+        starts = np.searchsorted(table[:, 0], np.arange(self.batches + 1))
+        self.pull_starts = copy_to_addressable_array(starts.astype(np.int32))
+        self.pulls = copy_to_addressable_array(table[:, 1:3].astype(np.int32))
+        self.pull_factors = copy_to_addressable_array(table[:, 3])
 
 
 def _compute_band_indices(rows: np.ndarray, columns: np.ndarray, free: int, shape: tuple[int, int]) -> np.ndarray:

@@ -10,7 +10,9 @@ from numpy.polynomial.legendre import leggauss
 
 from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.tools.outline import Profile
+from tissue_sim.fem.axisymmetric.array_layouts import SURFACE_ARRAYS
 from tissue_sim.fem.contact_settings import PenaltySettings
+from tissue_sim.fem.taichi.origins import copy_to_addressable_array
 from tissue_sim.mesh import Mesh
 
 #: Penalty stiffness of the contact points.
@@ -229,6 +231,8 @@ class ContactPoints:
         self.pressed, self.slip_signs, self.slipped = np.zeros((3, n))
         self.forces, self.rates = np.zeros((n, 2)), np.zeros((n, RATE_COLUMNS))
         self.known_rates = np.zeros((n, KNOWN_RATE_COLUMNS))
+        for name in SURFACE_ARRAYS.types.keys() & vars(self):
+            setattr(self, name, copy_to_addressable_array(getattr(self, name)))
 
     @property
     def has_coulomb_friction_points(self) -> bool:

@@ -37,33 +37,31 @@ def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
     add_lower_entry, add_unsymmetric_entry = make_add_lower_entry_function(), make_add_unsymmetric_entry_function()
 
     @ti.func
-    def clear_factorised_rates(count, known: ti.template()):
-        """Set the stored derivatives of the factorised matrix (`known`) to zero, as in a matrix without contact."""
+    def clear_factorised_rates(count, surface: ti.template()):
+        """Set the stored derivatives of the factorised matrix to zero, as in a matrix without contact."""
         for i in range(count):
             for k in ti.static(range(KNOWN_RATE_COLUMNS)):
-                known[i, k] = 0.0
+                surface.known_rates[i, k] = 0.0
 
     @ti.func
-    def has_point_rate_changed(i, springs: ti.template(), rates: ti.template(), known: ti.template()):
+    def has_point_rate_changed(i, surface: ti.template()):
         """Return 1 if a derivative of point i differs from the factorised matrix by more than `CHANGE_TOLERANCE`."""
         changed = 0
         for k in ti.static(range(4)):
-            if ti.abs(rates[i, k] - known[i, k]) > CHANGE_TOLERANCE * springs[i]:
+            if ti.abs(surface.rates[i, k] - surface.known_rates[i, k]) > CHANGE_TOLERANCE * surface.springs[i]:
                 changed = 1
         return changed
 
     @ti.func
-    def have_contact_rates_changed(count, springs: ti.template(), rates: ti.template(), known: ti.template()):
+    def have_contact_rates_changed(count, surface: ti.template()):
         """Return 1 if `has_point_rate_changed` holds for any point: it touched, separated, stuck or slipped."""
         changed = 0
         for i in range(count):
-            changed = ti.max(changed, has_point_rate_changed(i, springs, rates, known))
+            changed = ti.max(changed, has_point_rate_changed(i, surface))
         return changed
 
     @ti.func
-    def find_first_changed_and_slipping_rows(count, fresh, free, rows, nodes: ti.template(), shapes: ti.template(),
-                                             springs: ti.template(), slip_signs: ti.template(), rates: ti.template(),
-                                             known: ti.template(), equation: ti.template()):
+    def find_first_changed_and_slipping_rows(count, fresh, free, rows, surface: ti.template(), state: ti.template()):
         """Return the first block row with a changed contact derivative, and the first block row with a slipping point.
 
         Both are the number of block rows, `rows`, if there is none.
@@ -71,74 +69,72 @@ def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
         changed, skewed = rows, rows
         for i in range(count):
             first = rows
-            for a in range(shapes.shape[1]):
+            for a in range(surface.shapes.shape[1]):
                 for k in range(2):
-                    row = equation[2 * nodes[i, a] + k]
-                    if shapes[i, a] != 0.0 and row < free:
+                    row = state.equation[2 * surface.nodes[i, a] + k]
+                    if surface.shapes[i, a] != 0.0 and row < free:
                         first = ti.min(first, row // BLOCK)
-            if rates[i, ContactLinearisationColumn.FRICTION] > 0.0 and slip_signs[i] != 0.0:
+            if surface.rates[i, ContactLinearisationColumn.FRICTION] > 0.0 and surface.slip_signs[i] != 0.0:
                 skewed = ti.min(skewed, first)
-            if fresh == 0 and has_point_rate_changed(i, springs, rates, known) == 1:
+            if fresh == 0 and has_point_rate_changed(i, surface) == 1:
                 changed = ti.min(changed, first)
         return changed, skewed
 
     @ti.func
-    def add_contact_rates_to_matrix(count, fresh, unsymmetric, free, width, nodes: ti.template(), shapes: ti.template(),
-                                    springs: ti.template(), rates: ti.template(), known: ti.template(),
-                                    equation: ti.template(), entries: ti.template(), upper: ti.template()):
+    def add_contact_rates_to_matrix(count, fresh, unsymmetric, free, band_table: ti.template(),
+                                    surface: ti.template(), state: ti.template()):
         """Add the changes of the contact derivatives to the matrix; all derivatives if the matrix is `fresh`.
 
         The upper half of the matrix is needed only if points slip.
         """
         for i in range(count):
-            if fresh == 1 or has_point_rate_changed(i, springs, rates, known) == 1:
-                for a in range(shapes.shape[1]):
-                    for b in range(shapes.shape[1]):
-                        share = shapes[i, a] * shapes[i, b]
+            if fresh == 1 or has_point_rate_changed(i, surface) == 1:
+                for a in range(surface.shapes.shape[1]):
+                    for b in range(surface.shapes.shape[1]):
+                        share = surface.shapes[i, a] * surface.shapes[i, b]
                         if share != 0.0:
                             for e in range(4):
-                                row, column = equation[2 * nodes[i, a] + e // 2], equation[2 * nodes[i, b] + e % 2]
-                                value = share * (rates[i, e] - known[i, e])
+                                row = state.equation[2 * surface.nodes[i, a] + e // 2]
+                                column = state.equation[2 * surface.nodes[i, b] + e % 2]
+                                value = share * (surface.rates[i, e] - surface.known_rates[i, e])
                                 if ti.static(slips):
                                     if unsymmetric > 0:
-                                        add_unsymmetric_entry(row, column, value, free, width, entries, upper)
+                                        add_unsymmetric_entry(row, column, value, free, band_table)
                                 if unsymmetric == 0:
-                                    add_lower_entry(row, column, value, free, width, entries)
+                                    add_lower_entry(row, column, value, free, band_table)
                 for k in ti.static(range(4)):
-                    known[i, k] = rates[i, k]
+                    surface.known_rates[i, k] = surface.rates[i, k]
                 for k in ti.static(range(KNOWN_RATE_COLUMNS - FactorisedRateColumn.LAW_RR)):
-                    known[i, FactorisedRateColumn.LAW_RR + k] = rates[i, ContactLinearisationColumn.LAW_RR + k]
+                    surface.known_rates[i, FactorisedRateColumn.LAW_RR + k] = surface.rates[
+                        i, ContactLinearisationColumn.LAW_RR + k]
 
     @ti.func
-    def add_depth_derivatives_and_get_stiffness(count, free, nodes: ti.template(), shapes: ti.template(),
-                                                spans: ti.template(),
-                                                rates: ti.template(), direction: ti.template(), equation: ti.template(),
-                                                pull: ti.template(), reaction: ti.template()):
-        """Add the derivatives of the contact forces with respect to the depth of the tool at fixed tissue to `pull`.
+    def add_depth_derivatives_and_get_stiffness(count, free, surface: ti.template(), state: ti.template()):
+        """Add the derivatives of the contact forces with respect to the depth of the tool to the residual.
 
-        The derivatives of the force on the tool with respect to the displacements are added to `reaction`. Returns the
-        derivative of the force on the tool with respect to its depth at fixed tissue, N/m.
+        They are those at fixed tissue. The derivatives of the force on the tool with respect to the displacements are
+        added to `state.reaction`. Returns the derivative of the force on the tool with respect to its depth at fixed
+        tissue, N/m.
         """
         stiff = 0.0
         for i in range(count):
-            krz, kzr, kzz = rates[i,
-                                  ContactLinearisationColumn.RZ], rates[i,
-                                                                        ContactLinearisationColumn.ZR], rates[
-                                                                            i, ContactLinearisationColumn.ZZ]
+            krz, kzr = surface.rates[i, ContactLinearisationColumn.RZ], surface.rates[i, ContactLinearisationColumn.ZR]
+            kzz = surface.rates[i, ContactLinearisationColumn.ZZ]
             # Displacement of the point relative to its body per depth of the tool, with the free nodes fixed.
-            apart = float(spans[i, OutlineSpanColumn.MOVES])
-            for a in range(shapes.shape[1]):
-                if equation[2 * nodes[i, a] + 1] >= free:
-                    apart += shapes[i, a] * direction[2 * nodes[i, a] + 1]
+            apart = float(surface.spans[i, OutlineSpanColumn.MOVES])
+            for a in range(surface.shapes.shape[1]):
+                if state.equation[2 * surface.nodes[i, a] + 1] >= free:
+                    apart += surface.shapes[i, a] * state.direction[2 * surface.nodes[i, a] + 1]
             stiff += apart * apart * kzz
-            for a in range(shapes.shape[1]):
-                ir, iz, share = equation[2 * nodes[i, a]], equation[2 * nodes[i, a] + 1], shapes[i, a] * apart
+            for a in range(surface.shapes.shape[1]):
+                ir, iz = state.equation[2 * surface.nodes[i, a]], state.equation[2 * surface.nodes[i, a] + 1]
+                share = surface.shapes[i, a] * apart
                 if ir < free:
-                    pull[ir] = pull[ir] + share * krz
-                    reaction[ir] = reaction[ir] + share * kzr
+                    state.residual[ir] = state.residual[ir] + share * krz
+                    state.reaction[ir] = state.reaction[ir] + share * kzr
                 if iz < free:
-                    pull[iz] = pull[iz] + share * kzz
-                    reaction[iz] = reaction[iz] + share * kzz
+                    state.residual[iz] = state.residual[iz] + share * kzz
+                    state.reaction[iz] = state.reaction[iz] + share * kzz
         return stiff
 
     return ContactRateFunctions(clear_factorised_rates, find_first_changed_and_slipping_rows,

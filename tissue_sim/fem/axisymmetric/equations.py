@@ -15,6 +15,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.contact_law import sum_pulls_at_touch
 from tissue_sim.fem.axisymmetric import contact_kernels, newton
+from tissue_sim.fem.axisymmetric.array_layouts import ELEMENT_ARRAYS, STATE_ARRAYS, SURFACE_ARRAYS, TISSUE_ARRAYS
 from tissue_sim.fem.axisymmetric.batches import ElementBatches
 from tissue_sim.fem.axisymmetric.contact import PENALTY, ContactPairs, ContactPoints
 from tissue_sim.fem.axisymmetric.contact_laws import pack_contact_law_settings
@@ -26,7 +27,7 @@ from tissue_sim.fem.history import MaterialMemory
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.point_effects import PointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
-from tissue_sim.fem.taichi.origins import allocate_array
+from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
 from tissue_sim.laws import KernelEnergy
@@ -66,7 +67,8 @@ class EquilibriumEquations:
                  contact: ContactPairs | None, specific_weight: float, element_layers: np.ndarray | None,
                  contact_radius: float, start: EquilibriumEquations | None):
         self.mesh, self.contact, self.specific_weight = mesh, contact, specific_weight
-        self.equation, self.direction, self.free, self.half_band = number_equations(mesh, supports, tool)
+        equation, direction, self.free, self.half_band = number_equations(mesh, supports, tool)
+        self.equation, self.direction = map(copy_to_addressable_array, (equation, direction))
         self.reference = reference = compute_undeformed_mesh_quadrature(mesh)
         self.batches = ElementBatches(mesh, reference.node_gradients, reference.weights, reference.pressure_modes,
                                       reference.volumes)
@@ -75,27 +77,36 @@ class EquilibriumEquations:
         self._allocate_tangent_arrays()
         elements, freedoms = len(mesh.connectivity), 2 * len(mesh.nodes)
         self._element_layers, self._contact_radius, self.moduli = element_layers, contact_radius, np.ones(elements)
-        x = np.zeros(freedoms + mesh.element.pressure_modes * elements + 2 * self.surface.springs.size)
+        x = allocate_array((freedoms + mesh.element.pressure_modes * elements + 2 * self.surface.springs.size,))
         if start is not None:
             settled, bound = start.state.last_committed_solution, start.surface
             x[: settled.size] = settled
             self.surface.anchors[: bound.count], self.surface.slipped[: bound.count] = (
                 bound.anchors[: bound.count], bound.slipped[: bound.count])
-        self._before, self._coefficients = np.zeros_like(x), np.zeros(0)
+        self._before, self._coefficients = allocate_array(x.shape), allocate_array((0,))
         self._kernel: Callable[[], None] = _do_nothing
         self.state: SolverState = SolverState(x, self.surface, self.memory, self.effects)
-        self.start = x[:freedoms].copy()
-        self._target, self._motion, self.masses, self.rest = np.zeros((4, freedoms))
-        self.weights, self._predicted = np.array([1.0, 0.0, 0.0]), 0.0
+        self.start = copy_to_addressable_array(x[:freedoms])
+        self._target, self._motion, self.masses, self.rest = (allocate_array((freedoms,)) for _ in range(4))
+        self.weights, self._predicted = copy_to_addressable_array(np.array([1.0, 0.0, 0.0])), 0.0
         self.report, self.settings = np.zeros(len(newton.ReportIndex)), np.zeros(len(newton.SettingIndex))
         if contact is not None:
             reach = max((law.reach for law in contact.laws), default=0.0)
             self.settings[newton.SettingIndex.CONTACT_TOLERANCE: newton.SettingIndex.INERTIA] = (
                 contact.tolerance, sum_pulls_at_touch(contact.laws, contact.face), reach)
         laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
-        self._laws, self._law_settings = tuple(map(FormulaClassAndConstants.from_law_or_effect,
-                                                   laws)), pack_contact_law_settings(laws, face)
-        self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 9], dtype=np.int32)
+        self._laws = tuple(map(FormulaClassAndConstants.from_law_or_effect, laws))
+        self._law_settings = copy_to_addressable_array(pack_contact_law_settings(laws, face))
+        self.counts = np.zeros(len(newton.StepIntegerIndex), dtype=np.int32)
+        self.counts[[newton.StepIntegerIndex.PASSES, newton.StepIntegerIndex.FREE, newton.StepIntegerIndex.CONTACTS,
+                     newton.StepIntegerIndex.BATCHES]] = 1, self.free, self.surface.count, self.batches.batches
+        #: Tables of the arrays, by the names of the arguments of the kernels.
+        self.tables = {
+            "element_table": ELEMENT_ARRAYS.make_table(self.batches.make_arrays_by_name()),
+            "tissue_table": TISSUE_ARRAYS.make_table(self._collect_tissue_arrays_by_name()),
+            "surface_table": SURFACE_ARRAYS.make_table({**vars(self.surface), "law_settings": self._law_settings}),
+            "state_table": STATE_ARRAYS.make_table(self._collect_state_arrays_by_name()),
+            "band_table": self._band_table}
         self.set_material(material)
         if start is not None:
             for array, settled in zip(self.memory.state_arrays, start.memory.state_arrays, strict=True):
@@ -117,8 +128,8 @@ class EquilibriumEquations:
         self._right = allocate_array((rows, band.BLOCK))
         self._band_table = band.make_band_table(self.entries, self.upper, self._factor, self._upper_factor,
                                                 self._inverse, self._right)
-        self.residual = np.zeros(max(rows * band.BLOCK, int(self.equation.max()) + 1) + 1)
-        self._pull, self._reaction = np.zeros(self.free + 1), np.zeros(self.free + 1)
+        self.residual = allocate_array((max(rows * band.BLOCK, int(self.equation.max()) + 1) + 1,))
+        self._pull, self._reaction = (allocate_array((self.free + 1,)) for _ in range(2))
 
     def set_material(self, material: Material) -> None:
         """Change parameters, bulk response or law of the material.
@@ -139,16 +150,18 @@ class EquilibriumEquations:
         if len(coefficients) == self._coefficients.size:
             self._coefficients[:] = coefficients
         else:
-            self._coefficients = np.array(coefficients)
+            self._coefficients = copy_to_addressable_array(np.array(coefficients))
         self.memory.set_material(self.get_prony_series_for_contact_radius(material), material.softening, factor)
         self.effects.set_effects(material.effects.values())
         self.counts[newton.StepIntegerIndex.REMEMBERS] = self.has_material_history
         with LOCK:
             kernel = newton.make_step_kernel(self.mesh.element.name, energy, self.surface.has_coulomb_friction_points,
                                              self.effects.formulas, self._laws)
-            arrays = self._collect_step_kernel_arrays_by_name()
-            if not (isinstance(self._kernel, BoundKernel) and self._kernel.is_bound_to(kernel, arrays)):
-                self._kernel = BoundKernel(kernel, arrays)
+            # In place, because kernels of sensitivities are bound to the same table.
+            self.tables["tissue_table"][:] = TISSUE_ARRAYS.make_table(self._collect_tissue_arrays_by_name())
+            if not (isinstance(self._kernel, BoundKernel) and self._kernel.kernel is kernel):
+                self._kernel = BoundKernel(kernel, {"report": self.report,
+                                                    **self.collect_shared_kernel_arrays_by_name()})
         self.surface.set_penalty_stiffness(PENALTY.normal * material.mu0)
         # Forces of rounding errors, per m of depth and for the coordinates of the contact points.
         height = np.ptp(self.mesh.nodes[:, 1])
@@ -358,36 +371,25 @@ class EquilibriumEquations:
         self.masses[:], self.settings[newton.SettingIndex.DENSITY] = masses, density
 
     def collect_shared_kernel_arrays_by_name(self) -> dict[str, np.ndarray]:
-        """Return the arrays that the kernels of the step and of the sensitivities share, by their names in both."""
-        surface, memory, state = self.surface, self.memory, self.state
-        batches = self.batches.make_step_kernel_arrays_by_name()
-        of_elements = ("elements", "dofs", "real", "gradient_r", "gradient_z", "value_r", "point_weights",
-                       "mode_values", "moduli", "equations_r", "equations_z")
-        return {"counts": self.counts, "settings": self.settings, "equation": self.equation,
-                "direction": self.direction, "contact_nodes": surface.nodes, "contact_shapes": surface.shapes,
-                "spans": surface.spans, "springs": surface.springs, "held": surface.held,
-                "slip_signs": surface.slip_signs,
-                "contact_rates": surface.rates, "known_rates": surface.known_rates,
-                "coefficients": self._coefficients, "past": memory.past,
-                "inherited": memory.inherited, "largest": memory.largest, "stresses": memory.stresses,
-                "energies": memory.energies, "x": state.x, "entries": self.entries, "band_table": self._band_table,
-                "residual": self.residual, "pull": self._pull, **self.batches.make_condensation_arrays_by_name(),
-                **{name: batches[name] for name in of_elements}}
+        """Return the arguments that the kernels of the step and of the sensitivities share, by their names in both."""
+        return {"counts": self.counts, "settings": self.settings, **self.tables}
 
-    def _collect_step_kernel_arrays_by_name(self) -> dict[str, np.ndarray]:
-        """Return all arrays of the step kernel, by the names of its arguments."""
-        surface, state = self.surface, self.state
-        return {**self.collect_shared_kernel_arrays_by_name(), **self.batches.make_step_kernel_arrays_by_name(),
-                "start": self.start, "target": self._target, "contact_places": surface.places,
-                "areas": surface.areas, "vertices": surface.vertices, "contact_rounding": surface.rounding,
-                "friction": surface.friction, "pressed": surface.pressed, "met": surface.met,
-                "forces": surface.forces, "law_settings": self._law_settings,
-                "effect_settings": self.effects.settings,
-                "effect_states": self.effects.states, "effect_states_found": self.effects.found,
-                "masses": self.masses, "rest": self.rest, "motion": self._motion, "before": self._before,
-                "history": state.history, "slots": state.slots, "weights": self.weights,
-                "flat": self._scattered[:-1].reshape(-1, band.BLOCK), "scattered": self._scattered,
-                "upper": self.upper, "reaction": self._reaction, "report": self.report}
+    def _collect_tissue_arrays_by_name(self) -> dict[str, np.ndarray]:
+        """Return the arrays of `TISSUE_ARRAYS`."""
+        memory, effects = self.memory, self.effects
+        return {"coefficients": self._coefficients, "past": memory.past, "inherited": memory.inherited,
+                "largest": memory.largest, "stresses": memory.stresses, "energies": memory.energies,
+                "before": memory.before, "internal": memory.internal, "effect_settings": effects.settings,
+                "effect_states": effects.states, "effect_states_found": effects.found}
+
+    def _collect_state_arrays_by_name(self) -> dict[str, np.ndarray]:
+        """Return the arrays of `STATE_ARRAYS`."""
+        state = self.state
+        return {"equation": self.equation, "direction": self.direction, "start": self.start, "target": self._target,
+                "masses": self.masses, "rest": self.rest, "x": state.x, "before": self._before,
+                "motion": self._motion, "history": state.history, "slots": state.slots, "weights": self.weights,
+                "scattered": self._scattered, "residual": self.residual, "pull": self._pull,
+                "reaction": self._reaction}
 
 
 def _do_nothing() -> None:

@@ -9,6 +9,7 @@ solve the active set of the contact iterates on the linearised elements (`Evalua
 from functools import cache
 
 from tissue_sim.fem.axisymmetric import contact_kernels
+from tissue_sim.fem.axisymmetric.array_layouts import ELEMENT_ARRAYS, STATE_ARRAYS, SURFACE_ARRAYS, TISSUE_ARRAYS
 from tissue_sim.fem.axisymmetric.assembly import make_taichi_element_functions
 from tissue_sim.fem.axisymmetric.condensation import make_condensation_functions
 from tissue_sim.fem.axisymmetric.contact_rates import make_contact_rate_functions
@@ -27,9 +28,10 @@ from tissue_sim.fem.linear.lu import make_lu_functions
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.fem.taichi.origins import get_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.scratch import LANES
+from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
 from tissue_sim.laws import KernelEnergy
+from tissue_sim.mesh.elements import ELEMENTS
 
 
 @cache
@@ -50,10 +52,8 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
     vec = ti.types.vector(LANES, ti.f64)
     block = ti.types.vector(band_matrix.BLOCK, ti.f64)
     B = band_matrix.BLOCK
-    real1, real2, real3, real4 = (ti.types.ndarray(dtype=ti.f64, ndim=n) for n in range(1, 5))
-    int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
-    vector1 = ti.types.ndarray(dtype=vec, ndim=1)
-    block1 = ti.types.ndarray(dtype=block, ndim=1)
+    int1, real1 = ti.types.ndarray(dtype=ti.i32, ndim=1), ti.types.ndarray(dtype=ti.f64, ndim=1)
+    modes = ELEMENTS[element_name].pressure_modes
     vectors = get_origin().field
     fill_unused_diagonal = band_matrix.make_fill_diagonal_function()
     symmetrise_diagonal_blocks = band_matrix.make_symmetrise_diagonal_blocks_function()
@@ -68,34 +68,22 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
     # Arrays are updated by `a = a + b`, because `a += b` is an atomic operation in Taichi, four times slower here.
 
     @ti.func
-    def extrapolate_state(x: ti.template(), history: ti.template(), slots: ti.template(), weights: ti.template()):
+    def extrapolate_state(state: ti.template()):
         """Set x to the weighted sum of the last three states (`history`), the initial state of the step."""
-        for i in range(x.shape[0]):
-            x[i] = (weights[0] * history[slots[0], i] + weights[1] * history[slots[1], i]
-                    + weights[2] * history[slots[2], i])
+        for i in range(state.x.shape[0]):
+            state.x[i] = (state.weights[0] * state.history[state.slots[0], i]
+                          + state.weights[1] * state.history[state.slots[1], i]
+                          + state.weights[2] * state.history[state.slots[2], i])
 
     @ti.kernel
-    def solve_step_into_report_array(
-            counts: int1, settings: real1, equation: int1, direction: real1, start: real1, target: real1,
-            elements: int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1, value_r: vector1,
-            point_weights: vector1, mode_values: vector1, volumes: vector1, moduli: vector1, equations_r: int2,
-            equations_z: int2, places: int2, pull_starts: int1, pulls: int2, pull_factors: real1, k_rr: vector1,
-            k_zr: vector1, k_rz: vector1, k_zz: vector1, element_stiffness: real1, volume_r: vector1, volume_z: vector1,
-            gap: vector1, known_volume_r: vector1, known_volume_z: vector1, rows_rr: vector1, rows_rz: vector1,
-            rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz: vector1, inverse_zz: vector1,
-            force_r: vector1, force_z: vector1, contact_nodes: int2, contact_shapes: real2, spans: int2,
-            contact_places: real2, areas: real1, vertices: real2, contact_rounding: real1, friction: real2,
-            springs: real1, held: real2, pressed: real1, slip_signs: real1, met: real2, forces: real2,
-            contact_rates: real2, known_rates: real2, law_settings: real1, coefficients: real1, past: real1,
-            inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
-            effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1, before: real1,
-            motion: real1, history: real2, slots: int1, weights: real1, entries: real4, flat: block1,
-            scattered: real1, upper: real4, band_table: int1, residual: real1, pull: real1, reaction: real1,
-            report: real1):
+    def solve_step_into_report_array(counts: int1, settings: real1, report: real1, element_table: int1,
+                                     tissue_table: int1, surface_table: int1, state_table: int1, band_table: int1):
         # One serial task, which starts without a thread pool; the number of passes is an argument, so that the compiler
         # does not unroll the loop into many tasks.
         ti.loop_config(serialize=True)
         for _ in range(counts[StepIntegerIndex.PASSES]):
+            elements, tissue = ELEMENT_ARRAYS.open_table(element_table), TISSUE_ARRAYS.open_table(tissue_table)
+            surface, state = SURFACE_ARRAYS.open_table(surface_table), STATE_ARRAYS.open_table(state_table)
             free, max_iterations = counts[StepIntegerIndex.FREE], counts[StepIntegerIndex.MAX_ITERATIONS]
             contacts = counts[StepIntegerIndex.CONTACTS]
             depth, kappa = settings[SettingIndex.DEPTH], settings[SettingIndex.KAPPA]
@@ -103,11 +91,12 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
             floor, rounding = settings[SettingIndex.FLOOR], settings[SettingIndex.ROUNDING]
             weight = settings[SettingIndex.WEIGHT]
             width, rows = band_table[BandTableIndex.WIDTH], band_table[BandTableIndex.ROWS]
-            right = band_table[BandTableIndex.RIGHT]
-            batches, equations = real.shape[0], residual.shape[0] - 1
-            pressures, multipliers = equation.shape[0], x.shape[0] - 2 * springs.shape[0]
+            right, matrix = band_table[BandTableIndex.RIGHT], band_table[BandTableIndex.MATRIX]
+            batches = counts[StepIntegerIndex.BATCHES]
+            equations = state.residual.shape[0] - 1
+            pressures = state.equation.shape[0]
             if counts[StepIntegerIndex.START_MODE] == StartMode.PREDICT:
-                extrapolate_state(x, history, slots, weights)
+                extrapolate_state(state)
             # A resumed iteration has already evaluated the contact.
             if counts[StepIntegerIndex.START_MODE] != StartMode.RESUME:
                 counts[StepIntegerIndex.CHANGEABLE] = (
@@ -117,14 +106,14 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
             if contacts > 0 and ti.abs(depth - settings[SettingIndex.PREDICTED]) > 1e-10 * ti.abs(depth):
                 pending = 1
             for dof in range(pressures):
-                target[dof] = start[dof] + depth * direction[dof]
-                motion[dof] = 0.0
-                if equation[dof] >= free:
-                    if ti.abs(x[dof] - target[dof]) > 1e-10 * ti.abs(depth):
+                state.target[dof] = state.start[dof] + depth * state.direction[dof]
+                state.motion[dof] = 0.0
+                if state.equation[dof] >= free:
+                    if ti.abs(state.x[dof] - state.target[dof]) > 1e-10 * ti.abs(depth):
                         pending = 1
-                        motion[dof] = target[dof] - x[dof]
+                        state.motion[dof] = state.target[dof] - state.x[dof]
                     else:
-                        x[dof] = target[dof]  # removes the rounding error of the extrapolation
+                        state.x[dof] = state.target[dof]  # removes the rounding error of the extrapolation
             report[ReportIndex.STATUS], report[ReportIndex.STIFFNESS] = 0.0, 0.0
             iterations, tangent, halvings = 0, 1, NEWTON.max_halvings
             # Mode of the pass, and first block row that must be factorised again.
@@ -142,65 +131,55 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
             for _attempt in range((NEWTON.max_halvings + NEWTON.max_contact_rounds + 4) * max_iterations + 4):
                 if report[ReportIndex.STATUS] != 0.0:
                     break
-                for i in range(residual.shape[0]):
-                    residual[i] = 0.0
+                for i in range(state.residual.shape[0]):
+                    state.residual[i] = 0.0
                 fresh = tangent if part == EvaluatedEquations.FULL else 0
                 if fresh == 1:
-                    for i in range(flat.shape[0]):
-                        flat[i] = block(0.0)
-                    for i in range(pull.shape[0]):
-                        pull[i] = 0.0
+                    for i in range(rows * width * B):
+                        vectors[matrix + i] = block(0.0)
+                    for i in range(state.pull.shape[0]):
+                        state.pull[i] = 0.0
                 interior, smallest, definite = 0.0, 1e30, 1
                 for b in range(batches if part == EvaluatedEquations.FULL else 0):
                     J = work.compute_nodal_forces_and_least_jacobian(
-                        b, tangent, kappa, counts[StepIntegerIndex.REMEMBERS], x, pressures, elements, dofs, gradient_r,
-                        gradient_z, value_r, point_weights, mode_values, moduli, coefficients, past, inherited, largest,
-                        stresses, energies, effect_settings, effect_states, effect_states_found, volume_r, volume_z,
-                        gap)
+                        b, tangent, kappa, counts[StepIntegerIndex.REMEMBERS], state.x, pressures, elements, tissue)
                     smallest = ti.min(smallest, J)
                     if weight != 0.0:
-                        work.add_weight_forces(b, weight, volumes)
+                        work.add_weight_forces(b, weight, elements)
                     if inertia != 0.0:
-                        work.add_interior_node_inertial_force(b, inertia, settings[SettingIndex.DENSITY], volumes, dofs,
-                                                              rest)
+                        work.add_interior_node_inertial_force(b, inertia, settings[SettingIndex.DENSITY], elements,
+                                                              state.rest)
                     if tangent == 1:
-                        own.copy_volume_derivatives_to_factorised(b, volume_r, volume_z, known_volume_r, known_volume_z)
+                        own.copy_volume_derivatives_to_factorised(b, elements)
                         definite = ti.min(definite, work.compute_condensed_stiffness_and_success(
-                            b, kappa, pending, inertia * settings[SettingIndex.DENSITY], moduli, gradient_r, gradient_z,
-                            value_r, dofs, motion, volumes, k_rr, k_zr, k_rz, k_zz, rows_rr, rows_rz, rows_zr, rows_zz,
-                            inverse_rr, inverse_rz, inverse_zz))
-                        work.add_stiffness_to_band_and_pull(b, places, element_stiffness, scattered, pull_starts, pulls,
-                                                            pull_factors, pull)
-                    interior += own.condense_interior_force_and_get_square(b, real, rows_rr, rows_rz, rows_zr, rows_zz,
-                                                                           inverse_rr,
-                                                                           inverse_rz, inverse_zz, force_r, force_z)
-                    own.add_forces_to_residual(b, equations_r, equations_z, residual)
+                            b, kappa, pending, inertia * settings[SettingIndex.DENSITY], state.motion, elements))
+                        work.add_stiffness_to_band_and_pull(b, elements, state.scattered, state.pull)
+                    interior += own.condense_interior_force_and_get_square(b, elements, elements.force_r,
+                                                                           elements.force_z)
+                    own.add_forces_to_residual(b, elements, state.residual)
                 if smallest <= 0.0 and halvings < NEWTON.max_halvings:
                     halvings += 1
-                    for i in range(x.shape[0]):
-                        x[i] = 0.5 * (x[i] + before[i])
+                    for i in range(state.x.shape[0]):
+                        state.x[i] = 0.5 * (state.x[i] + state.before[i])
                     continue
                 if part == EvaluatedEquations.CONTACT:
-                    contact.subtract_contact_forces(contacts, multipliers, contact_nodes, contact_shapes, equation, x,
-                                                    residual)
+                    contact.subtract_contact_forces(contacts, surface, state)
                 elif inertia != 0.0 and part == EvaluatedEquations.FULL:
                     for dof in range(pressures):
-                        i = equation[dof]
+                        i = state.equation[dof]
                         if i >= 0:
-                            residual[i] = residual[i] + inertia * masses[dof] * (x[dof] - rest[dof])
+                            push = inertia * state.masses[dof] * (state.x[dof] - state.rest[dof])
+                            state.residual[i] = state.residual[i] + push
                             if tangent == 1 and i < free:
-                                at = entries[i // B, width - 1, i % B, i % B]
-                                entries[i // B, width - 1, i % B, i % B] = at + inertia * masses[dof]
+                                at = matrix + ((i // B + 1) * width - 1) * B + i % B
+                                vectors[at][i % B] = vectors[at][i % B] + inertia * state.masses[dof]
                 tool = settings[SettingIndex.PREDICTED] if pending == 1 else depth
                 # Initially points that just touch are active: the tool is about to move, or a law attracts.
                 slack = 1e-9 if pending == 1 or (strength > 0.0 and iterations == 0) else 0.0
                 (axial, balanced, violation, slipping, switched,
                  wanting) = contact.add_contact_forces_and_update_active_set(
-                    contacts, counts[StepIntegerIndex.CHANGEABLE], slack, pending, bending, depth - tool, tool,
-                    tool - settings[SettingIndex.TOUCH], free, settings[SettingIndex.CONTACT_TOLERANCE],
-                    NEWTON.friction_floor * floor, reach, law_settings, multipliers, contact_nodes, contact_shapes,
-                    spans, contact_places, areas, vertices, contact_rounding, friction, springs, held, pressed,
-                    slip_signs, met, forces, contact_rates, x, target, equation, residual)
+                    contacts, counts[StepIntegerIndex.CHANGEABLE], slack, pending, bending, tool, free, settings,
+                    surface, state)
                 counts[StepIntegerIndex.CHANGEABLE], counts[StepIntegerIndex.BENDING] = 0, int(bending)
                 if part == EvaluatedEquations.CONTACT and (switched == 0 or settled == NEWTON.max_contact_rounds):
                     # The elements are evaluated next. If the active set still changes, their tangent is evaluated as
@@ -213,12 +192,11 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                     wanting, waits = ti.max(wanting, waits), 0
                 report[ReportIndex.VIOLATION], report[ReportIndex.SLIPPING] = violation, slipping
                 if fresh == 1:
-                    rates.clear_factorised_rates(contacts, known_rates)
+                    rates.clear_factorised_rates(contacts, surface)
                     counts[StepIntegerIndex.UNSYMMETRIC], counts[StepIntegerIndex.SKEWED], begin = 0, rows, 0
                 if fresh == 1 or part != EvaluatedEquations.FULL:
-                    changed, skewed = rates.find_first_changed_and_slipping_rows(
-                        contacts, fresh, free, rows, contact_nodes, contact_shapes, springs, slip_signs, contact_rates,
-                        known_rates, equation)
+                    changed, skewed = rates.find_first_changed_and_slipping_rows(contacts, fresh, free, rows, surface,
+                                                                             state)
                     begin = ti.min(begin, changed)
                     if ti.static(slips):
                         if slipping > 0:
@@ -229,19 +207,18 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                             if skewed < counts[StepIntegerIndex.SKEWED]:
                                 copy_lower_band_to_upper_band(band_table, skewed, counts[StepIntegerIndex.SKEWED])
                                 counts[StepIntegerIndex.SKEWED] = skewed
-                    rates.add_contact_rates_to_matrix(
-                        contacts, fresh, counts[StepIntegerIndex.UNSYMMETRIC], free, width, contact_nodes,
-                        contact_shapes, springs, contact_rates, known_rates, equation, entries, upper)
+                    rates.add_contact_rates_to_matrix(contacts, fresh, counts[StepIntegerIndex.UNSYMMETRIC], free,
+                                                      band_table, surface, state)
                     if begin < rows:
                         counts[StepIntegerIndex.FACTORISED] = 0
                 unbalanced, total = interior, axial
                 for i in range(free):
-                    unbalanced += residual[i] * residual[i]
+                    unbalanced += state.residual[i] * state.residual[i]
                 for i in range(free, equations):
-                    balanced += residual[i] * residual[i]
+                    balanced += state.residual[i] * state.residual[i]
                 for dof in range(pressures):
-                    if equation[dof] >= free:
-                        total += direction[dof] * residual[equation[dof]]
+                    if state.equation[dof] >= free:
+                        total += state.direction[dof] * state.residual[state.equation[dof]]
                 scale = ti.max(ti.sqrt(balanced), floor)
                 ratio = ti.sqrt(unbalanced) / scale
                 # The tolerance includes a bounded allowance for rounding errors.
@@ -263,8 +240,7 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                     released = 0
                     if violation <= settings[SettingIndex.CONTACT_TOLERANCE]:
                         released = contact.release_points_under_tension(
-                            contacts, NEWTON.friction_floor * floor, strength, reach, contact_places, areas, spans,
-                            vertices, contact_rounding, held, forces)
+                            contacts, NEWTON.friction_floor * floor, strength, reach, surface)
                     if released > 0:
                         # The problem has changed: the iteration starts again.
                         tangent, first = 1, iterations + 1
@@ -272,10 +248,9 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                     elif wanting > 0 and iterations < max_iterations:
                         counts[StepIntegerIndex.CHANGEABLE], tangent = contact_kernels.ALL_POINTS, 1
                     elif violation <= settings[SettingIndex.CONTACT_TOLERANCE] and wanting == 0:
-                        bound = contact.commit_contact_bonds_and_count_changes(contacts, held, met)
+                        bound = contact.commit_contact_bonds_and_count_changes(contacts, surface)
                         if counts[StepIntegerIndex.STIFFNESS_ASKED] == 1 \
-                            and (bound > 0 or rates.have_contact_rates_changed(
-                                contacts, springs, contact_rates, known_rates) == 1):
+                            and (bound > 0 or rates.have_contact_rates_changed(contacts, surface) == 1):
                             # The stiffness is computed with the new bonds.
                             part = EvaluatedEquations.STIFFNESS
                         else:
@@ -307,25 +282,20 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                     if asked == 1:
                         # Derivatives of nodal forces and tool force with respect to the depth, at fixed tissue.
                         for i in range(free):
-                            residual[i], reaction[i] = pull[i], pull[i]
-                        stiff = pull[free] + rates.add_depth_derivatives_and_get_stiffness(
-                            contacts, free, contact_nodes, contact_shapes, spans, contact_rates, direction, equation,
-                            residual, reaction)
+                            state.residual[i], state.reaction[i] = state.pull[i], state.pull[i]
+                        stiff = state.pull[free]
+                        stiff += rates.add_depth_derivatives_and_get_stiffness(contacts, free, surface, state)
                         if inertia != 0.0:
                             for dof in range(pressures):
-                                if equation[dof] >= free:
-                                    stiff += inertia * masses[dof] * direction[dof] * direction[dof]
+                                if state.equation[dof] >= free:
+                                    stiff += inertia * state.masses[dof] * state.direction[dof] * state.direction[dof]
                     if solves == 1:
                         for b in range(batches if part == EvaluatedEquations.FULL and fresh == 0 else 0):
-                            own.correct_residual_for_reused_factorisation(
-                                b, kappa, real, moduli, volume_r, volume_z, known_volume_r, known_volume_z, gap,
-                                rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz, inverse_zz, force_r,
-                                force_z, equations_r, equations_z, residual)
-                        contact.add_constraint_residual_forces(contacts, contact_nodes, contact_shapes, contact_rates,
-                                                               known_rates, equation, residual)
+                            own.correct_residual_for_reused_factorisation(b, kappa, elements, state.residual)
+                        contact.add_constraint_residual_forces(contacts, surface, state)
                     for I in range(rows):
                         for k in ti.static(range(B)):
-                            vectors[right + I][k] = residual[I * B + k] if I * B + k < free else 0.0
+                            vectors[right + I][k] = state.residual[I * B + k] if I * B + k < free else 0.0
                     if begin < rows and definite == 1:
                         fill_unused_diagonal(band_table, free)
                         if ti.static(slips):
@@ -343,7 +313,7 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                             cholesky.solve_band(band_table)
                     if asked == 1 and definite == 1:
                         for i in range(free):
-                            stiff -= reaction[i] * vectors[right + i // B][i % B]
+                            stiff -= state.reaction[i] * vectors[right + i // B][i % B]
                         report[ReportIndex.STIFFNESS] = stiff
                     elif part == EvaluatedEquations.CONTACT and definite == 0:
                         part, tangent = EvaluatedEquations.FULL, 1
@@ -353,31 +323,27 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                         report[ReportIndex.STATUS] = indefinite
                     elif solves == 1:
                         if part == EvaluatedEquations.FULL:
-                            for i in range(x.shape[0]):
-                                before[i] = x[i]
+                            for i in range(state.x.shape[0]):
+                                state.before[i] = state.x[i]
                             # A step that contains the motion of the tool is not halved.
                             halvings = NEWTON.max_halvings if pending == 1 else 0
                         else:
                             # The condensed unknowns have no residual on the linearised elements.
                             for b in range(batches):
-                                force_r[b], force_z[b] = vec(0.0), vec(0.0)
-                            for i in range(gap.shape[0]):
-                                gap[i] = vec(0.0)
+                                elements.force_r[b], elements.force_z[b] = vec(0.0), vec(0.0)
+                            for i in range(batches * modes):
+                                elements.gap[i] = vec(0.0)
                         for dof in range(pressures):
-                            i = equation[dof]
+                            i = state.equation[dof]
                             if i >= free:
-                                motion[dof] = target[dof] - x[dof]
-                                x[dof] = target[dof]
+                                state.motion[dof] = state.target[dof] - state.x[dof]
+                                state.x[dof] = state.target[dof]
                             elif i >= 0:
-                                motion[dof] = -vectors[right + i // B][i % B]
-                                x[dof] = x[dof] + motion[dof]
+                                state.motion[dof] = -vectors[right + i // B][i % B]
+                                state.x[dof] = state.x[dof] + state.motion[dof]
                         for b in range(batches):
-                            own.update_condensed_unknowns(b, kappa, x, pressures, motion, elements, dofs, real, moduli,
-                                                          known_volume_r, known_volume_z, gap, rows_rr, rows_rz,
-                                                          rows_zr, rows_zz, force_r, force_z)
-                        contact.update_contact_forces_after_linear_solve(
-                            contacts, depth - tool, multipliers, contact_nodes, contact_shapes, spans, contact_rates,
-                            known_rates, motion, x)
+                            own.update_condensed_unknowns(b, kappa, state.x, pressures, state.motion, elements)
+                        contact.update_contact_forces_after_linear_solve(contacts, depth - tool, surface, state)
                         if part == EvaluatedEquations.FULL:
                             # If the factorisation is likely to be reused, the next pass computes the residual only.
                             tangent = 1 if pending == 1 or ratio > NEWTON.new_tangent_residual else 0

@@ -21,6 +21,7 @@ class StepIntegerIndex(IntEnum):
         BENDING: output, 1 if the matrix contains the curvature of the contact surfaces.
         ITERATED: number of linear solves before this start, in mode `StartMode.RESUME`.
         SKEWED: output, the first block row in which the matrix is unsymmetric.
+        BATCHES: number of batches of elements.
     """
 
     PASSES = 0
@@ -36,6 +37,7 @@ class StepIntegerIndex(IntEnum):
     BENDING = 10
     ITERATED = 11
     SKEWED = 12
+    BATCHES = 13
 
 
 class SettingIndex(IntEnum):

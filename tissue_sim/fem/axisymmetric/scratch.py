@@ -1,7 +1,7 @@
 """Layout of the scratch field in which a kernel stores intermediate results of the batch that it evaluates."""
 
-from tissue_sim.fem.taichi import scratch as shared
-from tissue_sim.fem.taichi.scratch import LANES, ScratchElementSizeLimit
+from tissue_sim.fem.taichi import shared_fields as shared
+from tissue_sim.fem.taichi.shared_fields import LANES, ScratchElementSizeLimit
 
 #: Size of the largest element.
 _LARGEST = ScratchElementSizeLimit(nodes=9, points=9, modes=3)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
+from tissue_sim.fem.axisymmetric.array_layouts import RATE_ARRAYS
 from tissue_sim.fem.axisymmetric.contact import ContactLinearisationColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
@@ -15,7 +16,8 @@ from tissue_sim.fem.axisymmetric.sensitivity_tables import SensitivityControlInd
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
-from tissue_sim.fem.taichi.scratch import LANES
+from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
+from tissue_sim.fem.taichi.shared_fields import LANES
 
 
 @dataclass(frozen=True)
@@ -61,31 +63,32 @@ class MaterialSensitivity:
         self._relaxations = [(equations.get_prony_series_for_contact_radius(up),
                               equations.get_prony_series_for_contact_radius(down), width)
                              for up, down, width in neighbours]
-        self._past_rates = np.zeros((m, 5))
+        self._past_rates = allocate_array((m, len(RelaxationSofteningCoefficient)))
         self._failures = self._pause = 0
         self._stored: dict[float, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
-        self._decay, self._gain = np.zeros((2, terms))
-        self._decay_rates, self._gain_rates = np.zeros((2, m, terms))
+        self._decay, self._gain = (allocate_array((terms,)) for _ in range(2))
+        self._decay_rates, self._gain_rates = (allocate_array((m, terms)) for _ in range(2))
         shape = (m, *surface.springs.shape, 2)
-        self._multiplier_rates, self._anchor_rates, self._point_rates = np.zeros((3, *shape))
-        self.force, self._changed = np.zeros(m), False
+        self._multiplier_rates, self._anchor_rates, self._point_rates = (allocate_array(shape) for _ in range(3))
+        self.force, self._changed = allocate_array((m,)), False
         self._contact = np.zeros((3, *surface.springs.shape))
         self._which = np.zeros(len(SensitivityControlIndex), np.int32)
         kernels = make_force_and_state_sensitivity_kernels(equations.mesh.element.name,
                                                            equations.material.energy_law.kernel_energy,
                                                            memory.works, surface.has_coulomb_friction_points)
-        arrays = {
-            **equations.collect_shared_kernel_arrays_by_name(), **self._differentiate_material_inputs(neighbours),
-            **self._allocate_point_rate_lanes_by_name(m, terms),
-            "before": memory.before, "internal": memory.internal, "which": self._which,
+        #: Arrays of the kernels, which only a table of addresses refers to.
+        self._arrays = {
+            **self._differentiate_material_inputs(neighbours), **self._allocate_point_rate_lanes_by_name(m, terms),
             "past_rates": self._past_rates, "decay": self._decay, "gain": self._gain,
             "decay_rates": self._decay_rates, "gain_rates": self._gain_rates,
             "multiplier_rates": self._multiplier_rates, "anchor_rates": self._anchor_rates,
             "point_rates": self._point_rates, "force_rates": self.force,
-            "motion": np.zeros(equations.equation.size + equations.residual.size),
-            "forces": np.zeros((m, equations.residual.size)), "dx": np.zeros((m, equations.equation.size))}
+            "motion": allocate_array((equations.equation.size + equations.residual.size,)),
+            "forces": allocate_array((m, equations.residual.size)), "dx": allocate_array((m, equations.equation.size))}
+        arguments = {"which": self._which, "rate_table": RATE_ARRAYS.make_table(self._arrays),
+                     **equations.collect_shared_kernel_arrays_by_name()}
         self._differentiate_forces_by_one_parameter, self._differentiate_state = (
-            BoundKernel.bind_by_name(kernel, arrays) for kernel in kernels)
+            BoundKernel.bind_by_name(kernel, arguments) for kernel in kernels)
 
     def _differentiate_material_inputs(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
         """Return the derivatives of law, bulk modulus, layers and memory with the parameters, by kernel names."""
@@ -109,10 +112,11 @@ class MaterialSensitivity:
                                                                  SensitivityControlIndex.PASSES]] = self._decay.size, 1
         relaxes = [up is not None and down is not None and up != down for up, down, _ in self._relaxations]
         self._which[SensitivityControlIndex.RELAXES] = any(relaxes)
-        return {"directions": np.concatenate([np.tile(inputs[0], (m, 1)), coefficient_rates], axis=1),
-                "acts": np.array(coefficient_rates.any(axis=1), np.int32), "relaxes": np.array(relaxes, np.int32),
-                "kappa_rates": kappa_rates,
-                "moduli_rates": np.ascontiguousarray(moduli_rates[:, equations.batches.elements].reshape(-1, LANES))}
+        found = {"directions": np.concatenate([np.tile(inputs[0], (m, 1)), coefficient_rates], axis=1),
+                 "acts": np.array(coefficient_rates.any(axis=1), np.int32), "relaxes": np.array(relaxes, np.int32),
+                 "kappa_rates": kappa_rates,
+                 "moduli_rates": moduli_rates[:, equations.batches.elements].reshape(-1, LANES)}
+        return {name: copy_to_addressable_array(array) for name, array in found.items()}
 
     def _allocate_point_rate_lanes_by_name(self, m: int, terms: int) -> dict[str, np.ndarray]:
         """Allocate the derivatives at the quadrature points, by kernel names.
@@ -127,8 +131,8 @@ class MaterialSensitivity:
         of_memory = {"largest_rates": m * q, "energy_rates": m * q, "stress_rates": 4 * m * q,
                      "before_rates": 4 * m * q, "internal_rates": 4 * m * terms * q}
         rows |= of_memory if self._equations.memory.works else dict.fromkeys(of_memory, 0)
-        return {"recent": np.zeros((4 * terms * q, LANES)),
-                **{name: np.zeros((count * batches, LANES)) for name, count in rows.items()}}
+        return {"recent": allocate_array((4 * terms * q, LANES)),
+                **{name: allocate_array((count * batches, LANES)) for name, count in rows.items()}}
 
     def pop_contact_changed_flag(self) -> bool:
         """Return whether a contact point touched, separated, stuck or slipped since the last call; reset the flag.

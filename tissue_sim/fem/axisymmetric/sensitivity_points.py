@@ -19,7 +19,7 @@ from tissue_sim.fem.axisymmetric.sensitivity_tables import (
 from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.scratch import LANES
+from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
 
@@ -75,14 +75,14 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
     # stored in the scratch field.
 
     @ti.func
-    def gather_point_value_per_lane(values: ti.template(), elements: ti.template(), b, q):
+    def gather_point_value_per_lane(values: ti.template(), numbers: ti.template(), b, q):
         """Return `values` at quadrature point q of the elements of batch b, one in each SIMD lane."""
-        return ti.Vector([values[elements[b, l], q] for l in ti.static(range(LANES))])
+        return ti.Vector([values[numbers[b][l], q] for l in ti.static(range(LANES))])
 
     @ti.func
-    def gather_point_component_per_lane(values: ti.template(), elements: ti.template(), b, q, i: ti.template()):
+    def gather_point_component_per_lane(values: ti.template(), numbers: ti.template(), b, q, i: ti.template()):
         """Return component i of `values` at quadrature point q of the elements of batch b, one in each SIMD lane."""
-        return ti.Vector([values[elements[b, l], q, i] for l in ti.static(range(LANES))])
+        return ti.Vector([values[numbers[b][l], q, i] for l in ti.static(range(LANES))])
 
     @ti.func
     def compute_second_piola_from_first_piola(F, P):
@@ -98,13 +98,13 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 F[2] * S[1] + F[3] * S[2], F[4] * S[3]]
 
     @ti.func
-    def compute_gradient_of_stored_displacements(b, q, gradient_r: ti.template(), gradient_z: ti.template(),
-                                                 value_r: ti.template()):
+    def compute_gradient_of_stored_displacements(b, q, elements: ti.template()):
         """Return the gradient (rR, rZ, zR, zZ, hoop) of the stored nodal displacements at quadrature point q."""
         h0, h1, h2, h3, h4 = vec(0.0), vec(0.0), vec(0.0), vec(0.0), vec(0.0)
         for a in range(nodes):
             g = (b * points + q) * nodes + a
-            gr, gz, gh, ur, uz = gradient_r[g], gradient_z[g], value_r[g], s[UR + a], s[UZ + a]
+            gr, gz, gh = elements.gradient_r[g], elements.gradient_z[g], elements.value_r[g]
+            ur, uz = s[UR + a], s[UZ + a]
             h0 = h0 + ur * gr
             h1 = h1 + ur * gz
             h2 = h2 + uz * gr
@@ -113,19 +113,16 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
         return h0, h1, h2, h3, h4
 
     @ti.func
-    def store_point_data(b, which: ti.template(), x: ti.template(), dofs: ti.template(), elements: ti.template(),
-                         gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
-                         coefficients: ti.template(), past: ti.template(), inherited: ti.template(),
-                         largest: ti.template(), pressures, modes_at: ti.template(), weights: ti.template(),
-                         moduli: ti.template(), law: ti.template()):
+    def store_point_data(b, which: ti.template(), pressures, elements: ti.template(), tissue: ti.template(),
+                         state: ti.template(), rates: ti.template()):
         """Store strains, stresses and tangents at the quadrature points of batch b, equal for all parameters."""
         one = which[SensitivityControlIndex.ONE]
         for a in range(nodes):
             i = b * nodes + a
-            s[UR + a] = ti.Vector([x[dofs[i, l]] for l in ti.static(range(LANES))])
-            s[UZ + a] = ti.Vector([x[dofs[i, l] + 1] for l in ti.static(range(LANES))])
+            s[UR + a] = ti.Vector([state.x[elements.dofs[i][l]] for l in ti.static(range(LANES))])
+            s[UZ + a] = ti.Vector([state.x[elements.dofs[i][l] + 1] for l in ti.static(range(LANES))])
         for q in range(points):
-            h0, h1, h2, h3, h4 = compute_gradient_of_stored_displacements(b, q, gradient_r, gradient_z, value_r)
+            h0, h1, h2, h3, h4 = compute_gradient_of_stored_displacements(b, q, elements)
             area = h0 + h3 + h0 * h3 - h1 * h2
             F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
             root = inverse_cube_root(ti.max(1.0 + area + h4 + area * h4, 1e-6))
@@ -134,77 +131,77 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 s[at + PointRecordOffset.GRADIENT + i] = F[i]
             s[at + PointRecordOffset.ROOT] = root
             if ti.static(remembers):
-                kept, f = (b * points + q) * StoredRecordOffset.SIZE, past[RelaxationSofteningCoefficient.FACTOR]
-                W, P, A = law_of(F, root, coefficients)
+                kept, f = (b * points + q) * StoredRecordOffset.SIZE, tissue.past[RelaxationSofteningCoefficient.FACTOR]
+                W, P, A = law_of(F, root, tissue.coefficients)
                 s[at + PointRecordOffset.ENERGY] = f * W
                 for i in ti.static(range(5)):
                     s[at + PointRecordOffset.STRESS + i] = f * P[i]
                     s[at + PointRecordOffset.SOFT_STRESS + i] = f * P[i]
                 for n in ti.static(range(15)):
                     to = kept + (StoredRecordOffset.SOFT_TANGENT + n) * one
-                    law[to] = f * A[n]
-                if past[RelaxationSofteningCoefficient.LOSS] != 0.0:
+                    rates.law[to] = f * A[n]
+                if tissue.past[RelaxationSofteningCoefficient.LOSS] != 0.0:
                     P1, A1 = apply_softening(
-                        f * W, gather_point_value_per_lane(largest, elements, b, q),
-                        past[RelaxationSofteningCoefficient.LOSS], past[RelaxationSofteningCoefficient.LOSS_MODULUS],
-                        past[RelaxationSofteningCoefficient.LOSS_SHARE], [f * P[i] for i in ti.static(range(5))],
+                        f * W, gather_point_value_per_lane(tissue.largest, elements.numbers, b, q),
+                        tissue.past[RelaxationSofteningCoefficient.LOSS],
+                        tissue.past[RelaxationSofteningCoefficient.LOSS_MODULUS],
+                        tissue.past[RelaxationSofteningCoefficient.LOSS_SHARE], [f * P[i] for i in ti.static(range(5))],
                         [f * A[n] for n in ti.static(range(15))])
                     for i in ti.static(range(5)):
                         s[at + PointRecordOffset.SOFT_STRESS + i] = P1[i]
                     for n in ti.static(range(15)):
                         to = kept + (StoredRecordOffset.SOFT_TANGENT + n) * one
-                        law[to] = A1[n]
+                        rates.law[to] = A1[n]
                 left = compute_first_piola_from_second_piola(
-                    F, [gather_point_component_per_lane(inherited, elements, b, q, i) for i in ti.static(range(4))])
+                    F, [gather_point_component_per_lane(tissue.inherited, elements.numbers, b, q, i)
+                        for i in ti.static(range(4))])
                 for i in ti.static(range(5)):
                     s[at + PointRecordOffset.RELAXED_STRESS + i] = (
-                        past[RelaxationSofteningCoefficient.INSTANT] * s[at + PointRecordOffset.SOFT_STRESS + i]
+                        tissue.past[RelaxationSofteningCoefficient.INSTANT] * s[at + PointRecordOffset.SOFT_STRESS + i]
                         + left[i])
                     to = kept + (StoredRecordOffset.GRADIENT + i) * one
-                    law[to] = F[i]
+                    rates.law[to] = F[i]
                     to1 = kept + (StoredRecordOffset.STRESS + i) * one
-                    law[to1] = s[at + PointRecordOffset.STRESS + i]
+                    rates.law[to1] = s[at + PointRecordOffset.STRESS + i]
                 S = compute_second_piola_from_first_piola(F, [s[at + PointRecordOffset.SOFT_STRESS + i]
                                                               for i in ti.static(range(5))])
                 for i in ti.static(range(4)):
                     to2 = kept + (StoredRecordOffset.SECOND + i) * one
-                    law[to2] = S[i]
+                    rates.law[to2] = S[i]
             elif which[SensitivityControlIndex.LAYERED] + which[SensitivityControlIndex.REFINES] > 0:
-                W, P, A = law_of(F, root, coefficients)
+                W, P, A = law_of(F, root, tissue.coefficients)
                 for i in ti.static(range(5)):
                     s[at + PointRecordOffset.RELAXED_STRESS + i] = P[i]
                 p = vec(0.0)
                 for m in range(modes):
-                    amplitude = ti.Vector([x[pressures + modes * elements[b, l] + m] for l in ti.static(range(LANES))])
-                    p = p + modes_at[(b * points + q) * modes + m] * amplitude
-                w, modulus = weights[b * points + q], moduli[b]
+                    amplitude = ti.Vector([state.x[pressures + modes * elements.numbers[b][l] + m]
+                                           for l in ti.static(range(LANES))])
+                    p = p + elements.mode_values[(b * points + q) * modes + m] * amplitude
+                w, modulus = elements.point_weights[b * points + q], elements.moduli[b]
                 P1, A1 = add_pressure_terms(F, p, [modulus * P[i] for i in ti.static(range(5))],
                                             [modulus * A[n] for n in ti.static(range(15))])
                 for n in ti.static(range(15)):
                     to = (b * points + q) * 15 + n * one
-                    law[to] = w * A1[n]
+                    rates.law[to] = w * A1[n]
 
     @ti.func
-    def copy_stress_history_to_buffers(b, which: ti.template(), elements: ti.template(), stresses: ti.template(),
-                                       before: ti.template(), internal: ti.template(), recent: ti.template()):
+    def copy_stress_history_to_buffers(b, which: ti.template(), elements: ti.template(), tissue: ti.template(),
+                                       rates: ti.template()):
         """Copy internal stresses to `recent`, and the last stress and its change to the scratch field, for batch b."""
         one, terms = which[SensitivityControlIndex.ONE], which[SensitivityControlIndex.TERMS]
         for q in range(points):
             for i in ti.static(range(4)):
-                s[BEFORE + 4 * q + i] = gather_point_component_per_lane(before, elements, b, q, i)
-                stress = gather_point_component_per_lane(stresses, elements, b, q, i)
+                s[BEFORE + 4 * q + i] = gather_point_component_per_lane(tissue.before, elements.numbers, b, q, i)
+                stress = gather_point_component_per_lane(tissue.stresses, elements.numbers, b, q, i)
                 s[CHANGE + 4 * q + i] = stress - s[BEFORE + 4 * q + i]
                 for t in range(terms):
                     at_term = (q * terms + t) * 4 + i * one
-                    recent[at_term] = ti.Vector([internal[t, elements[b, l], q, i] for l in ti.static(range(LANES))])
+                    rates.recent[at_term] = ti.Vector([tissue.internal[t, elements.numbers[b][l], q, i]
+                                                       for l in ti.static(range(LANES))])
 
     @ti.func
-    def apply_memory_to_stored_stress_rate(
-            b, q, k, parameters, which: ti.template(), elements: ti.template(), past: ti.template(),
-            past_rates: ti.template(), largest: ti.template(), largest_rates: ti.template(),
-            energy_rates: ti.template(), stress_rates: ti.template(), before_rates: ti.template(),
-            recent: ti.template(), internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
-            decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template()):
+    def apply_memory_to_stored_stress_rate(b, q, k, parameters, which: ti.template(), elements: ti.template(),
+                                           tissue: ti.template(), rates: ti.template()):
         """Convert, in place, the law's stress derivative by parameter k to that of the softened and relaxed stress.
 
         The derivatives of energy and softened stress are stored for the memory.
@@ -212,8 +209,8 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
         """
         at, noted = RATE + 5 * q, LAW + PointRecordOffset.SIZE * q
         terms, one = which[SensitivityControlIndex.TERMS], which[SensitivityControlIndex.ONE]
-        f = past[RelaxationSofteningCoefficient.FACTOR]
-        df = past_rates[k, RelaxationSofteningCoefficient.FACTOR] / f
+        f = tissue.past[RelaxationSofteningCoefficient.FACTOR]
+        df = rates.past_rates[k, RelaxationSofteningCoefficient.FACTOR] / f
         F = [s[noted + PointRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
         W = s[noted + PointRecordOffset.ENERGY]
         dW = f * s[ENERGY_RATE + q] + df * W
@@ -221,59 +218,51 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
             s[at + i] = f * s[at + i] + df * s[noted + PointRecordOffset.STRESS + i]
         own = (b * points + q) * parameters + k
         if which[SensitivityControlIndex.SOFTENS] == 1:
-            L, dL = gather_point_value_per_lane(largest, elements, b, q), largest_rates[own]
-            width = ti.max(past[RelaxationSofteningCoefficient.LOSS_MODULUS]
-                           + past[RelaxationSofteningCoefficient.LOSS_SHARE] * L, 1e-300)
-            width_rate = (past_rates[k, RelaxationSofteningCoefficient.LOSS_MODULUS]
-                          + past_rates[k, RelaxationSofteningCoefficient.LOSS_SHARE] * L
-                          + past[RelaxationSofteningCoefficient.LOSS_SHARE] * dL)
+            L, dL = gather_point_value_per_lane(tissue.largest, elements.numbers, b, q), rates.largest_rates[own]
+            width = ti.max(tissue.past[RelaxationSofteningCoefficient.LOSS_MODULUS]
+                           + tissue.past[RelaxationSofteningCoefficient.LOSS_SHARE] * L, 1e-300)
+            width_rate = (rates.past_rates[k, RelaxationSofteningCoefficient.LOSS_MODULUS]
+                          + rates.past_rates[k, RelaxationSofteningCoefficient.LOSS_SHARE] * L
+                          + tissue.past[RelaxationSofteningCoefficient.LOSS_SHARE] * dL)
             bend = ti.tanh(ti.max(L - W, 0.0) / width)
             argument_rate = (dL - dW - (L - W) * width_rate / width) / width
-            eta_rate = ti.select(W < L, -past_rates[k, RelaxationSofteningCoefficient.LOSS] * bend
-                                 - past[RelaxationSofteningCoefficient.LOSS] * (1.0 - bend * bend) * argument_rate,
-                                 0.0 * W)
+            loss, loss_rate = tissue.past[RelaxationSofteningCoefficient.LOSS], rates.past_rates[
+                k, RelaxationSofteningCoefficient.LOSS]
+            eta_rate = ti.select(W < L, -loss_rate * bend - loss * (1.0 - bend * bend) * argument_rate, 0.0 * W)
             for i in ti.static(range(5)):
-                s[at + i] = ((1.0 - past[RelaxationSofteningCoefficient.LOSS] * bend) * s[at + i]
+                s[at + i] = ((1.0 - tissue.past[RelaxationSofteningCoefficient.LOSS] * bend) * s[at + i]
                              + eta_rate * s[noted + PointRecordOffset.STRESS + i])
-        energy_rates[own] = dW
+        rates.energy_rates[own] = dW
         S = compute_second_piola_from_first_piola(F, [s[at + i] for i in ti.static(range(5))])
         for i in ti.static(range(4)):
             to = 4 * own + i * one
-            stress_rates[to] = S[i]
+            rates.stress_rates[to] = S[i]
             s[PAST + i] = vec(0.0)
             for t in range(terms):
                 of = (own * terms + t) * 4 + i * one
-                s[PAST + i] = s[PAST + i] + decay[t] * internal_rates[of] - gain[t] * before_rates[to]
-                if relaxes[k] == 1:
+                s[PAST + i] = (s[PAST + i] + rates.decay[t] * rates.internal_rates[of]
+                               - rates.gain[t] * rates.before_rates[to])
+                if rates.relaxes[k] == 1:
                     at_term = (q * terms + t) * 4 + i * one
-                    s[PAST + i] = (s[PAST + i] + decay_rates[k, t] * recent[at_term]
-                                   - gain_rates[k, t] * s[BEFORE + 4 * q + i])
+                    s[PAST + i] = (s[PAST + i] + rates.decay_rates[k, t] * rates.recent[at_term]
+                                   - rates.gain_rates[k, t] * s[BEFORE + 4 * q + i])
         left = compute_first_piola_from_second_piola(F, [s[PAST + i] for i in ti.static(range(4))])
         for i in ti.static(range(5)):
-            s[at + i] = (past[RelaxationSofteningCoefficient.INSTANT] * s[at + i]
-                         + past_rates[k, RelaxationSofteningCoefficient.INSTANT]
+            s[at + i] = (tissue.past[RelaxationSofteningCoefficient.INSTANT] * s[at + i]
+                         + rates.past_rates[k, RelaxationSofteningCoefficient.INSTANT]
                          * s[noted + PointRecordOffset.SOFT_STRESS + i] + left[i])
 
     @ti.func
-    def add_force_derivatives_at_fixed_displacement(
-            b, k, kappa, parameters, batches, pressures, which: ti.template(), acts: ti.template(),
-            directions: ti.template(), x: ti.template(), elements: ti.template(), gradient_r: ti.template(),
-            gradient_z: ti.template(), value_r: ti.template(), weights: ti.template(), moduli: ti.template(),
-            equations_r: ti.template(), equations_z: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
-            rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(), rows_zz: ti.template(),
-            inverse_rr: ti.template(), inverse_rz: ti.template(), inverse_zz: ti.template(), kappa_rates: ti.template(),
-            moduli_rates: ti.template(), past: ti.template(), past_rates: ti.template(), largest: ti.template(),
-            largest_rates: ti.template(), energy_rates: ti.template(), stress_rates: ti.template(),
-            before_rates: ti.template(), recent: ti.template(), internal_rates: ti.template(), decay: ti.template(),
-            gain: ti.template(), decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template(),
-            centre_r: ti.template(), centre_z: ti.template(), forces: ti.template()):
+    def add_force_derivatives_at_fixed_displacement(b, k, kappa, parameters, batches, pressures, which: ti.template(),
+                                                    elements: ti.template(), tissue: ti.template(),
+                                                    state: ti.template(), rates: ti.template()):
         """Add the derivatives of the nodal forces of batch b with parameter k at fixed displacements to `forces`."""
-        direction = ti.Vector([directions[k, i] for i in ti.static(range(coefficients_of_both))])
+        direction = ti.Vector([rates.directions[k, i] for i in ti.static(range(coefficients_of_both))])
         own = k * batches + b
-        modulus, modulus_rate = moduli[b], moduli_rates[own]
+        modulus, modulus_rate = elements.moduli[b], rates.moduli_rates[own]
         for q in range(points):
             at, noted = RATE + 5 * q, LAW + PointRecordOffset.SIZE * q
-            if acts[k] == 1:
+            if rates.acts[k] == 1:
                 F = [s[noted + PointRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
                 W, P, _A = stress_rate(F, s[noted + PointRecordOffset.ROOT], direction)
                 s[ENERGY_RATE + q] = W
@@ -284,106 +273,99 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 for i in ti.static(range(5)):
                     s[at + i] = vec(0.0)
             if ti.static(remembers):
-                apply_memory_to_stored_stress_rate(b, q, k, parameters, which, elements, past, past_rates, largest,
-                                                   largest_rates, energy_rates, stress_rates, before_rates, recent,
-                                                   internal_rates, decay, gain, decay_rates, gain_rates, relaxes)
-            w = weights[b * points + q]
+                apply_memory_to_stored_stress_rate(b, q, k, parameters, which, elements, tissue, rates)
+            w = elements.point_weights[b * points + q]
             for i in ti.static(range(5)):
                 s[at + i] = (w * modulus) * s[at + i]
             if which[SensitivityControlIndex.LAYERED] == 1:
                 for i in ti.static(range(5)):
                     s[at + i] = s[at + i] + (w * modulus_rate) * s[noted + PointRecordOffset.RELAXED_STRESS + i]
         # Relative derivative of the pressure p = K (v - V) at fixed volume.
-        share = (kappa_rates[k] * modulus + kappa * modulus_rate) / (kappa * modulus)
+        share = (rates.kappa_rates[k] * modulus + kappa * modulus_rate) / (kappa * modulus)
         for a in range(nodes):
             fr, fz = vec(0.0), vec(0.0)
             for q in range(points):
                 g = (b * points + q) * nodes + a
-                gr, gz, gh, at = gradient_r[g], gradient_z[g], value_r[g], RATE + 5 * q
+                gr, gz, gh, at = elements.gradient_r[g], elements.gradient_z[g], elements.value_r[g], RATE + 5 * q
                 fr = fr + s[at] * gr + s[at + 1] * gz + s[at + 4] * gh
                 fz = fz + s[at + 2] * gr + s[at + 3] * gz
             for m in range(modes):
                 v = (b * modes + m) * nodes + a
-                p = ti.Vector([x[pressures + modes * elements[b, l] + m] for l in ti.static(range(LANES))])
-                fr = fr + share * p * volume_r[v]
-                fz = fz + share * p * volume_z[v]
+                p = ti.Vector([state.x[pressures + modes * elements.numbers[b][l] + m]
+                               for l in ti.static(range(LANES))])
+                fr = fr + share * p * elements.volume_r[v]
+                fz = fz + share * p * elements.volume_z[v]
             s[FR + a], s[FZ + a] = fr, fz
         if ti.static(has_centre):
             f0, f1 = s[FR + centre], s[FZ + centre]
-            centre_r[own] = inverse_rr[b] * f0 + inverse_rz[b] * f1
-            centre_z[own] = inverse_rz[b] * f0 + inverse_zz[b] * f1
+            rates.centre_r[own] = elements.inverse_rr[b] * f0 + elements.inverse_rz[b] * f1
+            rates.centre_z[own] = elements.inverse_rz[b] * f0 + elements.inverse_zz[b] * f1
             for a in range(nb):
                 at = b * nb + a
-                s[FR + a] = s[FR + a] - (f0 * rows_rr[at] + f1 * rows_zr[at])
-                s[FZ + a] = s[FZ + a] - (f0 * rows_rz[at] + f1 * rows_zz[at])
+                s[FR + a] = s[FR + a] - (f0 * elements.rows_rr[at] + f1 * elements.rows_zr[at])
+                s[FZ + a] = s[FZ + a] - (f0 * elements.rows_rz[at] + f1 * elements.rows_zz[at])
         for a in range(nb):
             at = b * nb + a
             fr, fz = s[FR + a], s[FZ + a]
             for l in ti.static(range(LANES)):
-                forces[k, equations_r[at, l]] = forces[k, equations_r[at, l]] + fr[l]
-                forces[k, equations_z[at, l]] = forces[k, equations_z[at, l]] + fz[l]
+                rates.forces[k, elements.equations_r[at][l]] = rates.forces[k, elements.equations_r[at][l]] + fr[l]
+                rates.forces[k, elements.equations_z[at][l]] = rates.forces[k, elements.equations_z[at][l]] + fz[l]
 
     @ti.func
-    def update_memory_derivatives(
-            b, k, parameters, batches, which: ti.template(), dx: ti.template(), dofs: ti.template(),
-            elements: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
-            rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(), rows_zz: ti.template(),
-            law: ti.template(), largest: ti.template(), energies: ti.template(), largest_rates: ti.template(),
-            energy_rates: ti.template(), stress_rates: ti.template(), before_rates: ti.template(),
-            recent: ti.template(), internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
-            decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template(), centre_r: ti.template(),
-            centre_z: ti.template()):
+    def update_memory_derivatives(b, k, parameters, batches, which: ti.template(), elements: ti.template(),
+                                  tissue: ti.template(), rates: ti.template()):
         """Update the derivatives of the material history of batch b with parameter k, from the derivatives `dx`."""
         in_batch, terms, one = k * batches + b, which[SensitivityControlIndex.TERMS], which[SensitivityControlIndex.ONE]
         for a in range(nb):
             i = b * nodes + a
-            s[UR + a] = ti.Vector([dx[k, dofs[i, l]] for l in ti.static(range(LANES))])
-            s[UZ + a] = ti.Vector([dx[k, dofs[i, l] + 1] for l in ti.static(range(LANES))])
+            s[UR + a] = ti.Vector([rates.dx[k, elements.dofs[i][l]] for l in ti.static(range(LANES))])
+            s[UZ + a] = ti.Vector([rates.dx[k, elements.dofs[i][l] + 1] for l in ti.static(range(LANES))])
         if ti.static(has_centre):
-            cr, cz = -centre_r[in_batch], -centre_z[in_batch]
+            cr, cz = -rates.centre_r[in_batch], -rates.centre_z[in_batch]
             for a in range(nb):
                 at = b * nb + a
-                cr = cr - (rows_rr[at] * s[UR + a] + rows_rz[at] * s[UZ + a])
-                cz = cz - (rows_zr[at] * s[UR + a] + rows_zz[at] * s[UZ + a])
+                cr = cr - (elements.rows_rr[at] * s[UR + a] + elements.rows_rz[at] * s[UZ + a])
+                cz = cz - (elements.rows_zr[at] * s[UR + a] + elements.rows_zz[at] * s[UZ + a])
             s[UR + centre], s[UZ + centre] = cr, cz
         for q in range(points):
             own, kept = (b * points + q) * parameters + k, (b * points + q) * StoredRecordOffset.SIZE
-            h0, h1, h2, h3, h4 = compute_gradient_of_stored_displacements(b, q, gradient_r, gradient_z, value_r)
+            h0, h1, h2, h3, h4 = compute_gradient_of_stored_displacements(b, q, elements)
             H = [h0, h1, h2, h3, h4]
             F = [1.0 * h0 for _i in ti.static(range(5))]
             second = [1.0 * h0 for _i in ti.static(range(4))]
-            dW = energy_rates[own]
+            dW = rates.energy_rates[own]
             for i in ti.static(range(5)):
                 of = kept + (StoredRecordOffset.GRADIENT + i) * one
-                F[i] = law[of]
+                F[i] = rates.law[of]
                 of1 = kept + (StoredRecordOffset.STRESS + i) * one
-                dW = dW + law[of1] * H[i]
+                dW = dW + rates.law[of1] * H[i]
             for i in ti.static(range(4)):
                 of2 = kept + (StoredRecordOffset.SECOND + i) * one
-                second[i] = law[of2]
+                second[i] = rates.law[of2]
             # d(F S) = F dS + dF S.
             lost = compute_first_piola_from_second_piola(H, second)
             rate = [-1.0 * lost[i] for i in ti.static(range(5))]
             for i in ti.static(range(5)):
                 for n in ti.static(range(5)):
                     of = kept + ti.static(StoredRecordOffset.SOFT_TANGENT + row[i][n]) * one
-                    rate[i] = rate[i] + law[of] * H[n]
+                    rate[i] = rate[i] + rates.law[of] * H[n]
             S_rate = compute_second_piola_from_first_piola(F, rate)
-            most = gather_point_value_per_lane(largest, elements, b, q)
-            largest_rates[own] = ti.select(gather_point_value_per_lane(energies, elements, b, q) > most, dW,
-                                           largest_rates[own])
+            most = gather_point_value_per_lane(tissue.largest, elements.numbers, b, q)
+            energy = gather_point_value_per_lane(tissue.energies, elements.numbers, b, q)
+            rates.largest_rates[own] = ti.select(energy > most, dW, rates.largest_rates[own])
             for i in ti.static(range(4)):
                 to = 4 * own + i * one
-                S = stress_rates[to] + S_rate[i]
-                change = S - before_rates[to]
-                before_rates[to] = S
+                S = rates.stress_rates[to] + S_rate[i]
+                change = S - rates.before_rates[to]
+                rates.before_rates[to] = S
                 for t in range(terms):
                     of = (own * terms + t) * 4 + i * one
-                    internal_rates[of] = decay[t] * internal_rates[of] + gain[t] * change
-                    if relaxes[k] == 1:
+                    rates.internal_rates[of] = rates.decay[t] * rates.internal_rates[of] + rates.gain[t] * change
+                    if rates.relaxes[k] == 1:
                         at_term = (q * terms + t) * 4 + i * one
-                        internal_rates[of] = (internal_rates[of] + decay_rates[k, t] * recent[at_term]
-                                              + gain_rates[k, t] * s[CHANGE + 4 * q + i])
+                        rates.internal_rates[of] = (rates.internal_rates[of]
+                                                    + rates.decay_rates[k, t] * rates.recent[at_term]
+                                                    + rates.gain_rates[k, t] * s[CHANGE + 4 * q + i])
 
     return SensitivityFunctions(store_point_data, copy_stress_history_to_buffers,
                                 add_force_derivatives_at_fixed_displacement, update_memory_derivatives)

@@ -11,6 +11,7 @@ from tissue_sim.fem.axisymmetric.predictor import KEPT
 from tissue_sim.fem.history import MaterialMemory
 from tissue_sim.fem.inertia import InertialMotion
 from tissue_sim.fem.point_effects import PointEffects
+from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +55,9 @@ class SolverState:
 
     def __init__(self, x: np.ndarray, surface: ContactPoints, memory: MaterialMemory, effects: PointEffects):
         self.x, self.surface, self.memory, self.effects = x, surface, memory, effects
-        self.history = np.zeros((KEPT, x.size))
+        self.history = allocate_array((KEPT, x.size))
         self.history[0] = x
-        self.slots = np.arange(KEPT, dtype=np.int32)
+        self.slots = copy_to_addressable_array(np.arange(KEPT, dtype=np.int32))
         self.depths, self.times = [0.0], [0.0]
         self.largest_force = 0.0
         self.equilibria_since_contact_change, self._touching = 0, (b"", b"")

@@ -28,7 +28,7 @@ from tissue_sim.fem.condensed.tables import (
 )
 from tissue_sim.fem.contact_settings import SOLID_PENALTY, ContactBondState
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.scratch import LANES, get_shared_scratch_field
+from tissue_sim.fem.taichi.shared_fields import LANES, get_shared_scratch_field
 
 #: The extrapolation of the forces is discarded if a force changes by more than this fraction of the largest force.
 _MAX_PREDICTED_CHANGE = 0.5

@@ -36,7 +36,7 @@ from tissue_sim.fem.condensed.wrench_kernel import ANSWER_SIZE, WrenchKernelArra
 from tissue_sim.fem.contact_settings import ContactBondState
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
-from tissue_sim.fem.taichi.scratch import LANES
+from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.tool_force import Matrix
 

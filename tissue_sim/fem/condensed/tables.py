@@ -2,7 +2,7 @@
 
 from enum import IntEnum
 
-from tissue_sim.fem.taichi.scratch import LANES, VECTORS
+from tissue_sim.fem.taichi.shared_fields import LANES, VECTORS
 
 
 class KernelSetting(IntEnum):

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.fem.taichi.origins import compute_block_offset, get_origin
+from tissue_sim.fem.taichi.origins import compute_offset, get_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.scratch import BLOCK
+from tissue_sim.fem.taichi.shared_fields import BLOCK
 
 
 class BandTableIndex(IntEnum):
@@ -86,7 +86,7 @@ def make_band_table(matrix: np.ndarray, matrix_upper: np.ndarray, lower: np.ndar
         right: right-hand side, shape (rows, BLOCK).
     """
     rows, width = matrix.shape[:2]
-    offsets = [compute_block_offset(array) for array in (matrix, matrix_upper, lower, upper, inverse, right)]
+    offsets = [compute_offset(array) for array in (matrix, matrix_upper, lower, upper, inverse, right)]
     return np.array([rows, width, *offsets], dtype=np.int32)
 
 
@@ -119,26 +119,6 @@ def unpack_blocks_to_lapack_band(blocks: np.ndarray, size: int, half_band: int) 
 
 
 @cache
-def make_add_lower_entry_function():
-    """Return the Taichi function ``add_lower_entry(row, column, value, free, width, band)``.
-
-    It adds `value` to an entry of the lower triangle of the matrix of the first `free` equations; other entries are
-    ignored.
-    """
-    ti = get_initialised_taichi()
-
-    @ti.func
-    def add_lower_entry(row, column, value, free, width, band: ti.template()):
-        """Add `value` to an entry of the lower triangle; ignore entries above the diagonal or from row `free` on."""
-        if row < free and column <= row:
-            I, J = row // BLOCK, column // BLOCK
-            w, c, r = J - I + width - 1, column % BLOCK, row % BLOCK
-            band[I, w, c, r] = band[I, w, c, r] + value
-
-    return add_lower_entry
-
-
-@cache
 def make_locate_block_function():
     """Return the Taichi function ``locate_block(band, I, J, width)``: offset of block (I, J), J <= I, of a band."""
     ti = get_initialised_taichi()
@@ -149,6 +129,28 @@ def make_locate_block_function():
         return band + (I * width + J - I + width - 1) * BLOCK
 
     return locate_block
+
+
+@cache
+def make_add_lower_entry_function():
+    """Return the Taichi function ``add_lower_entry(row, column, value, free, table)``.
+
+    It adds `value` to an entry of the lower triangle of the matrix of the first `free` equations; other entries are
+    ignored.
+    """
+    ti = get_initialised_taichi()
+    vectors, locate_block = get_origin().field, make_locate_block_function()
+
+    @ti.func
+    def add_lower_entry(row, column, value, free, table: ti.template()):
+        """Add `value` to an entry of the lower triangle; ignore entries above the diagonal or from row `free` on."""
+        if row < free and column <= row:
+            r = row % BLOCK
+            at = locate_block(table[BandTableIndex.MATRIX], row // BLOCK, column // BLOCK,
+                              table[BandTableIndex.WIDTH]) + column % BLOCK
+            vectors[at][r] = vectors[at][r] + value
+
+    return add_lower_entry
 
 
 @cache
@@ -249,21 +251,24 @@ def make_fill_diagonal_function():
 
 @cache
 def make_add_unsymmetric_entry_function():
-    """Return the Taichi function ``add_unsymmetric_entry(row, column, value, free, width, lower, upper)``.
+    """Return the Taichi function ``add_unsymmetric_entry(row, column, value, free, table)``.
 
     It adds `value` to an entry on either side of the diagonal of the matrix of the first `free` equations.
     """
     ti = get_initialised_taichi()
+    vectors, locate_block = get_origin().field, make_locate_block_function()
 
     @ti.func
-    def add_unsymmetric_entry(row, column, value, free, width, lower: ti.template(), upper: ti.template()):
+    def add_unsymmetric_entry(row, column, value, free, table: ti.template()):
         """Add `value` to an entry on either side of the diagonal; ignore rows and columns from `free` on."""
         if row < free and column < free:
-            I, J = row // BLOCK, column // BLOCK
+            I, J, width = row // BLOCK, column // BLOCK, table[BandTableIndex.WIDTH]
             r, c = row % BLOCK, column % BLOCK
             if J <= I:
-                lower[I, J - I + width - 1, c, r] = lower[I, J - I + width - 1, c, r] + value
+                at = locate_block(table[BandTableIndex.MATRIX], I, J, width) + c
+                vectors[at][r] = vectors[at][r] + value
             else:
-                upper[J, I - J + width - 1, r, c] = upper[J, I - J + width - 1, r, c] + value
+                to = locate_block(table[BandTableIndex.MATRIX_UPPER], J, I, width) + r
+                vectors[to][c] = vectors[to][c] + value
 
     return add_unsymmetric_entry

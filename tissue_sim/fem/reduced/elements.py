@@ -16,7 +16,7 @@ from tissue_sim.fem.solid.tissue import (
 )
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
-from tissue_sim.fem.taichi.scratch import LANES
+from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 

@@ -4,7 +4,7 @@ from functools import cache
 
 from tissue_sim.fem.solid.element import AssemblySettingColumn, make_element_functions
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.scratch import LANES
+from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.taichi.scratch import LANES
+from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.mesh.solid import SolidMesh
 
 

@@ -13,7 +13,7 @@ from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softenin
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.solid import energy as point
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.scratch import LANES, ScratchElementSizeLimit, get_shared_scratch_field
+from tissue_sim.fem.taichi.shared_fields import LANES, ScratchElementSizeLimit, get_shared_scratch_field
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 

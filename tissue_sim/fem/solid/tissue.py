@@ -15,7 +15,7 @@ from tissue_sim.fem.solid.element import AssemblySettingColumn
 from tissue_sim.fem.solid.point_effects import SolidPointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
-from tissue_sim.fem.taichi.scratch import LANES
+from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import BULK_RATIOS, Material, compute_finite_bulk_to_shear_ratio
 from tissue_sim.material.viscoelasticity import Prony

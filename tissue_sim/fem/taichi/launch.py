@@ -63,12 +63,6 @@ class BoundKernel(KernelOwner):
         return cls(kernel,
                    {name: arrays[name] for name in _list_argument_ranks_widths_and_types(kernel) if name in arrays})
 
-    def is_bound_to(self, kernel, arrays: Mapping[str, np.ndarray]) -> bool:
-        """Return whether this object is bound to this kernel and to these arrays (same memory and shape)."""
-        return kernel is self.kernel and all(
-            array.ctypes.data == arrays[name].ctypes.data and array.shape == arrays[name].shape
-            for name, array in self.arrays.items())
-
     def __call__(self) -> None:
         """Run the kernel. The first call compiles it, or loads it from the cache."""
         if self._start is None:

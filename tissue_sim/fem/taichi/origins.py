@@ -1,7 +1,7 @@
-"""Arrays that kernels address relative to a small field, the origin.
+"""Arrays that kernels address relative to small fields, the origins.
 
 Taichi addresses the elements of array arguments by 32-bit integers whose sign extension LLVM cannot simplify, so that
-eight neighbouring numbers are fetched by a gather instruction, which is slow on many processors, or one by one. The
+neighbouring numbers are fetched by a gather instruction, which is slow on many processors, or one by one. The
 elements of a field of vectors are loaded as vectors. Taichi checks no bounds: memory at a distance of a whole number of
 elements from a field is ``field[offset + i]``. The arrays are NumPy arrays in aligned anonymous maps, which are freed
 when their last view dies.
@@ -13,18 +13,50 @@ import ctypes
 import math
 import mmap
 from dataclasses import dataclass
+from enum import Enum
 from functools import cache
 
 import numpy as np
 
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.scratch import BLOCK, get_shared_fields
+from tissue_sim.fem.taichi.shared_fields import BLOCK, INTEGER_BLOCK, LANES, get_shared_fields
 
-#: Size of an element of the origin, bytes.
-BLOCK_BYTES = BLOCK * np.dtype(float).itemsize
-#: Largest distance of an array from the origin, in elements (127 GiB): indices of kernels have 32 bits, and the array
-#: itself needs a part of them.
+#: Alignment of an array, bytes: a cache line. The vectors of every origin divide it.
+ALIGNMENT = 64
+#: Largest distance of an array from an origin, in vectors of the origin (127 GiB of blocks): indices of kernels have 32
+#: bits, and the array itself needs a part of them.
 MAX_OFFSET = 2**31 - 2**24
+
+
+class OriginKind(Enum):
+    """Kind of an origin: name in `SharedFields`, type and number of the numbers in a vector.
+
+    Attributes:
+        REAL_BLOCKS: rows of blocks of band matrices, and single numbers.
+        REAL_LANES: one number for each element of a batch.
+        INTEGER_BLOCKS: single integers.
+        INTEGER_LANES: one integer for each element of a batch.
+    """
+
+    REAL_BLOCKS = ("blocks", np.dtype(np.float64), BLOCK)
+    REAL_LANES = ("lanes", np.dtype(np.float64), LANES)
+    INTEGER_BLOCKS = ("integer_blocks", np.dtype(np.int32), INTEGER_BLOCK)
+    INTEGER_LANES = ("integer_lanes", np.dtype(np.int32), LANES)
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of the numbers."""
+        return self.value[1]
+
+    @property
+    def width(self) -> int:
+        """Number of numbers in a vector."""
+        return self.value[2]
+
+    @property
+    def vector_bytes(self) -> int:
+        """Size of a vector, bytes."""
+        return self.width * self.dtype.itemsize
 
 
 @dataclass(frozen=True)
@@ -32,7 +64,7 @@ class Origin:
     """Field relative to which kernels address arrays.
 
     Attributes:
-        field: field of vectors of `BLOCK` numbers.
+        field: field of vectors.
         address: its address, bytes.
     """
 
@@ -41,10 +73,10 @@ class Origin:
 
 
 @cache
-def get_origin() -> Origin:
-    """Return the origin of this process."""
+def get_origin(kind: OriginKind = OriginKind.REAL_BLOCKS) -> Origin:
+    """Return an origin of this process."""
     ti = get_initialised_taichi()
-    field, address = get_shared_fields().origin, ti.u64
+    field, address = getattr(get_shared_fields(), kind.value[0]), ti.u64
 
     @ti.kernel
     def get_address() -> address:
@@ -53,37 +85,49 @@ def get_origin() -> Origin:
     return Origin(field, int(get_address()))
 
 
-def allocate_array(shape: tuple[int, ...]) -> np.ndarray:
-    """Return an array of zeros that kernels can address relative to the origin.
+def allocate_array(shape: tuple[int, ...], dtype: type = float) -> np.ndarray:
+    """Return an array of zeros that kernels can address relative to the origins.
 
     Args:
         shape: shape of the array.
+        dtype: float, or np.int32.
     """
-    count = math.prod(shape)
-    memory = mmap.mmap(-1, (-(-count // BLOCK) + 1) * BLOCK_BYTES)
+    count, size = math.prod(shape), np.dtype(dtype).itemsize
+    length = (-(-count * size // ALIGNMENT) + 1) * ALIGNMENT
+    # A private map: a process that is forked gets a copy. Windows has no such flag and no fork.
+    memory = mmap.mmap(-1, length, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS) if hasattr(mmap, "MAP_PRIVATE") \
+        else mmap.mmap(-1, length)
     address = ctypes.addressof(ctypes.c_char.from_buffer(memory))
-    return np.frombuffer(memory, count=count, offset=(get_origin().address - address) % BLOCK_BYTES).reshape(shape)
+    return np.frombuffer(memory, dtype, count, offset=-address % ALIGNMENT).reshape(shape)
 
 
-def compute_block_offset(array: np.ndarray) -> int:
-    """Return the index of the first element of an array relative to the origin, in vectors of `BLOCK` numbers.
+def copy_to_addressable_array(values: np.ndarray) -> np.ndarray:
+    """Return a copy of an array of floats or 32-bit integers that kernels can address relative to the origins."""
+    array = allocate_array(values.shape, values.dtype.type)
+    array[...] = values
+    return array
+
+
+def compute_offset(array: np.ndarray, kind: OriginKind = OriginKind.REAL_BLOCKS) -> int:
+    """Return the index of the first number of an array relative to an origin, in vectors of the origin.
 
     Args:
         array: array from `allocate_array`, or a contiguous part of one that begins with a whole vector.
+        kind: the origin.
 
     Raises:
         ValueError: the array has another type or is not contiguous, or begins inside a vector.
         OverflowError: the array is too far from the origin for an index of 32 bits.
     """
-    if array.dtype != float or not array.flags.c_contiguous:
-        raise ValueError(f"array must be C-contiguous with 64-bit floats; got type {array.dtype} and strides "
-                         f"{array.strides}. Use allocate_array.")
-    offset, rest = divmod(array.ctypes.data - get_origin().address, BLOCK_BYTES)
+    if array.dtype != kind.dtype or not array.flags.c_contiguous:
+        raise ValueError(f"array must be C-contiguous with numbers of type {kind.dtype}; got type {array.dtype} and "
+                         f"strides {array.strides}. Use allocate_array.")
+    offset, rest = divmod(array.ctypes.data - get_origin(kind).address, kind.vector_bytes)
     if rest:
-        raise ValueError(f"array must begin a whole number of {BLOCK_BYTES} bytes from the origin; got a remainder of "
-                         f"{rest} bytes. Use allocate_array.")
+        raise ValueError(f"array must begin a whole number of {kind.vector_bytes} bytes from the origin; got a "
+                         f"remainder of {rest} bytes. Use allocate_array.")
     if abs(offset) > MAX_OFFSET:
         raise OverflowError(f"the distance of an array from the origin must be at most {MAX_OFFSET} elements of "
-                            f"{BLOCK_BYTES} bytes; got {offset}. Create the simulator before other arrays of the "
+                            f"{kind.vector_bytes} bytes; got {offset}. Create the simulator before other arrays of the "
                             "process occupy that much address space.")
     return offset

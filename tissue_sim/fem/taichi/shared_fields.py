@@ -1,4 +1,4 @@
-"""Fields shared by all kernels: the scratch field for one batch of elements, and the origin of arrays.
+"""Fields shared by all kernels: the scratch field for one batch of elements, and the origins of arrays.
 
 Taichi numbers its fields in the order of creation, and the key of a cached kernel contains these numbers. All fields
 are created together, so that the key does not depend on the kernels that a process created before.
@@ -14,9 +14,11 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 LANES = 4
 #: Number of vectors in the scratch field.
 VECTORS = 3200
-#: Number of numbers in a vector of the origin, and in a row of a block of a band matrix.
+#: Number of numbers in a vector of the origin of blocks, and in a row of a block of a band matrix.
 BLOCK = 8
-#: Number of vectors of the origin. Kernels use its address only.
+#: Number of integers in a vector of the origin of integers, as long as a vector of `BLOCK` numbers.
+INTEGER_BLOCK = 16
+#: Number of vectors of an origin. Kernels use its address only.
 ORIGIN_SIZE = 64
 
 
@@ -47,21 +49,26 @@ def get_shared_scratch_field(lanes: int, size: int):
     """
     if lanes != LANES or size > VECTORS:
         raise ValueError(f"size must be at most {VECTORS} vectors of {LANES} components; got {size} vectors of "
-                         f"{lanes}. Increase VECTORS in tissue_sim/fem/taichi/scratch.py.")
+                         f"{lanes}. Increase VECTORS in tissue_sim/fem/taichi/shared_fields.py.")
     return get_shared_fields().scratch
 
 
 @dataclass(frozen=True)
 class SharedFields:
-    """The fields of a process.
+    """The fields of a process. Kernels address arrays relative to the origins (`tissue_sim.fem.taichi.origins`).
 
     Attributes:
-        origin: field of vectors of `BLOCK` numbers relative to which kernels address arrays, see
-            `tissue_sim.fem.taichi.origins`.
+        blocks: origin, vectors of `BLOCK` numbers.
+        lanes: origin, vectors of `LANES` numbers.
+        integer_blocks: origin, vectors of `INTEGER_BLOCK` integers of 32 bits.
+        integer_lanes: origin, vectors of `LANES` integers of 32 bits.
         scratch: scratch field, `VECTORS` vectors of `LANES` numbers.
     """
 
-    origin: object
+    blocks: object
+    lanes: object
+    integer_blocks: object
+    integer_lanes: object
     scratch: object
 
 
@@ -70,5 +77,8 @@ def get_shared_fields() -> SharedFields:
     """Return the fields of this process; the first call creates them."""
     ti = get_initialised_taichi()
     # The first field begins on a page of memory, so that the arrays that it addresses are aligned to cache lines.
-    return SharedFields(origin=ti.Vector.field(BLOCK, ti.f64, shape=ORIGIN_SIZE),
+    return SharedFields(blocks=ti.Vector.field(BLOCK, ti.f64, shape=ORIGIN_SIZE),
+                        lanes=ti.Vector.field(LANES, ti.f64, shape=ORIGIN_SIZE),
+                        integer_blocks=ti.Vector.field(INTEGER_BLOCK, ti.i32, shape=ORIGIN_SIZE),
+                        integer_lanes=ti.Vector.field(LANES, ti.i32, shape=ORIGIN_SIZE),
                         scratch=ti.Vector.field(LANES, ti.f64, shape=VECTORS))
