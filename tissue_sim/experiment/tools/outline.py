@@ -4,13 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
-from typing import TYPE_CHECKING
+from enum import IntEnum
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     import numpy as np
 
 #: Length of a shaft in radii of the tool; longer than any specimen.
 SHAFT_LENGTH = 1e3
+
+
+class OutlineLineColumn(IntEnum):
+    """Columns of `Profile.lines`, one row for each line segment.
+
+    Attributes:
+        R, Z: first point, m.
+        DIRECTION_R, DIRECTION_Z: unit vector to the second point.
+        LENGTH: length, m.
+    """
+
+    R = 0
+    Z = 1
+    DIRECTION_R = 2
+    DIRECTION_Z = 3
+    LENGTH = 4
+
+
+class ClosestOutlinePoints(NamedTuple):
+    """Closest points of a polyline.
+
+    Attributes:
+        line: index of the line segment, shape (n,).
+        distance: signed distance, m, negative inside of the body, shape (n,).
+        normal: outward unit normal (r, z), shape (n, 2).
+        curvature: of the curve at this distance from the polyline, 1/m, shape (n,); 0 unless the closest point is a
+            vertex.
+    """
+
+    line: np.ndarray
+    distance: np.ndarray
+    normal: np.ndarray
+    curvature: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,25 +75,52 @@ class Profile:
 
         object.__setattr__(self, "vertices", np.asarray(points, dtype=float))
 
-    def gap(self, points: np.ndarray) -> np.ndarray:
-        """Signed distance of points, shape (n, 2), from the surface, m, positive outside, shape (n,)."""
+    @cached_property
+    def lines(self) -> np.ndarray:
+        """Line segments of the polyline, with the columns `OutlineLineColumn`, shape (n - 1, 5)."""
         import numpy as np
 
-        points = np.asarray(points, dtype=float)
-        start, segment = self.vertices[:-1], np.diff(self.vertices, axis=0)
-        offset = points[:, None] - start
-        along = np.einsum("nsi,si->ns", offset, segment) / np.einsum("si,si->s", segment, segment)
-        share = np.clip(along, 0.0, 1.0)
-        arrow = offset - share[..., None] * segment
+        segment = np.diff(self.vertices, axis=0)
+        length = np.linalg.norm(segment, axis=1)
+        return np.column_stack([self.vertices[:-1], segment / length[:, None], length])
+
+    def find_closest_points(self, points: np.ndarray, first_line: int = 0,
+                            is_endless: bool = False) -> ClosestOutlinePoints:
+        """Find the closest points of the polyline, without its rounding.
+
+        `tissue_sim.fem.contact.closest_point` is the same algorithm for kernels.
+
+        Args:
+            points: (r, z), m, shape (n, 2).
+            first_line: index of the first line segment.
+            is_endless: whether the first line segment is extended without end before its first point.
+        """
+        import numpy as np
+
+        lines = self.lines[first_line:]
+        start, t, length = lines[:, :2], lines[:, 2:4], lines[:, OutlineLineColumn.LENGTH]
+        offset = np.asarray(points, dtype=float)[:, None] - start
+        along = np.einsum("nsi,si->ns", offset, t)
+        lower = np.where(is_endless & (np.arange(len(length)) == 0), -np.inf, 0.0)
+        share = np.maximum(np.minimum(along, length), lower)
+        arrow = offset - share[..., None] * t
         distance = np.linalg.norm(arrow, axis=-1)
-        normal = np.stack([segment[:, 1], -segment[:, 0]], axis=-1)
-        # At a vertex two segments are equally near; the one with the larger normal distance determines the sign.
-        front = np.einsum("nsi,si->ns", arrow, normal / np.linalg.norm(normal, axis=1)[:, None])
-        # Points before the start of the polyline are outside.
-        front[:, 0] = np.where(along[:, 0] < 0.0, np.abs(front[:, 0]), front[:, 0])
-        closest = np.lexsort((-np.abs(front), np.round(distance, 15)), axis=-1)[:, 0]
+        front = arrow[..., 0] * t[:, 1] - arrow[..., 1] * t[:, 0]
+        # At a vertex two segments are equally close; the one with the larger normal distance determines the sign.
+        best = np.lexsort((-np.abs(front), np.round(distance, 15)), axis=-1)[:, 0]
         rows = np.arange(len(points))
-        return np.copysign(distance[rows, closest], front[rows, closest]) - self.rounding
+        distance, front, share, along, arrow = (each[rows, best] for each in (distance, front, share, along, arrow))
+        # Points before the start of the polyline are outside.
+        inside = (front < 0.0) & (is_endless | ~((best == 0) & (along < 0.0)))
+        sign = np.where(inside, -1.0, 1.0)
+        beyond = (share != along) & (distance > 0.0)
+        safe = np.where(distance > 0.0, distance, 1.0)
+        normal = np.where(beyond[:, None], (sign / safe)[:, None] * arrow, np.stack([t[best, 1], -t[best, 0]], axis=-1))
+        return ClosestOutlinePoints(best + first_line, sign * distance, normal, np.where(beyond, sign / safe, 0.0))
+
+    def gap(self, points: np.ndarray) -> np.ndarray:
+        """Signed distance of points, shape (n, 2), from the surface, m, positive outside, shape (n,)."""
+        return self.find_closest_points(points).distance - self.rounding
 
     def sample_outline_up_to_height(self, height: float) -> np.ndarray:
         """Return points (r, z), m, on the surface from the axis up to `height`, m, for drawing, shape (n, 2)."""

@@ -30,7 +30,7 @@ TISSUE_ARRAYS = ArrayLayout(
 #: factorised matrix contains.
 SURFACE_ARRAYS = ArrayLayout(
     nodes=integer_array(2), shapes=real_array(2), spans=integer_array(2), places=real_array(2), areas=real_array(),
-    vertices=real_array(2), rounding=real_array(), friction=real_array(2), springs=real_array(), held=real_array(2),
+    lines=real_array(2), rounding=real_array(), friction=real_array(2), springs=real_array(), held=real_array(2),
     pressed=real_array(), slip_signs=real_array(), met=real_array(2), forces=real_array(2), rates=real_array(2),
     known_rates=real_array(2), law_settings=real_array())
 

@@ -28,14 +28,14 @@ class OutlineSpanColumn(IntEnum):
 
     Attributes:
         FIRST_LINE: index of the first line segment of the outline.
-        LAST_LINE: index of the last line segment.
+        END_LINE: one more than the index of the last line segment.
         SHAFT: index of the first line segment of the shaft, where the friction of the shaft begins.
         MOVES: 1 if the body moves with the tool, 0 if the body rests.
         STAYS: 1 if the point stays on the body even under tension, else 0.
     """
 
     FIRST_LINE = 0
-    LAST_LINE = 1
+    END_LINE = 1
     SHAFT = 2
     MOVES = 3
     STAYS = 4
@@ -155,7 +155,8 @@ class ContactPoints:
         nodes: nodes of the edge of each point, shape (n, a).
         shapes: shape functions of these nodes at the point, shape (n, a).
         spans: columns of `OutlineSpanColumn`, shape (n, 5).
-        vertices: vertices of the outlines of all bodies, one outline after the other, m, shape (v, 2).
+        lines: line segments of the outlines of all bodies, one outline after the other, with the columns
+            `tissue_sim.experiment.tools.outline.OutlineLineColumn`, shape (lines, 5).
         rounding: edge radius of each point's body, m, shape (n,).
         friction: coefficients of the face and of the shaft of each point's body, shape (n, 2).
         places: (r, z) of the undeformed points, m, shape (n, 2).
@@ -195,7 +196,8 @@ class ContactPoints:
                 edges.append((edge, at, weights))
         self.count = len(points)
         if not points:
-            unused = ContactPair(Profile(np.zeros((2, 2)), 0.0, 0), np.zeros((1, order + 1), np.int32), (0.0, 0.0))
+            plane = Profile([(0.0, 0.0), (1.0, 0.0)], 0.0, 0)
+            unused = ContactPair(plane, np.zeros((1, order + 1), np.int32), (0.0, 0.0))
             points = [(unused, unused.edges[0], 0.0)]
         owners, n = [pair for pair, _edge, _coordinate in points], len(points)
         self.nodes = np.array([edge for _pair, edge, _coordinate in points], dtype=np.int32)
@@ -207,11 +209,11 @@ class ContactPoints:
         self._profiles = list({id(pair.profile): pair.profile for pair in owners}.values())
         number_of = {id(profile): k for k, profile in enumerate(self._profiles)}
         self._owner = np.array([number_of[id(pair.profile)] for pair in owners])
-        self.vertices = np.concatenate([profile.vertices for profile in self._profiles])
-        ends = np.cumsum([len(profile.vertices) for profile in self._profiles])
-        firsts = ends - [len(profile.vertices) for profile in self._profiles]
+        self.lines = np.concatenate([profile.lines for profile in self._profiles])
+        ends = np.cumsum([len(profile.lines) for profile in self._profiles])
+        firsts = ends - [len(profile.lines) for profile in self._profiles]
         self.spans = np.array([
-            (firsts[k] + pair.first_line, ends[k] - 2, firsts[k] + pair.profile.shaft, pair.moves, pair.stays)
+            (firsts[k] + pair.first_line, ends[k], firsts[k] + pair.profile.shaft, pair.moves, pair.stays)
             for k, pair in zip(self._owner, owners, strict=True)], dtype=np.int32)
         self.rounding = np.array([pair.profile.rounding for pair in owners])
         self.friction = np.array([pair.friction for pair in owners], dtype=float)

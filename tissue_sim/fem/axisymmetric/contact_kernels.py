@@ -25,7 +25,7 @@ from tissue_sim.fem.axisymmetric.contact import (
     FactorisedRateColumn,
     OutlineSpanColumn,
 )
-from tissue_sim.fem.axisymmetric.contact_gap import make_closest_point_function
+from tissue_sim.fem.axisymmetric.contact_gap import make_gap_function
 from tissue_sim.fem.axisymmetric.contact_laws import make_contact_law_functions
 from tissue_sim.fem.axisymmetric.newton_tables import NEWTON, SettingIndex
 from tissue_sim.fem.contact_settings import ALL_POINTS, ActiveSetSettings, ContactBondState
@@ -60,7 +60,7 @@ def make_contact_force_functions(laws: tuple[FormulaClassAndConstants, ...] = ()
     """Return the contact functions; `laws` are additional contact laws, such as adhesion."""
     ti = get_initialised_taichi()
     has_laws, law = bool(laws), make_contact_law_functions(laws)
-    compute_gap_and_normal_at_closest_point = make_closest_point_function()
+    compute_gap_and_normal = make_gap_function()
 
     @ti.func
     def add_contact_forces_and_update_active_set(count, changeable, slack, pending, bending, depth, free,
@@ -95,7 +95,7 @@ def make_contact_force_functions(laws: tuple[FormulaClassAndConstants, ...] = ()
             clings = bound == TOUCHED and surface.friction[i, 0] < 0.0
             r = surface.places[i, 0] + (surface.held[i, 1] if clings else ur)
             z = surface.places[i, 1] + (surface.held[i, 2] if clings else uz)
-            gap, nr, nz, curved, line = compute_gap_and_normal_at_closest_point(r, z, i, depth, surface)
+            gap, nr, nz, curved, line = compute_gap_and_normal(r, z, i, depth, surface)
             if clings:
                 gap, curved = (ur - surface.held[i, 1]) * nr + (uz - surface.held[i, 2]) * nz, 0.0
             # Rounded edges have the friction of the face.
@@ -310,7 +310,7 @@ def make_contact_force_functions(laws: tuple[FormulaClassAndConstants, ...] = ()
         for i in range(count):
             if surface.held[i, 0] == HELD and surface.spans[i, OutlineSpanColumn.STAYS] == 0:
                 r, z = surface.places[i, 0] + surface.held[i, 1], surface.places[i, 1] + surface.held[i, 2]
-                _, nr, nz, _, _ = compute_gap_and_normal_at_closest_point(r, z, i, 0.0, surface)
+                _, nr, nz, _, _ = compute_gap_and_normal(r, z, i, 0.0, surface)
                 if nr * surface.forces[i, 0] + nz * surface.forces[i, 1] > strength * surface.areas[i] + negligible:
                     released += 1
                     surface.held[i, 0] = TOUCHED if reach > 0.0 else FREE

@@ -26,6 +26,7 @@ from tissue_sim.fem.condensed.tables import (
     NodeListColumn,
     SurfaceNodeColumn,
 )
+from tissue_sim.fem.contact.closest_point import make_closest_point_function
 from tissue_sim.fem.contact_settings import SOLID_PENALTY, ContactBondState
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES, get_shared_scratch_field
@@ -58,9 +59,10 @@ def make_normal_tangential_compliance_function():
 def make_contact_iteration_kernel():
     """Return the kernel of one contact iteration; for its arrays see the enumerations in `tables`."""
     ti = get_initialised_taichi()
-    real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
+    real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
     int2 = ti.types.ndarray(ti.i32, ndim=2)
     vector1 = ti.types.ndarray(ti.types.vector(LANES, ti.f64), ndim=1)
+    find_closest_outline_point = make_closest_point_function()
     normal_and_tangential_compliance = make_normal_tangential_compliance_function()
     move = get_shared_scratch_field(LANES, MAX_FREEDOMS // LANES)
 
@@ -130,27 +132,11 @@ def make_contact_iteration_kernel():
         at = R.transpose() @ arm
         # Closest-point projection on the outline.
         body = states[s, NodeBondAndStatusColumn.OUTLINE]
-        rounding, shaft, lines = shapes[body, 0], shapes[body, 1], ti.cast(shapes[body, 3], ti.i32)
-        closed = shapes[body, 2] * settings[KernelSetting.PRESSED_IN]
+        rounding, first = shapes[body, 0], body * (chains.shape[0] // shapes.shape[0])
+        endless = 1 if shapes[body, 2] * settings[KernelSetting.PRESSED_IN] > 0.0 else 0
         r = ti.sqrt(at[0] * at[0] + at[1] * at[1])
-        best, distance, front, along, share, arrow_r, arrow_z = 0, 1e30, 0.0, 0.0, 0.0, 0.0, 0.0
-        for line in range(lines):
-            tr, tz = chains[body, line, 2], chains[body, line, 3]
-            x, z = r - chains[body, line, 0], at[2] - chains[body, line, 1]
-            l = x * tr + z * tz
-            part = ti.min(l, chains[body, line, 4])
-            if not (closed > 0.0 and line == 0):
-                part = ti.max(part, 0.0)
-            ar, az = x - part * tr, z - part * tz
-            d, f = ti.sqrt(ar * ar + az * az), ar * tz - az * tr
-            if d < distance - 5e-16 or (d <= distance + 5e-16 and ti.abs(f) > ti.abs(front)):
-                best, distance, front, along, share, arrow_r, arrow_z = line, d, f, l, part, ar, az
-        inside = front < 0.0 and (closed > 0.0 or not (best == 0 and along < 0.0))
-        sign = -1.0 if inside else 1.0
-        beyond = share != along and distance > 0.0
-        n_r, n_z, bent = chains[body, best, 3], -chains[body, best, 2], 0.0
-        if beyond:
-            n_r, n_z, bent = sign / distance * arrow_r, sign / distance * arrow_z, sign / distance
+        best, distance, n_r, n_z, bent = find_closest_outline_point(
+            r, at[2], first, first + ti.cast(shapes[body, 3], ti.i32), endless, chains)
         out = ti.Vector([1.0, 0.0, 0.0])
         hoop = bent
         if r > 0.0:
@@ -162,9 +148,9 @@ def make_contact_iteration_kernel():
         meridian = R @ (n_r * up - n_z * out)
         n_tool = n_r * out + n_z * up
         n = R @ n_tool
-        gap = sign * distance - rounding
+        gap = distance - rounding
         mu = surface[s, SurfaceNodeColumn.FRICTION]
-        if best >= shaft and not (beyond and rounding > 0.0):
+        if best - first >= shapes[body, 1] and not (bent != 0.0 and rounding > 0.0):
             mu = surface[s, SurfaceNodeColumn.FRICTION + 1]
         # Displacement relative to the tool since all nodes were evaluated: other nodes may have come near.
         for a in ti.static(range(3)):
@@ -256,7 +242,7 @@ def make_contact_iteration_kernel():
         lists[i, NodeListColumn.STATUS] = state
 
     @ti.kernel
-    def evaluate_contact_and_assemble_equations(settings: real1, results: real1, chains: real3, shapes: real2,
+    def evaluate_contact_and_assemble_equations(settings: real1, results: real1, chains: real2, shapes: real2,
                                                 surface: real2,
                                                 states: int2, carried: real2, lists: int2, free_displacement: real2,
                                                 tool_coupling: real2,

@@ -35,7 +35,8 @@ class ContactSurface:
         springs: penalty stiffness over the shear modulus, m, shape (s,).
         friction: coefficients of friction of the tool's face and of its shaft, -1 for no slip, shape (s, 2).
         outlines: index of the outline that each node may touch, shape (s,).
-        chains: line segments of the outlines: start (r, z), direction (r, z) and length, m, shape (outlines, lines, 5).
+        chains: line segments of the outlines, with the columns
+            `tissue_sim.experiment.tools.outline.OutlineLineColumn`, shape (outlines, lines, 5).
         shapes: constants of the outlines, shape (outlines, 5): edge radius, m; index of the first segment of the
             shaft; 1 if a sharp shaft is extended downwards; number of segments; radius below which a point counts as
             on the axis, m.

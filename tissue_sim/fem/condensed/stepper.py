@@ -114,10 +114,11 @@ class CondensedStepper:
                                                                  NodeListColumn.STATUS))
         self._guess = local[:, LinearisedContactColumn.FORCE:LinearisedContactColumn.FORCE + 3]
         arrays = {
-            "settings": self._settings, "results": self._results, "chains": surface.chains, "shapes": surface.shapes,
+            "settings": self._settings, "results": self._results,
+            "chains": surface.chains.reshape(-1, surface.chains.shape[-1]), "shapes": surface.shapes,
             "surface": np.column_stack([surface.places, surface.springs, surface.friction]), "states": self._states,
             "carried": self._carried, "lists": lists, "free_displacement": self._free_displacement,
-                  "tool_coupling": self._tool_coupling,
+            "tool_coupling": self._tool_coupling,
             "compliance": self._compliance, "rows": self._compliance.reshape(-1, LANES), "u": np.zeros(width),
             "local": local, "columns": self._columns, "matrix": self._matrix, "right": self._right}
         self._sum = np.zeros(ANSWER_SIZE)

@@ -79,7 +79,7 @@ class LayerContact:
         self._report = np.zeros(LayerResult.COUNT)
         self._products = np.zeros((modes + 6, modes + 6))
         self._arrays = {
-            "settings": self._settings, "vertices": np.ascontiguousarray(profile.vertices),
+            "settings": self._settings, "lines": profile.lines,
             "shaft": np.array([profile.shaft], dtype=np.int32), "places": self.places, "moved": self._moved,
             "springs": self._springs, "friction": friction,
             "first": np.array([body.first_line for body in own], dtype=np.int32),

@@ -1,11 +1,9 @@
-"""Taichi kernel of penalty contact between nodes and a rigid body of revolution with a thin elastic layer.
-
-The closest point of the body is found as in `tissue_sim.fem.solid.bodies.find_nearest_surface_geometry`.
-"""
+"""Taichi kernel of penalty contact between nodes and a rigid body of revolution with a thin elastic layer."""
 
 from enum import IntEnum
 from functools import cache
 
+from tissue_sim.fem.contact.closest_point import make_closest_point_function
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
@@ -66,11 +64,12 @@ def make_layer_contact_kernel():
     the lever arms, shape (3, modes). Forces are in the frame of the mesh, N.
     """
     ti = get_initialised_taichi()
+    find_closest_outline_point = make_closest_point_function()
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     int1 = ti.types.ndarray(ti.i32, ndim=1)
 
     @ti.func
-    def write_node_force_and_derivative(n, settings: ti.template(), vertices: ti.template(), shaft: ti.template(),
+    def write_node_force_and_derivative(n, settings: ti.template(), lines: ti.template(), shaft: ti.template(),
                                         places: ti.template(),
                                         moved: ti.template(), springs: ti.template(), friction: ti.template(),
                                         first: ti.template(),
@@ -89,32 +88,8 @@ def make_layer_contact_kernel():
         if (closed[n] > 0 and settings[LayerSetting.PRESSED_IN] > 0.0 and first[n] == shaft[0]
                 and settings[LayerSetting.ROUNDING] == 0.0):
             endless = 1
-        best, near, front, beyond, arrow_r, arrow_z, before = -1, 1e30, 0.0, 0, 0.0, 0.0, 0
-        for line in range(first[n], vertices.shape[0] - 1):
-            start_r, start_z = vertices[line, 0], vertices[line, 1]
-            way_r, way_z = vertices[line + 1, 0] - start_r, vertices[line + 1, 1] - start_z
-            length = ti.sqrt(way_r * way_r + way_z * way_z)
-            t_r, t_z = way_r / length, way_z / length
-            along = (r - start_r) * t_r + (z - start_z) * t_z
-            share = ti.min(along, length)
-            if not (endless == 1 and line == first[n]):
-                share = ti.max(share, 0.0)
-            a_r, a_z = r - start_r - share * t_r, z - start_z - share * t_z
-            distance = ti.sqrt(a_r * a_r + a_z * a_z)
-            ahead = a_r * t_z - a_z * t_r
-            # At a vertex two lines are equally close; the line with the larger signed distance decides.
-            if distance < near - 1e-15 or (distance < near + 1e-15 and ti.abs(ahead) > ti.abs(front)):
-                best, near, front, arrow_r, arrow_z = line, distance, ahead, a_r, a_z
-                beyond = 1 if share != along and distance > 0.0 else 0
-                before = 1 if line == first[n] and along < 0.0 and endless == 0 else 0
-        sign = -1.0 if front < 0.0 and before == 0 else 1.0
-        way_r = vertices[best + 1, 0] - vertices[best, 0]
-        way_z = vertices[best + 1, 1] - vertices[best, 1]
-        length = ti.sqrt(way_r * way_r + way_z * way_z)
-        n_r, n_z, bent = way_z / length, -way_r / length, 0.0
-        if beyond == 1:
-            n_r, n_z, bent = sign * arrow_r / near, sign * arrow_z / near, sign / near
-        gap = sign * near - settings[LayerSetting.ROUNDING]
+        best, distance, n_r, n_z, bent = find_closest_outline_point(r, z, first[n], lines.shape[0], endless, lines)
+        gap = distance - settings[LayerSetting.ROUNDING]
         gaps[n] = gap
         zone = settings[LayerSetting.ZONE]
         states[n] = NodeState.FREE
@@ -139,7 +114,7 @@ def make_layer_contact_kernel():
                                                      + hoop * around.outer_product(around))
             force = pressure * normal
             states[n] = NodeState.STICKS
-            on_shaft = 1 if best >= shaft[0] and not (beyond == 1 and settings[LayerSetting.ROUNDING] > 0.0) else 0
+            on_shaft = 1 if best >= shaft[0] and not (bent != 0.0 and settings[LayerSetting.ROUNDING] > 0.0) else 0
             mu = friction[n, on_shaft]
             # A node that comes into contact in this step gets its anchor at the end of the step.
             if mu > 0.0 and touched[n] > 0:
@@ -199,7 +174,7 @@ def make_layer_contact_kernel():
                 answers[at + i, modes + m] = answer[i]
 
     @ti.kernel
-    def evaluate_layer_contact(settings: real1, vertices: real2, shaft: int1, places: real2, moved: real2,
+    def evaluate_layer_contact(settings: real1, lines: real2, shaft: int1, places: real2, moved: real2,
                                springs: real1,
                                friction: real2, first: int1, closed: int1, anchors: real2, touched: int1, forces: real2,
                                rates: real3,
@@ -215,7 +190,7 @@ def make_layer_contact_kernel():
                     twists[i, m] = 0.0
             touching, slipping, depth = 0, 0, 0.0
             for n in range(places.shape[0]):
-                write_node_force_and_derivative(n, settings, vertices, shaft, places, moved, springs, friction, first,
+                write_node_force_and_derivative(n, settings, lines, shaft, places, moved, springs, friction, first,
                                                 closed, anchors, touched, forces, rates, gaps, new_anchors, states)
                 if states[n] != NodeState.FREE:
                     project_node_force_on_modes(n, 3 * touching, settings, places, moved, forces, rates, rows, met,

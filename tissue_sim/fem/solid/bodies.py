@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.experiment.tools.outline import Profile
+from tissue_sim.experiment.tools.outline import OutlineLineColumn, Profile
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,35 +65,16 @@ def find_nearest_surface_geometry(body: RigidBody, points: np.ndarray, pressed_i
     profile, first = body.profile, body.first_line
     closed = body.closed and pressed_in and first == profile.shaft and profile.rounding == 0.0
     r = np.hypot(points[:, 0], points[:, 1])
-    start, way = profile.vertices[first:-1], np.diff(profile.vertices[first:], axis=0)
-    length = np.linalg.norm(way, axis=1)
-    t = way / length[:, None]
-    offset = np.stack([r, points[:, 2]], axis=-1)[:, None] - start  # (n, lines, 2)
-    along = np.einsum("nsi,si->ns", offset, t)
-    lower = np.where(closed & (np.arange(len(length)) == 0), -np.inf, 0.0)
-    share = np.maximum(np.minimum(along, length), lower)
-    arrow = offset - share[..., None] * t
-    distance = np.linalg.norm(arrow, axis=-1)
-    front = arrow[..., 0] * t[:, 1] - arrow[..., 1] * t[:, 0]
-    # At a vertex two segments are equally near; the one with the larger normal distance determines the sign.
-    best = np.lexsort((-np.abs(front), np.round(distance, 15)), axis=-1)[:, 0]
-    rows = np.arange(len(points))
-    distance, front, share, along, arrow = (each[rows, best] for each in (distance, front, share, along, arrow))
-    # Points before the start of the polyline are outside.
-    inside = (front < 0.0) & (closed | ~((best == 0) & (along < 0.0)))
-    sign = np.where(inside, -1.0, 1.0)
-    beyond = (share != along) & (distance > 0.0)
-    safe = np.where(distance > 0.0, distance, 1.0)
-    n2 = np.where(beyond[:, None], (sign / safe)[:, None] * arrow, np.stack([t[best, 1], -t[best, 0]], axis=-1))
-    bent = np.where(beyond, sign / safe, 0.0)
+    line, distance, n2, bent = profile.find_closest_points(np.stack([r, points[:, 2]], axis=-1), first, closed)
     outwards = np.where(r[:, None] > 0.0, points[:, :2] / np.where(r > 0.0, r, 1.0)[:, None], [1.0, 0.0])
     normal = np.concatenate([n2[:, :1] * outwards, n2[:, 1:]], axis=1)
     meridian = np.concatenate([-n2[:, 1:] * outwards, n2[:, :1]], axis=1)
     around = np.stack([-outwards[:, 1], outwards[:, 0], np.zeros(len(r))], axis=-1)
     # On the axis both principal curvatures are equal.
+    length = profile.lines[first:, OutlineLineColumn.LENGTH]
     hoop = np.where(r > 1e-9 * length.max(initial=1.0), n2[:, 0] / np.where(r > 0.0, r, 1.0), bent)
     curvature = (bent[:, None, None] * meridian[:, :, None] * meridian[:, None]
                  + hoop[:, None, None] * around[:, :, None] * around[:, None])
-    rounded = beyond & (profile.rounding > 0.0)
-    return NearestSurfaceGeometry(sign * distance - profile.rounding, normal, curvature,
-                                  (best + first >= profile.shaft) & ~rounded, meridian)
+    rounded = (bent != 0.0) & (profile.rounding > 0.0)
+    return NearestSurfaceGeometry(distance - profile.rounding, normal, curvature, (line >= profile.shaft) & ~rounded,
+                                  meridian)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.tools.outline import OutlineLineColumn
 from tissue_sim.fem.condensed.model import (
     CondensedBulk,
     ContactState,
@@ -123,7 +124,7 @@ class SolidLinearisation:
         """Return the description of surface and tool for the contact solver, with at most `candidates` nodes."""
         solver, contact, mine = self._solver, self._solver.contact, self._mine
         bodies = [body for body in contact.bodies if body.moves]
-        lines = max((len(body.profile.vertices) - 1 - body.first_line for body in bodies), default=1)
+        lines = max((len(body.profile.lines) - body.first_line for body in bodies), default=1)
         chains, shapes = np.zeros((max(1, len(bodies)), lines, 5)), np.zeros((max(1, len(bodies)), 5))
         outlines, friction = np.zeros(mine.size, dtype=np.int32), np.zeros((mine.size, 2))
         for number, body in enumerate(bodies):
@@ -391,8 +392,8 @@ def make_linearisation(model: Model, *, resolution: str = "realtime", mesh: Soli
 def _pack_outline_segments_and_constants(body: RigidBody) -> tuple[np.ndarray, tuple[float, ...]]:
     """Return the segments of a body's outline, shape (lines, 5), and its row of `ContactSurface.shapes`."""
     profile, first = body.profile, body.first_line
-    start, segment = profile.vertices[first:-1], np.diff(profile.vertices[first:], axis=0)
-    length = np.linalg.norm(segment, axis=1)
+    lines = profile.lines[first:]
+    length = lines[:, OutlineLineColumn.LENGTH]
     closed = float(body.closed and first == profile.shaft and profile.rounding == 0.0)
-    return np.column_stack([start, segment / length[:, None], length]), (
+    return lines, (
         profile.rounding, profile.shaft - first, closed, len(length), _SETTINGS.on_axis * length.max(initial=1.0))

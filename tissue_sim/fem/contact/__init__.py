@@ -1,0 +1,1 @@
+"""Contact of tissue with rigid bodies: functions that the kernels of all solvers share."""
