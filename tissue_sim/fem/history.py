@@ -6,6 +6,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from tissue_sim.fem.taichi.array_tables import ArrayLayout, real_array
 from tissue_sim.fem.taichi.origins import allocate_array
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony
@@ -22,6 +23,12 @@ class RelaxationSofteningCoefficient(IntEnum):
     LOSS = 2
     LOSS_MODULUS = 3
     LOSS_SHARE = 4
+
+
+#: Coefficients of the law, and the arrays of `MaterialMemory`.
+MATERIAL_ARRAYS = ArrayLayout(
+    coefficients=real_array(), past=real_array(), inherited=real_array(3), largest=real_array(2),
+    stresses=real_array(3), energies=real_array(2), before=real_array(3), internal=real_array(4))
 
 
 class MaterialMemory:
@@ -117,6 +124,11 @@ class MaterialMemory:
         if self._prony is None:
             return self.stresses.copy()
         return (1.0 - self._prony.relaxing_fraction) * self.before + self.internal.sum(axis=0)
+
+    def collect_arrays_by_name(self) -> dict[str, np.ndarray]:
+        """Return the arrays of `MATERIAL_ARRAYS` except the coefficients of the law."""
+        return {"past": self.past, "inherited": self.inherited, "largest": self.largest, "stresses": self.stresses,
+                "energies": self.energies, "before": self.before, "internal": self.internal}
 
     @property
     def state_arrays(self) -> tuple[np.ndarray, ...]:

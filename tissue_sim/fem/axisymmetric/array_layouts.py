@@ -1,5 +1,6 @@
 """Layouts of the arrays of the axisymmetric kernels, see `tissue_sim.fem.taichi.array_tables`."""
 
+from tissue_sim.fem.history import MATERIAL_ARRAYS
 from tissue_sim.fem.taichi.array_tables import (
     LANE_INTEGERS,
     LANE_REALS,
@@ -22,9 +23,8 @@ ELEMENT_ARRAYS = ArrayLayout(
 #: Law, material history and effects at the quadrature points, see `tissue_sim.fem.history.MaterialMemory` and
 #: `tissue_sim.fem.point_effects.PointEffects`.
 TISSUE_ARRAYS = ArrayLayout(
-    coefficients=real_array(), past=real_array(), inherited=real_array(3), largest=real_array(2),
-    stresses=real_array(3), energies=real_array(2), before=real_array(3), internal=real_array(4),
-    effect_settings=real_array(), effect_states=real_array(3), effect_states_found=real_array(3))
+    **MATERIAL_ARRAYS.types, effect_settings=real_array(), effect_states=real_array(3),
+    effect_states_found=real_array(3))
 
 #: Contact points, see `tissue_sim.fem.axisymmetric.contact.ContactPoints`; `known_rates` are the derivatives that the
 #: factorised matrix contains.

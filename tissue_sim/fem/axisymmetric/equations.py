@@ -377,10 +377,9 @@ class EquilibriumEquations:
     def _collect_tissue_arrays_by_name(self) -> dict[str, np.ndarray]:
         """Return the arrays of `TISSUE_ARRAYS`."""
         memory, effects = self.memory, self.effects
-        return {"coefficients": self._coefficients, "past": memory.past, "inherited": memory.inherited,
-                "largest": memory.largest, "stresses": memory.stresses, "energies": memory.energies,
-                "before": memory.before, "internal": memory.internal, "effect_settings": effects.settings,
-                "effect_states": effects.states, "effect_states_found": effects.found}
+        return {"coefficients": self._coefficients, **memory.collect_arrays_by_name(),
+                "effect_settings": effects.settings, "effect_states": effects.states,
+                "effect_states_found": effects.found}
 
     def _collect_state_arrays_by_name(self) -> dict[str, np.ndarray]:
         """Return the arrays of `STATE_ARRAYS`."""

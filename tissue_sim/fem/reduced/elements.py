@@ -14,7 +14,6 @@ from tissue_sim.fem.solid.tissue import (
     get_modulus_ratios_of_layer_indices,
     group_elements_by_region,
 )
-from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.material.material import Material
@@ -188,18 +187,18 @@ class SampledElements:
         for region, part, stated, whole, bulk in zip(self._regions, batches.parts, materials, wholes, bulks,
                                                      strict=True):
             blocks = self._blocks[LANES * part.start : LANES * part.stop]
-            named = region.set_material(stated, bulk,
-                                        self._contact_radius) | batches.get_kernel_arrays_by_name(part) | {
-                "x": self._x, "motion": self._motion, "groups": self._groups[part], "wanted": self._wanted,
-                "blocks": blocks.reshape(len(blocks) * freedoms**2),
-                "standing": self._view_rows_of_batch_range(self._standing, part)}
+            region.set_material(stated, bulk, self._contact_radius)
+            standing = self._view_rows_of_batch_range(self._standing, part)
             # The pressures at rest belong to the bulk modulus of the full-order solid, not to the limited one.
             per_bulk = (1.0 / whole - 1.0 / bulk) / batches.moduli[part]
             pressures = self._view_rows_of_batch_range(self.rest_pressures, part).reshape(len(per_bulk), -1, LANES)
-            self._view_rows_of_batch_range(self._standing, part)[:] = (per_bulk[:, None] * pressures).reshape(-1, LANES)
+            standing[:] = (per_bulk[:, None] * pressures).reshape(-1, LANES)
             with LOCK:
                 kernel = make_sampled_elements_kernel(self._mesh.element.name, stated.energy_law.kernel_energy)
-                region.kernel = BoundKernel.bind_by_name(kernel, named)
+                region.bind_kernel(kernel, batches.collect_arrays_by_name(part), {
+                    "x": self._x, "motion": self._motion, "residual": batches.residual, "groups": self._groups[part],
+                    "wanted": self._wanted, "blocks": blocks.reshape(len(blocks) * freedoms**2),
+                    "standing": standing})
             self._moduli[part] = stated.mu0 * batches.moduli[part]
         self._next = -1
         stiffer = np.divide(self._moduli, before, out=np.ones_like(before), where=before > 0.0)

@@ -3,7 +3,8 @@
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.solid.element import AssemblySettingColumn, make_element_functions
+from tissue_sim.fem.history import MATERIAL_ARRAYS
+from tissue_sim.fem.solid.element import ELEMENT_ARRAYS, AssemblySettingColumn, make_element_functions
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.laws import KernelEnergy
@@ -34,27 +35,26 @@ def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
     freedoms = 3 * nodes
     integrate_forces, compute_stiffness_blocks = make_element_functions(element_name, energy)
     vec = ti.types.vector(LANES, ti.f64)
-    real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
+    real1 = ti.types.ndarray(ti.f64, ndim=1)
     single1 = ti.types.ndarray(ti.f32, ndim=1)
-    int1, int2 = (ti.types.ndarray(ti.i32, ndim=n) for n in (1, 2))
+    int1 = ti.types.ndarray(ti.i32, ndim=1)
     vector1 = ti.types.ndarray(vec, ndim=1)
 
     @ti.func
-    def update_batch_pressures_linearly(b, kappa, motion: ti.template(), dofs: ti.template(), pressures: ti.template(),
-                                        moduli: ti.template(), volume_rates: ti.template(), gaps: ti.template()):
+    def update_batch_pressures_linearly(b, kappa, motion: ti.template(), elements: ti.template()):
         """Update the pressures of batch b by the linearised pressure equation and the last nodal ``motion``."""
-        bulk = kappa * moduli[b]
+        bulk = kappa * elements.moduli[b]
         for m in range(pressure_modes):
             at = b * pressure_modes + m
-            gap = gaps[at]
+            gap = elements.gaps[at]
             for a in range(nodes):
                 for k in ti.static(range(3)):
-                    moved = ti.Vector([motion[dofs[b * nodes + a, l] + k] for l in ti.static(range(LANES))])
-                    gap = gap + volume_rates[at * freedoms + 3 * a + k] * moved
-            pressures[at] = pressures[at] + bulk * gap
+                    moved = ti.Vector([motion[elements.dofs[b * nodes + a][l] + k] for l in ti.static(range(LANES))])
+                    gap = gap + elements.volume_rates[at * freedoms + 3 * a + k] * moved
+            elements.pressures[at] = elements.pressures[at] + bulk * gap
 
     @ti.func
-    def expand_stiffness_to_element_matrices(b, stiffness: ti.template(), blocks: ti.template()):
+    def expand_stiffness_to_element_matrices(b, elements: ti.template(), blocks: ti.template()):
         """Copy the stiffness blocks of a batch to one full matrix for each element."""
         for c in range(nodes):
             for a in range(c + 1):
@@ -65,51 +65,43 @@ def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
                     below, above = first + freedoms * 3 * a + 3 * c, first + freedoms * 3 * c + 3 * a
                     for k in ti.static(range(3)):
                         for i in ti.static(range(3)):
-                            K = ti.cast(stiffness[pair + 3 * k + i][l], ti.f32)
+                            K = ti.cast(elements.stiffness[pair + 3 * k + i][l], ti.f32)
                             blocks[below + freedoms * i + k] = K
                             blocks[above + freedoms * k + i] = K
 
     @ti.kernel
-    def compute_sampled_nodal_forces_and_matrices(settings: real1, least: real1, x: real1, motion: real1,
-                                                  residual: real1, pressures: vector1,
-                                                  dofs: int2, equations: int2, gradient_x: vector1, gradient_y: vector1,
-                                                  gradient_z: vector1,
-                                                  weights: vector1, mode_values: vector1, moduli: vector1,
-                                                  coefficients: real1, elements: int2,
-                                                  past: real1, inherited: real3, largest: real2, stresses: real3,
-                                                  energies: real2,
-                                                  volume_rates: vector1, gaps: vector1, forces: vector1,
-                                                  stiffness: vector1, groups: int1,
-                                                  wanted: real1, blocks: single1, standing: vector1):
+    def compute_sampled_nodal_forces_and_matrices(settings: real1, least: real1, batches: int1, x: real1, motion: real1,
+                                                  residual: real1, groups: int1, wanted: real1, blocks: single1,
+                                                  standing: vector1, element_table: int1, material_table: int1):
         """Compute nodal forces and the smallest J, and the stiffness matrices of the elements in wanted groups."""
         ti.loop_config(serialize=True)
         for _ in range(1):
+            elements, material = ELEMENT_ARRAYS.open_table(element_table), MATERIAL_ARRAYS.open_table(material_table)
             kappa, remembers = settings[AssemblySettingColumn.KAPPA], settings[AssemblySettingColumn.REMEMBERS]
             least[0] = 1e30
             if settings[AssemblySettingColumn.ADDS] == 0.0:
                 for i in range(residual.shape[0]):
                     residual[i] = 0.0
-            for b in range(moduli.shape[0]):
+            for b in range(batches[0]):
                 stiff = wanted[groups[b]]
                 if settings[AdditionalSampledSettingColumn.UPDATES_PRESSURE] > 0.0:
-                    update_batch_pressures_linearly(b, kappa, motion, dofs, pressures, moduli, volume_rates, gaps)
-                smallest = integrate_forces(b, kappa, stiff, remembers, x, pressures, dofs, gradient_x, gradient_y,
-                                            gradient_z, weights, mode_values, moduli, coefficients, elements, past,
-                                            inherited, largest, stresses, energies, volume_rates, gaps, forces)
+                    update_batch_pressures_linearly(b, kappa, motion, elements)
+                smallest = integrate_forces(b, kappa, stiff, remembers, x, elements, material)
                 least[0] = ti.min(least[0], smallest)
-                bulk = kappa * moduli[b]
+                bulk = kappa * elements.moduli[b]
                 for m in range(pressure_modes):
-                    gaps[b * pressure_modes + m] = gaps[b * pressure_modes + m] - standing[b * pressure_modes + m]
+                    at = b * pressure_modes + m
+                    elements.gaps[at] = elements.gaps[at] - standing[at]
                 for i in range(freedoms):
-                    force = forces[b * freedoms + i]
+                    force = elements.forces[b * freedoms + i]
                     for m in range(pressure_modes):
                         at = b * pressure_modes + m
-                        force = force - bulk * standing[at] * volume_rates[at * freedoms + i]
+                        force = force - bulk * standing[at] * elements.volume_rates[at * freedoms + i]
                     for l in ti.static(range(LANES)):
-                        e = equations[b * freedoms + i, l]
+                        e = elements.equations[b * freedoms + i][l]
                         residual[e] = residual[e] + force[l]
                 if stiff > 0.0:
-                    compute_stiffness_blocks(b, kappa, moduli, gradient_x, gradient_y, gradient_z, stiffness)
-                    expand_stiffness_to_element_matrices(b, stiffness, blocks)
+                    compute_stiffness_blocks(b, kappa, elements)
+                    expand_stiffness_to_element_matrices(b, elements, blocks)
 
     return compute_sampled_nodal_forces_and_matrices

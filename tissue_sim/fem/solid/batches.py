@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.mesh.solid import SolidMesh
 
@@ -79,6 +80,7 @@ class ElementBatches:
         lanes = [np.arange(-(-len(group) // LANES) * LANES).reshape(-1, LANES) for group in groups]
         self._local = np.concatenate([np.minimum(each, len(group) - 1) for each, group in zip(
             lanes, groups, strict=True)]).astype(np.int32)
+        self._local = copy_to_addressable_array(self._local)
         self._real = np.concatenate([each < len(group) for each, group in zip(lanes, groups, strict=True)])
         ends = np.cumsum([len(each) for each in lanes]).tolist()
         self.parts = tuple(slice(end - len(each), end) for each, end in zip(lanes, ends, strict=True))
@@ -87,22 +89,23 @@ class ElementBatches:
         self.lane_of = np.zeros(count, dtype=np.intp)
         self.lane_of[self._elements[self._real]] = np.flatnonzero(self._real)
         self.count, self.batches = count, len(self._elements)
-        self.moduli = np.ones((self.batches, LANES))
-        self.pressures, self.gaps = np.zeros((2, self.batches * self._modes, LANES))
-        self.volume_rates, self.known_rates = np.zeros((2, 3 * self.batches * self._modes * nodes, LANES))
+        self.moduli = copy_to_addressable_array(np.ones((self.batches, LANES)))
+        self.pressures, self.gaps = (allocate_array((self.batches * self._modes, LANES)) for _ in range(2))
+        self.volume_rates, self.known_rates = (
+            allocate_array((3 * self.batches * self._modes * nodes, LANES)) for _ in range(2))
         self.residual = np.zeros(3 * len(mesh.nodes) + 1)
-        self._forces = np.zeros((3 * self.batches * nodes, LANES))
+        self._forces = allocate_array((3 * self.batches * nodes, LANES))
         self._dofs = 3 * mesh.connectivity.astype(np.int32)
         own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(count, -1)
         equations = np.where(self._real[..., None], own[self._elements], self.residual.size - 1)
-        self._equations = np.ascontiguousarray(np.moveaxis(equations, 1, -1).reshape(-1, LANES), dtype=np.int32)
+        self._equations = copy_to_addressable_array(np.moveaxis(equations, 1, -1).reshape(-1, LANES).astype(np.int32))
         self._gradients = [self._arrange_in_lanes(gradients[..., i]) for i in range(3)]
         self._weights, self._mode_values = self._arrange_in_lanes(self.weights), self._arrange_in_lanes(modes)
         self._set_matrix_and_entry_indices(mesh.connectivity, len(mesh.nodes))
 
     def _arrange_in_lanes(self, values: np.ndarray) -> np.ndarray:
         """Rearrange values of the elements, shape (elements, ...), to lanes, shape (batches times the rest, LANES)."""
-        return np.ascontiguousarray(np.moveaxis(values[self._elements], 1, -1).reshape(-1, LANES))
+        return copy_to_addressable_array(np.moveaxis(values[self._elements], 1, -1).reshape(-1, LANES))
 
     def _arrange_by_element(self, lanes: np.ndarray, *inner: int) -> np.ndarray:
         """Rearrange lanes to elements, shape (elements, *inner); the inverse of `_arrange_in_lanes`."""
@@ -154,7 +157,7 @@ class ElementBatches:
         across = np.where((c == a)[:, None], unused, compute_block_entry_indices(mirrored, connectivity[:, a], k, i))
         self._places, self._mirrored = (self._arrange_pairs_in_lanes(each.reshape(len(connectivity), -1), unused)
                                         for each in (direct, across))
-        self._stiffness = np.zeros((9 * c.size, LANES))
+        self._stiffness = allocate_array((9 * c.size, LANES))
         self._data = np.zeros(unused + 1)
         lengths = np.repeat(3 * blocks, 3)
         indices = np.concatenate([(3 * rows[starts[n] : starts[n + 1], None] + np.arange(3)).ravel()
@@ -165,26 +168,33 @@ class ElementBatches:
     def _arrange_pairs_in_lanes(self, places: np.ndarray, unused: int) -> np.ndarray:
         """Rearrange data indices, shape (elements, entries), to lanes; unused lanes get the index `unused`."""
         lanes = np.where(self._real[..., None], places[self._elements], unused)
-        return np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
+        return copy_to_addressable_array(np.moveaxis(lanes, 1, -1).reshape(-1, LANES).astype(np.int32))
 
-    def get_kernel_arrays_by_name(self, part: slice) -> dict[str, np.ndarray]:
-        """Return argument name of the assembly kernel -> array, for the batches of one group of elements.
+    def collect_arrays_by_name(self, part: slice) -> dict[str, np.ndarray]:
+        """Return the arrays of `tissue_sim.fem.solid.element.ELEMENT_ARRAYS` for the batches of one group of elements.
 
         Args:
-            part: range of the batches of the group, an entry of `parts`. The array ``elements`` contains indices within
-                the group. The matrix data and the residual are shared by all groups.
+            part: range of the batches of the group, an entry of `parts`. The array ``numbers`` contains indices within
+                the group. Other groups have the same array ``stiffness``, that of one batch.
         """
-        dofs = np.ascontiguousarray(np.moveaxis(self._dofs[self._elements], 1, -1).reshape(-1, LANES))
         named = dict(zip(("gradient_x", "gradient_y", "gradient_z"), self._gradients, strict=True))
-        named |= {"elements": self._local, "pressures": self.pressures, "dofs": dofs, "equations": self._equations,
-                  "weights": self._weights, "mode_values": self._mode_values, "moduli": self.moduli,
-                  "volume_rates": self.volume_rates, "gaps": self.gaps,
-                  "forces": self._forces, "places": self._places,
-                  "mirrored": self._mirrored}
+        named |= {"numbers": self._local, "pressures": self.pressures, "dofs": self._dofs_in_lanes,
+                  "equations": self._equations, "weights": self._weights, "mode_values": self._mode_values,
+                  "moduli": self.moduli, "volume_rates": self.volume_rates, "gaps": self.gaps,
+                  "forces": self._forces, "places": self._places, "mirrored": self._mirrored}
         rows = {name: len(array) // self.batches for name, array in named.items()}
         return {name: array[rows[name] * part.start : rows[name] * part.stop] for name, array in named.items()} | {
-            "stiffness": self._stiffness, "scattered": self._stiffness.reshape(-1), "residual": self.residual,
-            "data": self._data}
+            "stiffness": self._stiffness}
+
+    @cached_property
+    def _dofs_in_lanes(self) -> np.ndarray:
+        """First degree of freedom of each node of each element, shape (batches * nodes, LANES)."""
+        return copy_to_addressable_array(np.moveaxis(self._dofs[self._elements], 1, -1).reshape(-1, LANES))
+
+    @property
+    def matrix_data(self) -> np.ndarray:
+        """Data of `matrix`, followed by one unused entry, shape (entries + 1,)."""
+        return self._data
 
     @property
     def last_assembled_element_forces(self) -> np.ndarray:

@@ -12,10 +12,18 @@ from typing import Any, NamedTuple
 from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.solid import energy as point
+from tissue_sim.fem.taichi.array_tables import LANE_INTEGERS, LANE_REALS, ArrayLayout
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES, ScratchElementSizeLimit, get_shared_scratch_field
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
+
+#: Elements of a solid, see `tissue_sim.fem.solid.batches.ElementBatches.collect_arrays_by_name`.
+ELEMENT_ARRAYS = ArrayLayout(
+    numbers=LANE_INTEGERS, dofs=LANE_INTEGERS, equations=LANE_INTEGERS, gradient_x=LANE_REALS, gradient_y=LANE_REALS,
+    gradient_z=LANE_REALS, weights=LANE_REALS, mode_values=LANE_REALS, moduli=LANE_REALS, pressures=LANE_REALS,
+    volume_rates=LANE_REALS, gaps=LANE_REALS, forces=LANE_REALS, stiffness=LANE_REALS, places=LANE_INTEGERS,
+    mirrored=LANE_INTEGERS)
 
 
 class AssemblySettingColumn(IntEnum):
@@ -75,42 +83,39 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
     # points are kept in the scratch field, not in variables: with stores in a loop LLVM uses vector instructions.
 
     @ti.func
-    def get_weighted_stress_and_store_tangent(b, q, tangent: ti.template(), remembers, H, J, p, weights: ti.template(),
-                                              moduli: ti.template(),
-                                              coefficients: ti.template(), elements: ti.template(), past: ti.template(),
-                                              inherited: ti.template(),
-                                              largest: ti.template(), stresses: ti.template(), energies: ti.template()):
+    def get_weighted_stress_and_store_tangent(b, q, tangent: ti.template(), remembers, H, J, p, elements: ti.template(),
+                                              material: ti.template()):
         """Return dW/dF and dJ/dF of quadrature point q times its weight, and store its tangent in the scratch field."""
         F = [H[m] + ti.static(float(m % 4 == 0)) for m in ti.static(range(9))]
-        W, P, T = compute_stress_and_tangent(F, J, inverse_cube_root(ti.max(J, 1e-6)), coefficients, tangent)
+        W, P, T = compute_stress_and_tangent(F, J, inverse_cube_root(ti.max(J, 1e-6)), material.coefficients, tangent)
         cof = compute_cofactor(F)
         if remembers > 0.0:
-            f = past[RelaxationSofteningCoefficient.FACTOR]
+            f = material.past[RelaxationSofteningCoefficient.FACTOR]
             W = f * W
             for l in ti.static(range(LANES)):
-                energies[elements[b, l], q] = W[l]
+                material.energies[elements.numbers[b][l], q] = W[l]
             P1, T1 = [f * P[m] for m in ti.static(range(9))], [f * T[n] for n in ti.static(range(45))]
-            if past[RelaxationSofteningCoefficient.LOSS] != 0.0:
-                most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
-                P2, T2 = apply_softening(W, most, past[RelaxationSofteningCoefficient.LOSS],
-                                         past[RelaxationSofteningCoefficient.LOSS_MODULUS],
-                                         past[RelaxationSofteningCoefficient.LOSS_SHARE], P1, T1)
+            if material.past[RelaxationSofteningCoefficient.LOSS] != 0.0:
+                most = ti.Vector([material.largest[elements.numbers[b][l], q] for l in ti.static(range(LANES))])
+                P2, T2 = apply_softening(W, most, material.past[RelaxationSofteningCoefficient.LOSS],
+                                         material.past[RelaxationSofteningCoefficient.LOSS_MODULUS],
+                                         material.past[RelaxationSofteningCoefficient.LOSS_SHARE], P1, T1)
                 for m in ti.static(range(9)):
                     P1[m] = P2[m]
                 for n in ti.static(range(45)):
                     T1[n] = T2[n]
-            h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
+            h = [ti.Vector([material.inherited[elements.numbers[b][l], q, i] for l in ti.static(range(LANES))])
                  for i in ti.static(range(6))]
-            S, P3, T3 = apply_relaxation(F, cof, J, past[RelaxationSofteningCoefficient.INSTANT], h, P1, T1)
+            S, P3, T3 = apply_relaxation(F, cof, J, material.past[RelaxationSofteningCoefficient.INSTANT], h, P1, T1)
             for i in ti.static(range(6)):
                 for l in ti.static(range(LANES)):
-                    stresses[elements[b, l], q, i] = S[i][l]
+                    material.stresses[elements.numbers[b][l], q, i] = S[i][l]
             for m in ti.static(range(9)):
                 P[m] = P3[m]
             for n in ti.static(range(45)):
                 T[n] = T3[n]
-        w = weights[b * points + q]
-        wm, wp = w * moduli[b], w * p
+        w = elements.weights[b * points + q]
+        wm, wp = w * elements.moduli[b], w * p
         if ti.static(tangent):
             for n in ti.static(range(45)):
                 s[A + 45 * q + n] = wm * T[n]
@@ -120,12 +125,8 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
         return [wm * P[m] + wp * cof[m] for m in ti.static(range(9))], [w * cof[m] for m in ti.static(range(9))]
 
     @ti.func
-    def integrate_forces(b, kappa, tangent, remembers, x: ti.template(), pressures: ti.template(), dofs: ti.template(),
-                         gx: ti.template(), gy: ti.template(), gz: ti.template(), weights: ti.template(),
-                         mode_values: ti.template(), moduli: ti.template(), coefficients: ti.template(),
-                         elements: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
-                         stresses: ti.template(), energies: ti.template(), volume_rates: ti.template(),
-                         gaps: ti.template(), forces: ti.template()):
+    def integrate_forces(b, kappa, tangent, remembers, x: ti.template(), elements: ti.template(),
+                         material: ti.template()):
         """Integrate the nodal forces of a batch, with the eliminated pressure increments; return the smallest J.
 
         The material history is that of `tissue_sim.fem.history`.
@@ -133,20 +134,20 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
         for a in range(nodes):
             i = b * nodes + a
             for k in ti.static(range(3)):
-                s[U + 3 * a + k] = ti.Vector([x[dofs[i, l] + k] for l in ti.static(range(LANES))])
+                s[U + 3 * a + k] = ti.Vector([x[elements.dofs[i][l] + k] for l in ti.static(range(LANES))])
                 s[FORCE + 3 * a + k] = vec(0.0)
         for i in range(3 * modes * nodes):
             s[V + i] = vec(0.0)
-        bulk = kappa * moduli[b]
+        bulk = kappa * elements.moduli[b]
         for m in range(modes):
-            s[PRESSURE + m] = pressures[b * modes + m]
-            s[GAP + m] = -pressures[b * modes + m] / bulk
+            s[PRESSURE + m] = elements.pressures[b * modes + m]
+            s[GAP + m] = -elements.pressures[b * modes + m] / bulk
         least = vec(1e30)
         for q in range(points):
             H = [vec(0.0) for _m in ti.static(range(9))]
             for a in range(nodes):
                 g = (b * points + q) * nodes + a
-                x0, y0, z0 = gx[g], gy[g], gz[g]
+                x0, y0, z0 = elements.gradient_x[g], elements.gradient_y[g], elements.gradient_z[g]
                 for k in ti.static(range(3)):
                     u = s[U + 3 * a + k]
                     H[3 * k] = H[3 * k] + u * x0
@@ -160,61 +161,58 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
             least = ti.min(least, 1.0 + dilation)
             p = vec(0.0)
             for m in range(modes):
-                phi = mode_values[(b * points + q) * modes + m]
+                phi = elements.mode_values[(b * points + q) * modes + m]
                 p = p + phi * s[PRESSURE + m]
-                s[GAP + m] = s[GAP + m] + weights[b * points + q] * phi * dilation
+                s[GAP + m] = s[GAP + m] + elements.weights[b * points + q] * phi * dilation
             P, cof = [vec(0.0) for _m in ti.static(range(9))], [vec(0.0) for _m in ti.static(range(9))]
             # Compiled twice, because forces alone take three quarters of the time.
             if tangent > 0.0:
-                P1, cof1 = get_weighted_stress_and_store_tangent(b, q, True, remembers, H, 1.0 + dilation, p, weights,
-                                                                 moduli, coefficients,
-                                                                 elements, past, inherited, largest, stresses, energies)
+                P1, cof1 = get_weighted_stress_and_store_tangent(b, q, True, remembers, H, 1.0 + dilation, p, elements,
+                                                                 material)
                 for m in ti.static(range(9)):
                     P[m], cof[m] = P1[m], cof1[m]
             else:
-                P1, cof1 = get_weighted_stress_and_store_tangent(b, q, False, remembers, H, 1.0 + dilation, p, weights,
-                                                                 moduli, coefficients,
-                                                                 elements, past, inherited, largest, stresses, energies)
+                P1, cof1 = get_weighted_stress_and_store_tangent(b, q, False, remembers, H, 1.0 + dilation, p, elements,
+                                                                 material)
                 for m in ti.static(range(9)):
                     P[m], cof[m] = P1[m], cof1[m]
             for a in range(nodes):
                 g = (b * points + q) * nodes + a
-                x0, y0, z0 = gx[g], gy[g], gz[g]
+                x0, y0, z0 = elements.gradient_x[g], elements.gradient_y[g], elements.gradient_z[g]
                 for k in ti.static(range(3)):
                     at = FORCE + 3 * a + k
                     s[at] = s[at] + P[3 * k] * x0 + P[3 * k + 1] * y0 + P[3 * k + 2] * z0
                     rate = cof[3 * k] * x0 + cof[3 * k + 1] * y0 + cof[3 * k + 2] * z0
                     for m in ti.static(range(modes)):
                         at_rate = V + 3 * (m * nodes + a) + k
-                        s[at_rate] = s[at_rate] + mode_values[(b * points + q) * modes + m] * rate
+                        s[at_rate] = s[at_rate] + elements.mode_values[(b * points + q) * modes + m] * rate
         for i in range(3 * nodes):
             f = s[FORCE + i]
             for m in range(modes):
                 f = f + bulk * s[GAP + m] * s[V + 3 * m * nodes + i]
             at = 3 * b * nodes + i
-            forces[at] = f
+            elements.forces[at] = f
         for i in range(3 * modes * nodes):
             at = 3 * b * modes * nodes + i
-            volume_rates[at] = s[V + i]
+            elements.volume_rates[at] = s[V + i]
         for m in range(modes):
             at = b * modes + m
-            gaps[at] = s[GAP + m]
+            elements.gaps[at] = s[GAP + m]
         return least.min()
 
     @ti.func
-    def compute_stiffness_blocks(b, kappa, moduli: ti.template(), gx: ti.template(), gy: ti.template(),
-                                 gz: ti.template(), stiffness: ti.template()):
+    def compute_stiffness_blocks(b, kappa, elements: ti.template()):
         """Compute the 3 x 3 stiffness blocks of all pairs of nodes (c, a), a <= c, with eliminated pressures.
 
         Entry 3 k + i of the nine of a pair is the force on a along i for a displacement of c along k.
         """
-        bulk = kappa * moduli[b]
+        bulk = kappa * elements.moduli[b]
         for c in range(nodes):
             for i in range(9 * (c + 1)):
                 s[PAIRS + i] = vec(0.0)
             for q in range(points):
                 g_c, t = (b * points + q) * nodes + c, A + 45 * q
-                x, y, z = gx[g_c], gy[g_c], gz[g_c]
+                x, y, z = elements.gradient_x[g_c], elements.gradient_y[g_c], elements.gradient_z[g_c]
                 for k in ti.static(range(3)):
                     for m in ti.static(range(9)):
                         s[RATE + 9 * k + m] = (s[t + ti.static(PLACE[m][3 * k])] * x
@@ -222,7 +220,7 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
                                                + s[t + ti.static(PLACE[m][3 * k + 2])] * z)
                 for a in range(c + 1):
                     g = (b * points + q) * nodes + a
-                    x0, y0, z0 = gx[g], gy[g], gz[g]
+                    x0, y0, z0 = elements.gradient_x[g], elements.gradient_y[g], elements.gradient_z[g]
                     for n in ti.static(range(9)):
                         at = PAIRS + 9 * a + n
                         s[at] = s[at] + s[RATE + 3 * n] * x0 + s[RATE + 3 * n + 1] * y0 + s[RATE + 3 * n + 2] * z0
@@ -235,6 +233,6 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
                             s[at] = s[at] + moved * s[V + 3 * (m * nodes + a) + i]
             for i in range(9 * (c + 1)):
                 at = 9 * (c * (c + 1) // 2) + i
-                stiffness[at] = s[PAIRS + i]
+                elements.stiffness[at] = s[PAIRS + i]
 
     return ElementFunctions(integrate_forces, compute_stiffness_blocks)

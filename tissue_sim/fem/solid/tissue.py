@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
-from tissue_sim.fem.history import MaterialMemory
+from tissue_sim.fem.history import MATERIAL_ARRAYS, MaterialMemory
 from tissue_sim.fem.solid.assembly import make_assembly_kernel
 from tissue_sim.fem.solid.batches import ElementBatches
-from tissue_sim.fem.solid.element import AssemblySettingColumn
+from tissue_sim.fem.solid.element import ELEMENT_ARRAYS, AssemblySettingColumn
 from tissue_sim.fem.solid.point_effects import SolidPointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
+from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.material.layer import Layer
@@ -54,27 +55,41 @@ class RegionElements:
         self.name, self.elements = name, elements
         self.memory = MaterialMemory((elements.size, points), 6)
         self.settings, self.least = np.zeros(settings), np.zeros(1)
-        self.coefficients = np.zeros(0)
+        self.coefficients = allocate_array((0,))
         self.bulk = self.mu0 = 0.0
         self.kernel: BoundKernel
+        #: Arrays of the kernel to which only its tables of addresses refer.
+        self._arrays: dict[str, np.ndarray] = {}
 
-    def set_material(self, own: Material, bulk: float, contact_radius: float) -> dict[str, np.ndarray]:
-        """Set material and bulk modulus, Pa; return the arrays of this region by name of the kernel's argument.
-
-        The bulk modulus is stated separately, because an incompressible material gets a finite one.
-        """
+    def set_material(self, own: Material, bulk: float, contact_radius: float) -> None:
+        """Set material and bulk modulus, Pa, which is stated separately, because a kernel needs a finite one."""
         coefficients = own.energy_law.kernel_coefficients(own.parameters)
         if coefficients.size == self.coefficients.size:
             self.coefficients[:] = coefficients
         else:
-            self.coefficients = np.array(coefficients)
-        memory = self.memory
-        memory.set_material(own.relaxation(contact_radius), own.softening, own.instantaneous_over_law_modulus_ratio)
+            self.coefficients = copy_to_addressable_array(np.array(coefficients))
+        self.memory.set_material(own.relaxation(contact_radius), own.softening,
+                                 own.instantaneous_over_law_modulus_ratio)
         self.bulk, self.mu0 = bulk, own.mu0
-        self.settings[AssemblySettingColumn.KAPPA], self.settings[AssemblySettingColumn.REMEMBERS] = bulk, memory.works
-        return {"settings": self.settings, "least": self.least, "coefficients": self.coefficients,
-                "past": memory.past, "inherited": memory.inherited, "largest": memory.largest,
-                "stresses": memory.stresses, "energies": memory.energies}
+        self.settings[AssemblySettingColumn.KAPPA] = bulk
+        self.settings[AssemblySettingColumn.REMEMBERS] = self.memory.works
+
+    def bind_kernel(self, kernel, elements: Mapping[str, np.ndarray], arguments: Mapping[str, np.ndarray]) -> None:
+        """Bind a kernel to the arrays of this region.
+
+        Args:
+            kernel: kernel with the arguments ``settings``, ``least``, ``batches`` and the tables of elements and
+                material.
+            elements: arrays of the elements, see `ElementBatches.collect_arrays_by_name`.
+            arguments: other arguments by name.
+        """
+        material = {"coefficients": self.coefficients, **self.memory.collect_arrays_by_name()}
+        self._arrays = {**elements, **material}
+        self.kernel = BoundKernel(kernel, {
+            "settings": self.settings, "least": self.least,
+            "batches": np.array([len(elements["moduli"])], dtype=np.int32), **arguments,
+            "element_table": ELEMENT_ARRAYS.make_table(elements),
+            "material_table": MATERIAL_ARRAYS.make_table(material)})
 
 
 class Tissue:
@@ -144,13 +159,13 @@ class Tissue:
         self.material = material
         self.batches.set_modulus_ratios(get_modulus_ratios_of_layer_indices(material, self._layers))
         for region, own, bulk, part in zip(self._regions, materials, bulks, self.batches.parts, strict=True):
-            named = region.set_material(own, bulk, self.contact_radius)
+            region.set_material(own, bulk, self.contact_radius)
             region.settings[AssemblySettingColumn.REMEMBERS] = region.memory.works or bool(self.effects)
             self.bulk_moduli[part] = bulk
             with LOCK:
                 kernel = make_assembly_kernel(self._mesh.element.name, own.energy_law.kernel_energy)
-                region.kernel = BoundKernel(kernel,
-                                            {"x": self._x, **named, **self.batches.get_kernel_arrays_by_name(part)})
+                region.bind_kernel(kernel, self.batches.collect_arrays_by_name(part), {
+                    "x": self._x, "residual": self.batches.residual, "data": self.batches.matrix_data})
 
     def assemble_and_get_least_volume_ratio(self, tangent: bool = True) -> float:
         """Assemble residual and, if `tangent`, matrix in `batches` at the present displacements.
