@@ -28,11 +28,20 @@ from tissue_sim.fem.condensed.tables import (
 )
 from tissue_sim.fem.contact.closest_point import make_closest_point_function
 from tissue_sim.fem.contact_settings import SOLID_PENALTY, ContactBondState
+from tissue_sim.fem.taichi.array_tables import LANE_REALS, ArrayLayout, integer_array, real_array
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES, get_shared_scratch_field
 
 #: The extrapolation of the forces is discarded if a force changes by more than this fraction of the largest force.
 _MAX_PREDICTED_CHANGE = 0.5
+
+
+#: Arrays of the contact iteration, see the enumerations in `tables`. ``rows`` are those of the compliance in vectors.
+CONTACT_ARRAYS = ArrayLayout(
+    chains=real_array(2), shapes=real_array(2), surface=real_array(2), states=integer_array(2), carried=real_array(2),
+    lists=integer_array(2), free_displacement=real_array(2), tool_coupling=real_array(2), compliance=real_array(2),
+    rows=LANE_REALS, u=real_array(), local=real_array(2), columns=real_array(2), matrix=real_array(),
+    right=real_array())
 
 
 @cache
@@ -59,89 +68,81 @@ def make_normal_tangential_compliance_function():
 def make_contact_iteration_kernel():
     """Return the kernel of one contact iteration; for its arrays see the enumerations in `tables`."""
     ti = get_initialised_taichi()
-    real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
-    int2 = ti.types.ndarray(ti.i32, ndim=2)
-    vector1 = ti.types.ndarray(ti.types.vector(LANES, ti.f64), ndim=1)
+    real1, int1 = ti.types.ndarray(ti.f64, ndim=1), ti.types.ndarray(ti.i32, ndim=1)
     find_closest_outline_point = make_closest_point_function()
     normal_and_tangential_compliance = make_normal_tangential_compliance_function()
     move = get_shared_scratch_field(LANES, MAX_FREEDOMS // LANES)
 
     @ti.func
-    def extrapolate_forces_by_tool_motion(settings: ti.template(), lists: ti.template(), carried: ti.template(),
-                                          columns: ti.template(), local: ti.template()):
+    def extrapolate_forces_by_tool_motion(settings: ti.template(), nodes: ti.template()):
         """Predict the forces of the nodes in contact by linear extrapolation with the motion of the tool."""
         most, largest, many = 0.0, 0.0, ti.cast(settings[KernelSetting.PREDICTED], ti.i32)
         for p in range(many):
-            i = lists[p, NodeListColumn.ACTIVE]
+            i = nodes.lists[p, NodeListColumn.ACTIVE]
             for a in ti.static(range(3)):
                 more = 0.0
                 for c in ti.static(range(6)):
-                    more = more + columns[3 * p + a, c] * settings[KernelSetting.STEP + c]
-                local[i, LinearisedContactColumn.FORCE + a] = more
-                force = carried[lists[i, NodeListColumn.NODE], NodeForceAndAnchorColumn.FORCE + a]
+                    more = more + nodes.columns[3 * p + a, c] * settings[KernelSetting.STEP + c]
+                nodes.local[i, LinearisedContactColumn.FORCE + a] = more
+                force = nodes.carried[nodes.lists[i, NodeListColumn.NODE], NodeForceAndAnchorColumn.FORCE + a]
                 most, largest = ti.max(most, ti.abs(more)), ti.max(largest, ti.abs(force))
         if most < _MAX_PREDICTED_CHANGE * largest:
             for p in range(many):
-                i = lists[p, NodeListColumn.ACTIVE]
+                i = nodes.lists[p, NodeListColumn.ACTIVE]
                 for a in ti.static(range(3)):
-                    force = carried[lists[i, NodeListColumn.NODE], NodeForceAndAnchorColumn.FORCE + a]
-                    carried[lists[i, NodeListColumn.NODE],
-                            NodeForceAndAnchorColumn.FORCE + a] = force + local[i, LinearisedContactColumn.FORCE + a]
+                    force = nodes.carried[nodes.lists[i, NodeListColumn.NODE], NodeForceAndAnchorColumn.FORCE + a]
+                    nodes.carried[nodes.lists[i, NodeListColumn.NODE], NodeForceAndAnchorColumn.FORCE + a] = (
+                        force + nodes.local[i, LinearisedContactColumn.FORCE + a])
         settings[KernelSetting.PREDICTED] = 0.0
 
     @ti.func
-    def compute_displacements_of_all_nodes(n, many, settings: ti.template(), lists: ti.template(),
-                                           carried: ti.template(), free_displacement: ti.template(),
-                                           tool_coupling: ti.template(), rows: ti.template(), u: ti.template()):
+    def compute_displacements_of_all_nodes(n, many, settings: ti.template(), nodes: ti.template()):
         """Compute the displacements u of all nodes under the contact forces and the motion of the tool.
 
         The sum uses rows of the symmetric compliance, so that the compiler vectorises the loops.
         """
-        width = u.shape[0] // LANES
+        width = nodes.u.shape[0] // LANES
         used = (3 * n + LANES - 1) // LANES
         for q in range(used):
             move[q] = ti.Vector.zero(ti.f64, LANES)
         for l in range(many):
-            j = lists[l, NodeListColumn.LOADED]
-            s = lists[j, NodeListColumn.NODE]
+            j = nodes.lists[l, NodeListColumn.LOADED]
+            s = nodes.lists[j, NodeListColumn.NODE]
             for m in range(3):
-                force = carried[s, NodeForceAndAnchorColumn.FORCE + m]
+                force = nodes.carried[s, NodeForceAndAnchorColumn.FORCE + m]
                 for q in range(used):
                     at = (3 * j + m) * width + q
-                    move[q] = move[q] - rows[at] * force
+                    move[q] = move[q] - nodes.rows[at] * force
         for q in range(used):
             for l in ti.static(range(LANES)):
-                u[LANES * q + l] = move[q][l]
+                nodes.u[LANES * q + l] = move[q][l]
         for i in range(n):
             for k in range(3):
-                value = free_displacement[i, k]
+                value = nodes.free_displacement[i, k]
                 for a in ti.static(range(6)):
-                    value = value + tool_coupling[3 * i + k, a] * settings[KernelSetting.MOTION + a]
-                u[3 * i + k] = u[3 * i + k] + value
+                    value = value + nodes.tool_coupling[3 * i + k, a] * settings[KernelSetting.MOTION + a]
+                nodes.u[3 * i + k] = nodes.u[3 * i + k] + value
 
     @ti.func
-    def evaluate_node_contact(i, s, settings: ti.template(), results: ti.template(), chains: ti.template(),
-                              shapes: ti.template(), surface: ti.template(), states: ti.template(),
-                              carried: ti.template(), lists: ti.template(), u: ti.template(), local: ti.template(),
-                              compliance: ti.template()):
+    def evaluate_node_contact(i, s, settings: ti.template(), results: ti.template(), nodes: ti.template()):
         """Evaluate the contact of node i: gap, contact state, force and force derivatives; update `results`."""
         R = ti.Matrix([[settings[KernelSetting.ROTATION + 3 * a + b] for b in ti.static(range(3))]
                        for a in ti.static(range(3))])
-        arm = ti.Vector([surface[s, SurfaceNodeColumn.POSITION + a] + u[3 * i + a] - settings[KernelSetting.ORIGIN + a]
-                         for a in ti.static(range(3))])
+        arm = ti.Vector([nodes.surface[s, SurfaceNodeColumn.POSITION + a] + nodes.u[3 * i + a]
+                         - settings[KernelSetting.ORIGIN + a] for a in ti.static(range(3))])
         at = R.transpose() @ arm
         # Closest-point projection on the outline.
-        body = states[s, NodeBondAndStatusColumn.OUTLINE]
-        rounding, first = shapes[body, 0], body * (chains.shape[0] // shapes.shape[0])
-        endless = 1 if shapes[body, 2] * settings[KernelSetting.PRESSED_IN] > 0.0 else 0
+        body = nodes.states[s, NodeBondAndStatusColumn.OUTLINE]
+        rounding, first = nodes.shapes[body, 0], body * (nodes.chains.shape[0] // nodes.shapes.shape[0])
+        endless = 1 if nodes.shapes[body, 2] * settings[KernelSetting.PRESSED_IN] > 0.0 else 0
         r = ti.sqrt(at[0] * at[0] + at[1] * at[1])
         best, distance, n_r, n_z, bent = find_closest_outline_point(
-            r, at[2], first, first + ti.cast(shapes[body, 3], ti.i32), endless, chains)
+            r, at[2], first, first + ti.cast(nodes.shapes[body, 3], ti.i32), endless, nodes.chains)
         out = ti.Vector([1.0, 0.0, 0.0])
         hoop = bent
         if r > 0.0:
             out = ti.Vector([at[0] / r, at[1] / r, 0.0])
-        if r > shapes[body, 4]:
+        if r > nodes.shapes[body, 4]:
             hoop = n_r / r
         up = ti.Vector([0.0, 0.0, 1.0])
         around = R @ ti.Vector([-out[1], out[0], 0.0])
@@ -149,30 +150,30 @@ def make_contact_iteration_kernel():
         n_tool = n_r * out + n_z * up
         n = R @ n_tool
         gap = distance - rounding
-        mu = surface[s, SurfaceNodeColumn.FRICTION]
-        if best - first >= shapes[body, 1] and not (bent != 0.0 and rounding > 0.0):
-            mu = surface[s, SurfaceNodeColumn.FRICTION + 1]
+        mu = nodes.surface[s, SurfaceNodeColumn.FRICTION]
+        if best - first >= nodes.shapes[body, 1] and not (bent != 0.0 and rounding > 0.0):
+            mu = nodes.surface[s, SurfaceNodeColumn.FRICTION + 1]
         # Displacement relative to the tool since all nodes were evaluated: other nodes may have come near.
         for a in ti.static(range(3)):
             if settings[KernelSetting.NEAR_COUNT] == 0.0:
-                local[i, LinearisedContactColumn.REFERENCE + a] = at[a]
+                nodes.local[i, LinearisedContactColumn.REFERENCE + a] = at[a]
             results[KernelResult.TRAVEL] = ti.max(results[KernelResult.TRAVEL],
-                                                  ti.abs(at[a] - local[i, LinearisedContactColumn.REFERENCE + a]))
+                                                  ti.abs(at[a] - nodes.local[i, LinearisedContactColumn.REFERENCE + a]))
         # Contact state (active set) and force.
-        k = surface[s, SurfaceNodeColumn.PENALTY] * settings[KernelSetting.MODULUS]
-        F = ti.Vector([carried[s, NodeForceAndAnchorColumn.FORCE + a] for a in ti.static(range(3))])
+        k = nodes.surface[s, SurfaceNodeColumn.PENALTY] * settings[KernelSetting.MODULUS]
+        F = ti.Vector([nodes.carried[s, NodeForceAndAnchorColumn.FORCE + a] for a in ti.static(range(3))])
         normal = ti.min(F.dot(n), 0.0)
         tangential = F - F.dot(n) * n
-        give = normal_and_tangential_compliance(i, n, compliance)
-        held = states[s, NodeBondAndStatusColumn.BOND] == ContactBondState.HELD
+        give = normal_and_tangential_compliance(i, n, nodes.compliance)
+        held = nodes.states[s, NodeBondAndStatusColumn.BOND] == ContactBondState.HELD
         changeable = settings[KernelSetting.CHANGEABLE] > 0.0
         if held and settings[KernelSetting.RELEASE] > 0.0 and F.dot(n) > 0.0:
-            states[s, NodeBondAndStatusColumn.BOND] = ContactBondState.FREE
+            nodes.states[s, NodeBondAndStatusColumn.BOND] = ContactBondState.FREE
             held = False
         if changeable and not held:
-            states[s, NodeBondAndStatusColumn.PRESSED] = 1 if normal + gap / give[0] < 0.0 else 0
-        is_pressed = states[s, NodeBondAndStatusColumn.PRESSED] == 1 and not held
-        anchor = ti.Vector([carried[s, NodeForceAndAnchorColumn.ANCHOR + a] for a in ti.static(range(3))])
+            nodes.states[s, NodeBondAndStatusColumn.PRESSED] = 1 if normal + gap / give[0] < 0.0 else 0
+        is_pressed = nodes.states[s, NodeBondAndStatusColumn.PRESSED] == 1 and not held
+        anchor = ti.Vector([nodes.carried[s, NodeForceAndAnchorColumn.ANCHOR + a] for a in ti.static(range(3))])
         slip = R @ (at - anchor)
         aside = slip - slip.dot(n) * n
         length = aside.norm()
@@ -191,14 +192,14 @@ def make_contact_iteration_kernel():
             A = k * nn + normal * (bent * meridian.outer_product(meridian) + hoop * around.outer_product(around))
             missing, found = k * gap * n, normal * n
             rough = mu * ti.max(-normal - gap / give[0], 0.0)
-            if mu > 0.0 and states[s, NodeBondAndStatusColumn.BOND] == ContactBondState.TOUCHED and (
+            if mu > 0.0 and nodes.states[s, NodeBondAndStatusColumn.BOND] == ContactBondState.TOUCHED and (
                     rough > settings[KernelSetting.NEGLIGIBLE]):
                 limit = mu * ti.max(-normal, 0.0)
                 tried = tangential + aside / give[1]
                 size = tried.norm()
                 if changeable:
-                    states[s, NodeBondAndStatusColumn.SLIPS] = 1 if size > rough else 0
-                if states[s, NodeBondAndStatusColumn.SLIPS] == 1:
+                    nodes.states[s, NodeBondAndStatusColumn.SLIPS] = 1 if size > rough else 0
+                if nodes.states[s, NodeBondAndStatusColumn.SLIPS] == 1:
                     state = ContactStatus.SLIPPING
                     way = tried / ti.max(size, 1e-300)
                     T = limit / ti.max(size, 1e-300) * (eye - nn - way.outer_product(way))
@@ -214,54 +215,52 @@ def make_contact_iteration_kernel():
             violation = ti.max(-gap, 0.0)
         results[KernelResult.VIOLATION] = ti.max(results[KernelResult.VIOLATION], violation)
         touches = is_pressed or (mu > 0.0 and gap <= 1e-3 * settings[KernelSetting.TOLERANCE])
-        states[s, NodeBondAndStatusColumn.NEW_BOND] = ContactBondState.FREE
+        nodes.states[s, NodeBondAndStatusColumn.NEW_BOND] = ContactBondState.FREE
         if mu < 0.0 and is_pressed:
-            states[s, NodeBondAndStatusColumn.NEW_BOND] = ContactBondState.HELD
+            nodes.states[s, NodeBondAndStatusColumn.NEW_BOND] = ContactBondState.HELD
         elif touches and mu > 0.0:
-            states[s, NodeBondAndStatusColumn.NEW_BOND] = ContactBondState.TOUCHED
-        keeps = sticks or (touches and not is_pressed and states[s, NodeBondAndStatusColumn.BOND]
+            nodes.states[s, NodeBondAndStatusColumn.NEW_BOND] = ContactBondState.TOUCHED
+        keeps = sticks or (touches and not is_pressed and nodes.states[s, NodeBondAndStatusColumn.BOND]
                            == ContactBondState.TOUCHED)
         for a in ti.static(range(3)):
-            carried[s, NodeForceAndAnchorColumn.NEW_ANCHOR + a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
-            local[i, LinearisedContactColumn.ARM + a] = arm[a]
-            local[i, LinearisedContactColumn.NORMAL + a], local[i, LinearisedContactColumn.SLIP + a] = n[a], slip[a]
-            local[i, LinearisedContactColumn.INTERCEPT + a] = found[a] + missing[a]
-            change = found[a] - local[i, LinearisedContactColumn.FORCE + a]
+            nodes.carried[s, NodeForceAndAnchorColumn.NEW_ANCHOR + a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
+            nodes.local[i, LinearisedContactColumn.ARM + a] = arm[a]
+            nodes.local[i, LinearisedContactColumn.NORMAL + a] = n[a]
+            nodes.local[i, LinearisedContactColumn.SLIP + a] = slip[a]
+            nodes.local[i, LinearisedContactColumn.INTERCEPT + a] = found[a] + missing[a]
+            change = found[a] - nodes.local[i, LinearisedContactColumn.FORCE + a]
             results[KernelResult.UNBALANCED] = results[KernelResult.UNBALANCED] + change * change
             results[KernelResult.SIZE] = results[KernelResult.SIZE] + found[a] * found[a]
-            carried[s, NodeForceAndAnchorColumn.FORCE + a] = found[a]
+            nodes.carried[s, NodeForceAndAnchorColumn.FORCE + a] = found[a]
             for b in ti.static(range(3)):
-                local[i, LinearisedContactColumn.STIFFNESS + 3 * a + b] = A[a, b]
-                local[i, LinearisedContactColumn.ROTATION + 3 * a + b] = T[a, b]
-        local[i, LinearisedContactColumn.GAP] = gap
-        local[i, LinearisedContactColumn.FRICTION] = (
-            ti.max(mu, 0.0) if states[s, NodeBondAndStatusColumn.BOND] == ContactBondState.TOUCHED else 0.0)
+                nodes.local[i, LinearisedContactColumn.STIFFNESS + 3 * a + b] = A[a, b]
+                nodes.local[i, LinearisedContactColumn.ROTATION + 3 * a + b] = T[a, b]
+        nodes.local[i, LinearisedContactColumn.GAP] = gap
+        nodes.local[i, LinearisedContactColumn.FRICTION] = (
+            ti.max(mu, 0.0) if nodes.states[s, NodeBondAndStatusColumn.BOND] == ContactBondState.TOUCHED else 0.0)
         # The matrix is reused while the set of nodes in contact does not change.
-        if (lists[i, NodeListColumn.STATUS] > 0) != (state > 0) or lists[i, NodeListColumn.STATUS] < 0:
+        if (nodes.lists[i, NodeListColumn.STATUS] > 0) != (state > 0) or nodes.lists[i, NodeListColumn.STATUS] < 0:
             settings[KernelSetting.REBUILDS] = 1.0
-        lists[i, NodeListColumn.STATUS] = state
+        nodes.lists[i, NodeListColumn.STATUS] = state
 
     @ti.kernel
-    def evaluate_contact_and_assemble_equations(settings: real1, results: real1, chains: real2, shapes: real2,
-                                                surface: real2,
-                                                states: int2, carried: real2, lists: int2, free_displacement: real2,
-                                                tool_coupling: real2,
-                                                compliance: real2, rows: vector1, u: real1, local: real2,
-                                                columns: real2, matrix: real1, right: real1):
+    def evaluate_contact_and_assemble_equations(settings: real1, results: real1, table: int1):
         """Evaluate displacements and contact of the nodes, and assemble the linear equations of their forces."""
         ti.loop_config(serialize=True)
         for _ in range(1):
+            nodes = CONTACT_ARRAYS.open_table(table)
             if settings[KernelSetting.PREDICTED] > 0.0:
-                extrapolate_forces_by_tool_motion(settings, lists, carried, columns, local)
+                extrapolate_forces_by_tool_motion(settings, nodes)
             n, many = ti.cast(settings[KernelSetting.COUNT], ti.i32), 0
             for i in range(n):
-                s = lists[i, NodeListColumn.NODE]
+                s = nodes.lists[i, NodeListColumn.NODE]
                 size = 0.0
                 for a in ti.static(range(3)):
-                    local[i, LinearisedContactColumn.FORCE + a] = carried[s, NodeForceAndAnchorColumn.FORCE + a]
-                    size = size + ti.abs(carried[s, NodeForceAndAnchorColumn.FORCE + a])
+                    force = nodes.carried[s, NodeForceAndAnchorColumn.FORCE + a]
+                    nodes.local[i, LinearisedContactColumn.FORCE + a] = force
+                    size = size + ti.abs(force)
                 if size > 0.0:
-                    lists[many, NodeListColumn.LOADED] = i
+                    nodes.lists[many, NodeListColumn.LOADED] = i
                     many = many + 1
             for k in range(RESULT_COUNT):
                 results[k] = 0.0
@@ -269,23 +268,21 @@ def make_contact_iteration_kernel():
             all_nodes = settings[KernelSetting.NEAR_COUNT] == 0.0
             if not all_nodes:
                 n = ti.cast(settings[KernelSetting.NEAR_COUNT], ti.i32)
-            compute_displacements_of_all_nodes(n, many, settings, lists, carried, free_displacement, tool_coupling,
-                                               rows, u)
+            compute_displacements_of_all_nodes(n, many, settings, nodes)
             for i in range(n):
-                evaluate_node_contact(i, lists[i, NodeListColumn.NODE], settings, results, chains, shapes, surface,
-                                      states, carried, lists, u, local, compliance)
+                evaluate_node_contact(i, nodes.lists[i, NodeListColumn.NODE], settings, results, nodes)
             count, near = 0, 1
             for i in range(n):
-                if lists[i, NodeListColumn.STATUS] > 0:
-                    lists[count, NodeListColumn.ACTIVE] = i
+                if nodes.lists[i, NodeListColumn.STATUS] > 0:
+                    nodes.lists[count, NodeListColumn.ACTIVE] = i
                     count = count + 1
-                if lists[i, NodeListColumn.STATUS] > 0 or (
-                        local[i, LinearisedContactColumn.GAP] < settings[KernelSetting.NEAR_GAP]):
+                if nodes.lists[i, NodeListColumn.STATUS] > 0 or (
+                        nodes.local[i, LinearisedContactColumn.GAP] < settings[KernelSetting.NEAR_GAP]):
                     near = i + 1
             if all_nodes:
                 # Loaded nodes may come into contact again when other nodes separate.
                 if many > 0:
-                    near = ti.max(near, lists[many - 1, NodeListColumn.LOADED] + 1)
+                    near = ti.max(near, nodes.lists[many - 1, NodeListColumn.LOADED] + 1)
                 settings[KernelSetting.NEAR_COUNT] = ti.min(near, n)
             k = 3 * count
             results[KernelResult.ACTIVE] = count
@@ -293,61 +290,61 @@ def make_contact_iteration_kernel():
             results[KernelResult.REBUILT] = settings[KernelSetting.REBUILDS]
             settings[KernelSetting.REBUILDS] = 0.0
             for p in range(count):
-                i = lists[p, NodeListColumn.ACTIVE]
+                i = nodes.lists[p, NodeListColumn.ACTIVE]
                 # Displacement caused by the last forces of nodes that have separated.
                 e = ti.Vector.zero(ti.f64, 3)
                 for l in range(many):
-                    j = lists[l, NodeListColumn.LOADED]
-                    if lists[j, NodeListColumn.STATUS] == 0:
+                    j = nodes.lists[l, NodeListColumn.LOADED]
+                    if nodes.lists[j, NodeListColumn.STATUS] == 0:
                         for a in ti.static(range(3)):
                             for b in ti.static(range(3)):
-                                e[a] = e[a] + compliance[3 * i + a,
-                                                         3 * j + b] * local[j, LinearisedContactColumn.FORCE + b]
-                x, y, z = (local[i, LinearisedContactColumn.ARM], local[i, LinearisedContactColumn.ARM + 1],
-                           local[i, LinearisedContactColumn.ARM + 2])
-                f = ti.Vector([local[i, LinearisedContactColumn.INTERCEPT],
-                               local[i, LinearisedContactColumn.INTERCEPT + 1],
-                               local[i, LinearisedContactColumn.INTERCEPT + 2]])
+                                e[a] = e[a] + nodes.compliance[3 * i + a,
+                                                         3 * j + b] * nodes.local[j, LinearisedContactColumn.FORCE + b]
+                x, y, z = (nodes.local[i, LinearisedContactColumn.ARM], nodes.local[i, LinearisedContactColumn.ARM + 1],
+                           nodes.local[i, LinearisedContactColumn.ARM + 2])
+                f = ti.Vector([nodes.local[i, LinearisedContactColumn.INTERCEPT],
+                               nodes.local[i, LinearisedContactColumn.INTERCEPT + 1],
+                               nodes.local[i, LinearisedContactColumn.INTERCEPT + 2]])
                 turning = ti.Matrix([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
                 turned = ti.Matrix([[0.0, f[2], -f[1]], [-f[2], 0.0, f[0]], [f[1], -f[0], 0.0]])
                 for a in ti.static(range(3)):
                     row = 3 * p + a
-                    value = (local[i, LinearisedContactColumn.INTERCEPT + a]
-                             - local[i, LinearisedContactColumn.FORCE + a])
+                    value = (nodes.local[i, LinearisedContactColumn.INTERCEPT + a]
+                             - nodes.local[i, LinearisedContactColumn.FORCE + a])
                     for b in ti.static(range(3)):
-                        value = value + local[i, LinearisedContactColumn.STIFFNESS + 3 * a + b] * e[b]
-                    right[row] = value
+                        value = value + nodes.local[i, LinearisedContactColumn.STIFFNESS + 3 * a + b] * e[b]
+                    nodes.right[row] = value
                     for c in ti.static(range(6)):
                         value = 0.0
                         if ti.static(c >= 3):
                             value = value + turned[a, ti.static(c - 3)]
                         for b in ti.static(range(3)):
-                            way = tool_coupling[3 * i + b, c]
+                            way = nodes.tool_coupling[3 * i + b, c]
                             if ti.static(c >= 3):
                                 way = way - turning[b, ti.static(c - 3)]
                             elif ti.static(c == b):
                                 way = way - 1.0
-                            value = value + local[i, LinearisedContactColumn.STIFFNESS + 3 * a + b] * way
-                        right[(c + 1) * k + row] = value
+                            value = value + nodes.local[i, LinearisedContactColumn.STIFFNESS + 3 * a + b] * way
+                        nodes.right[(c + 1) * k + row] = value
             # Column by column, the order of LAPACK; the compliance is symmetric.
             for q in range(count if rebuilt else 0):
-                j = lists[q, NodeListColumn.ACTIVE]
+                j = nodes.lists[q, NodeListColumn.ACTIVE]
                 start = 3 * q * k
                 for p in range(count):
-                    i = lists[p, NodeListColumn.ACTIVE]
-                    C = ti.Matrix([[compliance[3 * j + b, 3 * i + c] for b in ti.static(range(3))]
+                    i = nodes.lists[p, NodeListColumn.ACTIVE]
+                    C = ti.Matrix([[nodes.compliance[3 * j + b, 3 * i + c] for b in ti.static(range(3))]
                                    for c in ti.static(range(3))])
                     A = ti.Matrix(
-                        [[local[i, LinearisedContactColumn.STIFFNESS + 3 * a + c] for c in ti.static(range(3))]
+                        [[nodes.local[i, LinearisedContactColumn.STIFFNESS + 3 * a + c] for c in ti.static(range(3))]
                          for a in ti.static(range(3))])
                     value = A @ C
                     for b in ti.static(range(3)):
                         for a in ti.static(range(3)):
-                            matrix[start + b * k + 3 * p + a] = value[a, b]
+                            nodes.matrix[start + b * k + 3 * p + a] = value[a, b]
                 for b in ti.static(range(3)):
                     for a in ti.static(range(3)):
                         at = start + b * k + 3 * q + a
-                        matrix[at] = matrix[at] - local[j, LinearisedContactColumn.ROTATION + 3 * a + b] + (
-                            1.0 if a == b else 0.0)
+                        rotation = nodes.local[j, LinearisedContactColumn.ROTATION + 3 * a + b]
+                        nodes.matrix[at] = nodes.matrix[at] - rotation + (1.0 if a == b else 0.0)
 
     return evaluate_contact_and_assemble_equations

@@ -15,7 +15,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.flat_contact import TangentPlaneContact
-from tissue_sim.fem.condensed.kernel import make_contact_iteration_kernel
+from tissue_sim.fem.condensed.kernel import CONTACT_ARRAYS, make_contact_iteration_kernel
 from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface
 from tissue_sim.fem.condensed.settings import StepperSettings
 from tissue_sim.fem.condensed.tables import (
@@ -35,6 +35,7 @@ from tissue_sim.fem.condensed.tables import (
 from tissue_sim.fem.condensed.wrench_kernel import ANSWER_SIZE, WrenchKernelArrayIndex, make_wrench_kernel
 from tissue_sim.fem.contact_settings import ContactBondState
 from tissue_sim.fem.taichi.launch import BoundKernel
+from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.pose import Pose, Screw, between, motion
@@ -94,37 +95,40 @@ class CondensedStepper:
     def __init__(self, surface: ContactSurface, largest: float = _SETTINGS.max_increment):
         self.surface = surface
         s, n = len(surface.places), surface.candidates
-        self._carried, self._states = np.zeros((s, NODE_COLUMNS)), np.zeros((s, STATE_COLUMNS), dtype=np.int32)
+        self._carried, self._states = allocate_array((s, NODE_COLUMNS)), allocate_array((s, STATE_COLUMNS), np.int32)
         self.forces, self._anchors = (self._carried[:, at:at + 3]
                                       for at in (NodeForceAndAnchorColumn.FORCE, NodeForceAndAnchorColumn.ANCHOR))
         self._bound, self._met, self._pressed, self._slips, outlines = self._states.T
         outlines[:] = surface.outlines
         self._settings, self._results = np.zeros(SETTING_COUNT), np.zeros(RESULT_COUNT)
-        self._matrix, self._right = np.zeros(9 * n * n), np.zeros(3 * n * RIGHT_HAND_SIDES)
-        self._tool_coupling, self._columns = np.zeros((2, 3 * n, 6))
+        self._matrix, self._right = allocate_array((9 * n * n,)), allocate_array((3 * n * RIGHT_HAND_SIDES,))
+        self._tool_coupling, self._columns = (allocate_array((3 * n, 6)) for _ in range(2))
         # The rows of the compliance are padded to whole vectors.
         width = -(-3 * n // LANES) * LANES
         if width > MAX_FREEDOMS:
             raise InputError(f"the number of nodes that the tool may touch must be at most {MAX_FREEDOMS // 3} in a "
                              f"multirate simulation; got {n}. Use a coarser mesh.", field="resolution")
-        self._compliance, self._free_displacement = np.zeros((3 * n, width)), np.zeros((n, 3))
-        lists, local = np.zeros((n, LIST_COLUMNS), dtype=np.int32), np.zeros((n, LOCAL_COLUMNS))
+        self._compliance, self._free_displacement = allocate_array((3 * n, width)), allocate_array((n, 3))
+        lists, local = allocate_array((n, LIST_COLUMNS), np.int32), allocate_array((n, LOCAL_COLUMNS))
         self._nodes, self._active, self._signature = (lists[:, at]
                                                       for at in (NodeListColumn.NODE, NodeListColumn.ACTIVE,
                                                                  NodeListColumn.STATUS))
         self._guess = local[:, LinearisedContactColumn.FORCE:LinearisedContactColumn.FORCE + 3]
-        arrays = {
-            "settings": self._settings, "results": self._results,
-            "chains": surface.chains.reshape(-1, surface.chains.shape[-1]), "shapes": surface.shapes,
-            "surface": np.column_stack([surface.places, surface.springs, surface.friction]), "states": self._states,
+        constants = {"chains": surface.chains.reshape(-1, surface.chains.shape[-1]), "shapes": surface.shapes,
+                     "surface": np.column_stack([surface.places, surface.springs, surface.friction])}
+        #: Arrays of the contact iteration, to which only its table of addresses refers.
+        self._arrays = {
+            **{name: copy_to_addressable_array(array) for name, array in constants.items()}, "states": self._states,
             "carried": self._carried, "lists": lists, "free_displacement": self._free_displacement,
-            "tool_coupling": self._tool_coupling,
-            "compliance": self._compliance, "rows": self._compliance.reshape(-1, LANES), "u": np.zeros(width),
-            "local": local, "columns": self._columns, "matrix": self._matrix, "right": self._right}
+            "tool_coupling": self._tool_coupling, "compliance": self._compliance,
+            "rows": self._compliance.reshape(-1, LANES), "u": allocate_array((width,)), "local": local,
+            "columns": self._columns, "matrix": self._matrix, "right": self._right}
         self._sum = np.zeros(ANSWER_SIZE)
+        arrays = self._arrays | {"settings": self._settings, "results": self._results, "answer": self._sum}
         with LOCK:
-            self._kernel = BoundKernel(make_contact_iteration_kernel(), arrays)
-            self._wrench_kernel = BoundKernel.bind_by_name(make_wrench_kernel(), arrays | {"answer": self._sum})
+            self._kernel = BoundKernel.bind_by_name(make_contact_iteration_kernel(), arrays | {
+                "table": CONTACT_ARRAYS.make_table(self._arrays)})
+            self._wrench_kernel = BoundKernel.bind_by_name(make_wrench_kernel(), arrays)
         self._flat = TangentPlaneContact(arrays, _SETTINGS.flat_gap * surface.radius, surface.floor)
         self._tolerance, self._stiffest = _SETTINGS.violation_factor * surface.tolerance, math.inf
         self._settings[[KernelSetting.TOLERANCE, KernelSetting.NEGLIGIBLE, KernelSetting.NEAR_GAP]] = (

@@ -12,11 +12,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissue_sim.fem.contact_settings import STICK
-from tissue_sim.fem.reduced.contact_kernel import LayerResult, LayerSetting, NodeState, make_layer_contact_kernel
+from tissue_sim.fem.reduced.contact_kernel import (
+    LAYER_ARRAYS,
+    LayerResult,
+    LayerSetting,
+    NodeState,
+    make_layer_contact_kernel,
+)
 from tissue_sim.fem.reduced.linear import euclidean_norm
 from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.taichi.launch import BoundKernel
+from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LOCK
 
 #: Friction coefficient of an interface that cannot slip and can lift off.
@@ -57,9 +64,9 @@ class LayerContact:
         self.nodes = np.array(sorted(owner), dtype=np.intp)
         own = [owner[node] for node in self.nodes.tolist()]
         n = self.nodes.size
-        self.places = np.ascontiguousarray(places[self.nodes])
+        self.places = copy_to_addressable_array(places[self.nodes])
         self.areas = areas[self.nodes]
-        self._rows = np.ascontiguousarray(basis.reshape(-1, 3, basis.shape[1])[self.nodes].reshape(3 * n, -1))
+        self._rows = copy_to_addressable_array(basis.reshape(-1, 3, basis.shape[1])[self.nodes].reshape(3 * n, -1))
         self._settings = np.zeros(LayerSetting.COUNT)
         profile = moving[0].profile
         self._settings[LayerSetting.ROUNDING], self._settings[LayerSetting.ZONE] = profile.rounding, softness * reach
@@ -67,28 +74,31 @@ class LayerContact:
         friction = np.array([body.friction for body in own], dtype=float).reshape(n, 2)
         friction[friction == STICK] = _NO_SLIP
         self.has_friction = bool((friction > 0.0).any())
-        self._springs, self.touched = np.zeros(n), np.zeros(n, dtype=np.int32)
-        self._states = np.zeros(n, dtype=np.int32)
-        self.anchors, self._new_anchors, self.forces = np.zeros((3, n, 3))
+        self._springs, self.touched = allocate_array((n,)), allocate_array((n,), np.int32)
+        self._states = allocate_array((n,), np.int32)
+        self.anchors, self._new_anchors, self.forces = (allocate_array((n, 3)) for _ in range(3))
         self.largest_lateral = np.zeros(1)
-        self._moved = np.zeros((n, 3))
+        self._moved = allocate_array((n, 3))
         self._modes = modes = self._rows.shape[1]
         # Arrays of the kernel. `_products` is the stiffness between modes and tool, shape (modes + 6, modes + 6).
-        self._met, self._answers = np.zeros((2, 3 * n, modes + 6))
-        self._pushes, self._twists = np.zeros(modes + 6), np.zeros((3, modes))
+        self._met, self._answers = (allocate_array((3 * n, modes + 6)) for _ in range(2))
+        self._pushes, self._twists = allocate_array((modes + 6,)), allocate_array((3, modes))
         self._report = np.zeros(LayerResult.COUNT)
         self._products = np.zeros((modes + 6, modes + 6))
-        self._arrays = {
-            "settings": self._settings, "lines": profile.lines,
-            "shaft": np.array([profile.shaft], dtype=np.int32), "places": self.places, "moved": self._moved,
-            "springs": self._springs, "friction": friction,
+        constants = {
+            "lines": profile.lines, "shaft": np.array([profile.shaft], dtype=np.int32), "friction": friction,
             "first": np.array([body.first_line for body in own], dtype=np.int32),
-            "closed": np.array([body.closed for body in own], dtype=np.int32), "anchors": self.anchors,
-            "touched": self.touched, "forces": self.forces, "rates": np.zeros((n, 3, 3)), "gaps": np.zeros(n),
-            "new_anchors": self._new_anchors, "states": self._states, "rows": self._rows, "met": self._met,
-            "answers": self._answers, "pushes": self._pushes, "twists": self._twists, "report": self._report}
+            "closed": np.array([body.closed for body in own], dtype=np.int32)}
+        self._arrays = {
+            **{name: copy_to_addressable_array(array) for name, array in constants.items()},
+            "places": self.places, "moved": self._moved, "springs": self._springs, "anchors": self.anchors,
+            "touched": self.touched, "forces": self.forces, "rates": allocate_array((n, 3, 3)),
+            "gaps": allocate_array((n,)), "new_anchors": self._new_anchors, "states": self._states,
+            "rows": self._rows, "met": self._met, "answers": self._answers, "pushes": self._pushes,
+            "twists": self._twists}
         with LOCK:
-            self._press = BoundKernel(make_layer_contact_kernel(), self._arrays)
+            self._press = BoundKernel(make_layer_contact_kernel(), {
+                "settings": self._settings, "report": self._report, "table": LAYER_ARRAYS.make_table(self._arrays)})
 
     def set_penalty_from_moduli_and_get_smallest(self, moduli: np.ndarray) -> float:
         """Set the penalty stiffness of the contact nodes from the shear moduli at all nodes, Pa, shape (nodes,).

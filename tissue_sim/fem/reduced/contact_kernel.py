@@ -4,6 +4,7 @@ from enum import IntEnum
 from functools import cache
 
 from tissue_sim.fem.contact.closest_point import make_closest_point_function
+from tissue_sim.fem.taichi.array_tables import ArrayLayout, integer_array, real_array
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
@@ -47,6 +48,15 @@ class LayerResult(IntEnum):
     COUNT = 3
 
 
+#: Arrays of the contact kernel, see `make_layer_contact_kernel`.
+LAYER_ARRAYS = ArrayLayout(
+    lines=real_array(2), shaft=integer_array(), places=real_array(2), moved=real_array(2), springs=real_array(),
+    friction=real_array(2), first=integer_array(), closed=integer_array(), anchors=real_array(2),
+    touched=integer_array(), forces=real_array(2), rates=real_array(3), gaps=real_array(), new_anchors=real_array(2),
+    states=integer_array(), rows=real_array(2), met=real_array(2), answers=real_array(2), pushes=real_array(),
+    twists=real_array(2))
+
+
 @cache
 def make_layer_contact_kernel():
     """Return the kernel that computes the nodal contact forces, their derivatives, and the projections on the modes.
@@ -65,36 +75,29 @@ def make_layer_contact_kernel():
     """
     ti = get_initialised_taichi()
     find_closest_outline_point = make_closest_point_function()
-    real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
-    int1 = ti.types.ndarray(ti.i32, ndim=1)
+    real1, int1 = ti.types.ndarray(ti.f64, ndim=1), ti.types.ndarray(ti.i32, ndim=1)
 
     @ti.func
-    def write_node_force_and_derivative(n, settings: ti.template(), lines: ti.template(), shaft: ti.template(),
-                                        places: ti.template(),
-                                        moved: ti.template(), springs: ti.template(), friction: ti.template(),
-                                        first: ti.template(),
-                                        closed: ti.template(), anchors: ti.template(), touched: ti.template(),
-                                        forces: ti.template(),
-                                        rates: ti.template(), gaps: ti.template(), new_anchors: ti.template(),
-                                        states: ti.template()):
+    def write_node_force_and_derivative(n, settings: ti.template(), nodes: ti.template()):
         """Write gap and contact state of node n; if it touches, also its force and minus the derivative by position."""
         turn = ti.Matrix([[settings[LayerSetting.ROTATION + 3 * i + k] for k in ti.static(range(3))]
                           for i in ti.static(range(3))])
-        offset = ti.Vector([places[n, i] + moved[n, i] - settings[LayerSetting.ORIGIN + i]
+        offset = ti.Vector([nodes.places[n, i] + nodes.moved[n, i] - settings[LayerSetting.ORIGIN + i]
                             for i in ti.static(range(3))])
         at = turn.transpose() @ offset
         r, z = ti.sqrt(at[0] * at[0] + at[1] * at[1]), at[2]
         endless = 0
-        if (closed[n] > 0 and settings[LayerSetting.PRESSED_IN] > 0.0 and first[n] == shaft[0]
+        if (nodes.closed[n] > 0 and settings[LayerSetting.PRESSED_IN] > 0.0 and nodes.first[n] == nodes.shaft[0]
                 and settings[LayerSetting.ROUNDING] == 0.0):
             endless = 1
-        best, distance, n_r, n_z, bent = find_closest_outline_point(r, z, first[n], lines.shape[0], endless, lines)
+        best, distance, n_r, n_z, bent = find_closest_outline_point(
+            r, z, nodes.first[n], nodes.lines.shape[0], endless, nodes.lines)
         gap = distance - settings[LayerSetting.ROUNDING]
-        gaps[n] = gap
+        nodes.gaps[n] = gap
         zone = settings[LayerSetting.ZONE]
-        states[n] = NodeState.FREE
+        nodes.states[n] = NodeState.FREE
         for i in ti.static(range(3)):
-            new_anchors[n, i] = at[i]
+            nodes.new_anchors[n, i] = at[i]
         if gap < zone:
             depth, slope = -gap, 1.0
             if gap > -zone:
@@ -107,25 +110,26 @@ def make_layer_contact_kernel():
             normal = ti.Vector([n_r * out[0], n_r * out[1], n_z])
             meridian = ti.Vector([-n_z * out[0], -n_z * out[1], n_r])
             around = ti.Vector([-out[1], out[0], 0.0])
-            spring = springs[n]
+            spring = nodes.springs[n]
             pressure = spring * depth
             nn = normal.outer_product(normal)
             rate = spring * slope * nn - pressure * (bent * meridian.outer_product(meridian)
                                                      + hoop * around.outer_product(around))
             force = pressure * normal
-            states[n] = NodeState.STICKS
-            on_shaft = 1 if best >= shaft[0] and not (bent != 0.0 and settings[LayerSetting.ROUNDING] > 0.0) else 0
-            mu = friction[n, on_shaft]
+            nodes.states[n] = NodeState.STICKS
+            is_rounded = bent != 0.0 and settings[LayerSetting.ROUNDING] > 0.0
+            on_shaft = 1 if best >= nodes.shaft[0] and not is_rounded else 0
+            mu = nodes.friction[n, on_shaft]
             # A node that comes into contact in this step gets its anchor at the end of the step.
-            if mu > 0.0 and touched[n] > 0:
-                anchor = ti.Vector([anchors[n, i] for i in ti.static(range(3))])
+            if mu > 0.0 and nodes.touched[n] > 0:
+                anchor = ti.Vector([nodes.anchors[n, i] for i in ti.static(range(3))])
                 slip = at - anchor
                 slip = slip - slip.dot(normal) * normal
                 size, limit = slip.norm(), mu * pressure
                 tangent = ti.Matrix.identity(ti.f64, 3) - nn
                 share = 1.0
                 if spring * size > (1.0 - settings[LayerSetting.SLIP_MARGIN]) * limit and size > 0.0:
-                    states[n] = NodeState.SLIPS
+                    nodes.states[n] = NodeState.SLIPS
                     share = ti.min(1.0, limit / (spring * size))
                     way = slip / size
                     rate = rate + spring * share * (tangent - way.outer_product(way)) \
@@ -134,33 +138,31 @@ def make_layer_contact_kernel():
                     rate = rate + spring * tangent
                 force = force - spring * share * slip
                 for i in ti.static(range(3)):
-                    new_anchors[n, i] = at[i] - share * slip[i]
+                    nodes.new_anchors[n, i] = at[i] - share * slip[i]
             force = turn @ force
             rate = turn @ rate @ turn.transpose()
             for i in ti.static(range(3)):
-                forces[n, i] = force[i]
+                nodes.forces[n, i] = force[i]
                 for k in ti.static(range(3)):
-                    rates[n, i, k] = rate[i, k]
+                    nodes.rates[n, i, k] = rate[i, k]
 
     @ti.func
-    def project_node_force_on_modes(n, at, settings: ti.template(), places: ti.template(), moved: ti.template(),
-                                    forces: ti.template(),
-                                    rates: ti.template(), rows: ti.template(), met: ti.template(),
-                                    answers: ti.template(), pushes: ti.template(), twists: ti.template()):
+    def project_node_force_on_modes(n, at, settings: ti.template(), nodes: ti.template()):
         """Project force and derivative of touching node n on the modes; its rows of ``met`` begin at `at`."""
-        modes = rows.shape[1]
-        force = ti.Vector([forces[n, i] for i in ti.static(range(3))])
-        rate = ti.Matrix([[rates[n, i, k] for k in ti.static(range(3))] for i in ti.static(range(3))])
-        lever = ti.Vector([places[n, i] + moved[n, i] - settings[LayerSetting.ORIGIN + i] for i in ti.static(range(3))])
+        modes = nodes.rows.shape[1]
+        force = ti.Vector([nodes.forces[n, i] for i in ti.static(range(3))])
+        rate = ti.Matrix([[nodes.rates[n, i, k] for k in ti.static(range(3))] for i in ti.static(range(3))])
+        lever = ti.Vector([nodes.places[n, i] + nodes.moved[n, i] - settings[LayerSetting.ORIGIN + i]
+                           for i in ti.static(range(3))])
         for m in range(modes):
-            row = ti.Vector([rows[3 * n + i, m] for i in ti.static(range(3))])
+            row = ti.Vector([nodes.rows[3 * n + i, m] for i in ti.static(range(3))])
             answer = rate @ row
             twist = row.cross(force)
-            pushes[m] = pushes[m] + row.dot(force)
+            nodes.pushes[m] = nodes.pushes[m] + row.dot(force)
             for i in ti.static(range(3)):
-                met[at + i, m] = row[i]
-                answers[at + i, m] = answer[i]
-                twists[i, m] = twists[i, m] + twist[i]
+                nodes.met[at + i, m] = row[i]
+                nodes.answers[at + i, m] = answer[i]
+                nodes.twists[i, m] = nodes.twists[i, m] + twist[i]
         for m in ti.static(range(6)):
             # A rotation of the tool moves the contact point and rotates the force with the tool.
             axis = ti.Vector([float(i == m % 3) for i in ti.static(range(3))])
@@ -168,36 +170,30 @@ def make_layer_contact_kernel():
             if ti.static(m >= 3):
                 way, turned = axis.cross(lever), axis.cross(force)
             answer = rate @ way + turned
-            pushes[modes + m] = pushes[modes + m] + way.dot(force)
+            nodes.pushes[modes + m] = nodes.pushes[modes + m] + way.dot(force)
             for i in ti.static(range(3)):
-                met[at + i, modes + m] = way[i]
-                answers[at + i, modes + m] = answer[i]
+                nodes.met[at + i, modes + m] = way[i]
+                nodes.answers[at + i, modes + m] = answer[i]
 
     @ti.kernel
-    def evaluate_layer_contact(settings: real1, lines: real2, shaft: int1, places: real2, moved: real2,
-                               springs: real1,
-                               friction: real2, first: int1, closed: int1, anchors: real2, touched: int1, forces: real2,
-                               rates: real3,
-                               gaps: real1, new_anchors: real2, states: int1, rows: real2, met: real2, answers: real2,
-                               pushes: real1, twists: real2, report: real1):
+    def evaluate_layer_contact(settings: real1, report: real1, table: int1):
         """Compute the contact forces of all nodes, their derivatives, and the projections on modes and tool motions."""
         ti.loop_config(serialize=True)
         for _ in range(1):
-            for m in range(pushes.shape[0]):
-                pushes[m] = 0.0
-            for m in range(rows.shape[1]):
+            nodes = LAYER_ARRAYS.open_table(table)
+            for m in range(nodes.pushes.shape[0]):
+                nodes.pushes[m] = 0.0
+            for m in range(nodes.rows.shape[1]):
                 for i in ti.static(range(3)):
-                    twists[i, m] = 0.0
+                    nodes.twists[i, m] = 0.0
             touching, slipping, depth = 0, 0, 0.0
-            for n in range(places.shape[0]):
-                write_node_force_and_derivative(n, settings, lines, shaft, places, moved, springs, friction, first,
-                                                closed, anchors, touched, forces, rates, gaps, new_anchors, states)
-                if states[n] != NodeState.FREE:
-                    project_node_force_on_modes(n, 3 * touching, settings, places, moved, forces, rates, rows, met,
-                                                answers, pushes, twists)
+            for n in range(nodes.places.shape[0]):
+                write_node_force_and_derivative(n, settings, nodes)
+                if nodes.states[n] != NodeState.FREE:
+                    project_node_force_on_modes(n, 3 * touching, settings, nodes)
                     touching += 1
-                    depth = ti.max(depth, -gaps[n])
-                if states[n] == NodeState.SLIPS:
+                    depth = ti.max(depth, -nodes.gaps[n])
+                if nodes.states[n] == NodeState.SLIPS:
                     slipping += 1
             report[LayerResult.TOUCHING] = touching
             report[LayerResult.SLIPPING] = slipping
