@@ -9,7 +9,6 @@ when their last view dies.
 An array that a kernel addresses this way is no argument of the kernel. Its owner keeps the array alive.
 """
 
-import ctypes
 import math
 import mmap
 from dataclasses import dataclass
@@ -88,17 +87,23 @@ def get_origin(kind: OriginKind = OriginKind.REAL_BLOCKS) -> Origin:
 def allocate_array(shape: tuple[int, ...], dtype: type = float) -> np.ndarray:
     """Return an array of zeros that kernels can address relative to the origins.
 
+    The array has at least `ALIGNMENT` unused bytes on both sides.
+
     Args:
         shape: shape of the array.
         dtype: float, or np.int32.
     """
     count, size = math.prod(shape), np.dtype(dtype).itemsize
-    length = (-(-count * size // ALIGNMENT) + 1) * ALIGNMENT
-    # A private map: a process that is forked gets a copy. Windows has no such flag and no fork.
-    memory = mmap.mmap(-1, length, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS) if hasattr(mmap, "MAP_PRIVATE") \
-        else mmap.mmap(-1, length)
-    address = ctypes.addressof(ctypes.c_char.from_buffer(memory))
-    return np.frombuffer(memory, dtype, count, offset=-address % ALIGNMENT).reshape(shape)
+    memory = _map_memory((-(-count * size // ALIGNMENT) + 2) * ALIGNMENT)
+    return np.frombuffer(memory, dtype, count, offset=ALIGNMENT).reshape(shape)
+
+
+def _map_memory(length: int) -> mmap.mmap:
+    """Return an anonymous map of `length` bytes, which begins on a page and contains zeros."""
+    if not hasattr(mmap, "MAP_PRIVATE"):
+        return mmap.mmap(-1, length)  # Windows
+    # A process that is forked gets a copy of a private map.
+    return mmap.mmap(-1, length, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
 
 
 def copy_to_addressable_array(values: np.ndarray) -> np.ndarray:
