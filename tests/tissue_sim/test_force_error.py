@@ -72,20 +72,23 @@ def test_estimate_has_the_size_of_the_error_against_an_independent_solver(refere
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", [0.0, 1e-13, -1e-12, 1e-10])
 @pytest.mark.parametrize("points", [5, 6, 7, 9, 11, 16, 21])
-def test_first_step_after_a_turn_is_compared(points, change):
+def test_first_step_after_a_turn_is_compared(points):
     """The first step after a reversal is compared for odd and even numbers of steps.
 
-    The force of this step, and the number of solves of the comparison, depend on rounding. Changes of the modulus by
-    rounding errors must not change the size of the stated error.
+    The force of this step, and the number of solves of the comparison, depend on rounding: with changes of the modulus
+    by 1e-12 the error of five steps varies between 3.9 and 5.1 %. Each stated error must have the size of its error.
     """
-    recording, shorter = (ts.simulate(presses_twice(each, change)) for each in (points, 4 * points - 3))
-    error = abs(recording.force - shorter.force[::4]).max() / shorter.force.max()
-    stated = solver_says(recording)["force_error"]
-    assert 0.005 < error < 0.05 and 0.7 * error < stated < 2.0 * error
-    # Not `error`: it may be above the limit of the warning, and the stated error below, if both are close to the limit.
-    assert len(solver_says(recording)["warnings"]) == (stated > FORCE_ERROR.warning_fraction)
+    errors = []
+    for change in (0.0, 1e-13, -1e-12, 1e-10):
+        recording, shorter = (ts.simulate(presses_twice(each, change)) for each in (points, 4 * points - 3))
+        error = abs(recording.force - shorter.force[::4]).max() / shorter.force.max()
+        stated = solver_says(recording)["force_error"]
+        assert 0.005 < error and 0.7 * error < stated < 2.0 * error
+        # Not `error`: it may be above the limit of the warning, and the stated error below, if both are close to it.
+        assert len(solver_says(recording)["warnings"]) == (stated > FORCE_ERROR.warning_fraction)
+        errors.append(error)
+    assert np.median(errors) < 0.05
 
 
 def test_coarse_mesh_gives_a_warning_with_its_difference_to_the_accurate_one():
