@@ -84,7 +84,7 @@ def test_first_step_after_a_turn_is_compared(points):
         recording, shorter = (ts.simulate(presses_twice(each, change)) for each in (points, 4 * points - 3))
         error = abs(recording.force - shorter.force[::4]).max() / shorter.force.max()
         stated = solver_says(recording)["force_error"]
-        assert 0.005 < error and 0.7 * error < stated < 2.0 * error
+        assert error > 0.005 and 0.7 * error < stated < 2.0 * error
         # Not `error`: it may be above the limit of the warning, and the stated error below, if both are close to it.
         assert len(solver_says(recording)["warnings"]) == (stated > FORCE_ERROR.warning_fraction)
         errors.append(error)
