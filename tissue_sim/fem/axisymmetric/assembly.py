@@ -14,6 +14,7 @@ from functools import cache
 from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric import energy as point
+from tissue_sim.fem.axisymmetric.kinematics import make_kinematic_functions
 from tissue_sim.fem.axisymmetric.point_effects import make_effect_stress_function
 from tissue_sim.fem.axisymmetric.scratch import AT, get_axisymmetric_scratch_field
 from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
@@ -46,7 +47,7 @@ def make_taichi_element_functions(element_name: str, energy: KernelEnergy,
     has_centre, centre = nodes > nb, nodes - 1
     pairs = nb * (nb + 1) // 2
     vec = ti.types.vector(LANES, ti.f64)
-    s = get_axisymmetric_scratch_field()
+    s, kinematics = get_axisymmetric_scratch_field(), make_kinematic_functions(element_name)
     with_tangent, without = point.make_stress_function(energy), point.make_stress_function(energy, tangents=False)
     inverse_cube_root = make_inverse_cube_root_function()
     add_pressure_terms = point.make_pressure_term_function()
@@ -129,24 +130,14 @@ def make_taichi_element_functions(element_name: str, energy: KernelEnergy,
         """
         for a in range(nodes):
             i = b * nodes + a
-            s[UR + a] = ti.Vector([x[elements.dofs[i][l]] for l in ti.static(range(LANES))])
-            s[UZ + a] = ti.Vector([x[elements.dofs[i][l] + 1] for l in ti.static(range(LANES))])
+            s[UR + a], s[UZ + a] = kinematics.gather_node_vector(x, elements, i)
         bulk = kappa * elements.moduli[b]
         for m in range(modes):
             p = ti.Vector([x[pressures + modes * elements.numbers[b][l] + m] for l in ti.static(range(LANES))])
             s[PRESSURE + m], s[GAP + m] = p, -p / bulk
         least = vec(1e30)
         for q in range(points):
-            h0, h1, h2, h3, h4 = vec(0.0), vec(0.0), vec(0.0), vec(0.0), vec(0.0)
-            for a in range(nodes):
-                g = (b * points + q) * nodes + a
-                gr, gz, gh = elements.gradient_r[g], elements.gradient_z[g], elements.value_r[g]
-                ur, uz = s[UR + a], s[UZ + a]
-                h0 = h0 + ur * gr
-                h1 = h1 + ur * gz
-                h2 = h2 + uz * gr
-                h3 = h3 + uz * gz
-                h4 = h4 + ur * gh
+            h0, h1, h2, h3, h4 = kinematics.compute_gradient_of_stored_displacements(b, q, elements)
             # J - 1 is computed from the displacement gradient, without cancellation, because K/mu multiplies it.
             area = h0 + h3 + h0 * h3 - h1 * h2
             dilation = area + h4 + area * h4
@@ -205,8 +196,7 @@ def make_taichi_element_functions(element_name: str, energy: KernelEnergy,
         if ti.static(has_centre):
             i = b * nodes + centre
             mass = density * inertia * elements.volumes[i]
-            rest_r = ti.Vector([rest[elements.dofs[i][l]] for l in ti.static(range(LANES))])
-            rest_z = ti.Vector([rest[elements.dofs[i][l] + 1] for l in ti.static(range(LANES))])
+            rest_r, rest_z = kinematics.gather_node_vector(rest, elements, i)
             s[FR + centre] = s[FR + centre] + mass * (s[UR + centre] - rest_r)
             s[FZ + centre] = s[FZ + centre] + mass * (s[UZ + centre] - rest_z)
 
@@ -256,8 +246,7 @@ def make_taichi_element_functions(element_name: str, energy: KernelEnergy,
         if pending == 1:
             for a in range(nb):
                 i = b * nodes + a
-                s[SR + a] = ti.Vector([step[elements.dofs[i][l]] for l in ti.static(range(LANES))])
-                s[SZ + a] = ti.Vector([step[elements.dofs[i][l] + 1] for l in ti.static(range(LANES))])
+                s[SR + a], s[SZ + a] = kinematics.gather_node_vector(step, elements, i)
         # The interior node first, since it is eliminated from the others.
         for back in range(nodes):
             c = nodes - 1 - back

@@ -12,6 +12,7 @@ the change of B would be multiplied by K without being in the matrix.
 from functools import cache
 from typing import NamedTuple
 
+from tissue_sim.fem.axisymmetric.kinematics import make_kinematic_functions
 from tissue_sim.fem.axisymmetric.scratch import AT, get_axisymmetric_scratch_field
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES
@@ -38,21 +39,24 @@ def make_condensation_functions(element_name: str) -> CondensationFunctions:
     nodes, nb, modes = element.node_count, element.boundary_nodes, element.pressure_modes
     has_centre, centre = nodes > nb, nodes - 1
     vec = ti.types.vector(LANES, ti.f64)
-    s = get_axisymmetric_scratch_field()
+    s, kinematics = get_axisymmetric_scratch_field(), make_kinematic_functions(element_name)
     FR, FZ, SR, SZ = (AT[name] for name in ("FR", "FZ", "SR", "SZ"))
 
     # Arrays are updated by `a = a + b`, because `a += b` is an atomic operation in Taichi, four times slower here.
 
     @ti.func
-    def condense_interior_force_and_get_square(b, elements: ti.template(), force_r: ti.template(),
+    def condense_interior_force_and_get_square(b, to, elements: ti.template(), force_r: ti.template(),
                                                force_z: ti.template()):
-        """Condense the force on the interior node into the forces of the shared nodes; return its summed square, N2."""
+        """Condense the force on the interior node into the forces of the shared nodes; return its summed square, N2.
+
+        Entry `to` of `force_r` and `force_z` gets the inverse stiffness of the interior node times its force.
+        """
         squares = 0.0
         if ti.static(has_centre):
             f0, f1 = s[FR + centre], s[FZ + centre]
             squares = (elements.real[b] * (f0 * f0 + f1 * f1)).sum()
-            force_r[b] = elements.inverse_rr[b] * f0 + elements.inverse_rz[b] * f1
-            force_z[b] = elements.inverse_rz[b] * f0 + elements.inverse_zz[b] * f1
+            force_r[to] = elements.inverse_rr[b] * f0 + elements.inverse_rz[b] * f1
+            force_z[to] = elements.inverse_rz[b] * f0 + elements.inverse_zz[b] * f1
             for a in range(nb):
                 at = b * nb + a
                 s[FR + a] = s[FR + a] - (f0 * elements.rows_rr[at] + f1 * elements.rows_zr[at])
@@ -90,7 +94,7 @@ def make_condensation_functions(element_name: str) -> CondensationFunctions:
                 s[FZ + a] = s[FZ + a] + missed * (elements.known_volume_z[i] - elements.volume_z[i])
         if ti.static(has_centre):
             before_r, before_z = elements.force_r[b], elements.force_z[b]
-            condense_interior_force_and_get_square(b, elements, elements.force_r, elements.force_z)
+            condense_interior_force_and_get_square(b, b, elements, elements.force_r, elements.force_z)
             elements.force_r[b], elements.force_z[b] = elements.force_r[b] + before_r, elements.force_z[b] + before_z
         add_forces_to_residual(b, elements, residual)
 
@@ -100,8 +104,7 @@ def make_condensation_functions(element_name: str) -> CondensationFunctions:
         """Store the displacement increments of all nodes; that of the interior node follows from the shared nodes."""
         for a in range(nb):
             i = b * nodes + a
-            s[SR + a] = ti.Vector([step[elements.dofs[i][l]] for l in ti.static(range(LANES))])
-            s[SZ + a] = ti.Vector([step[elements.dofs[i][l] + 1] for l in ti.static(range(LANES))])
+            s[SR + a], s[SZ + a] = kinematics.gather_node_vector(step, elements, i)
         if ti.static(has_centre):
             cr, cz = -force_r[b], -force_z[b]
             for a in range(nb):

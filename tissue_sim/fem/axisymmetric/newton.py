@@ -154,7 +154,7 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                         definite = ti.min(definite, work.compute_condensed_stiffness_and_success(
                             b, kappa, pending, inertia * settings[SettingIndex.DENSITY], state.motion, elements))
                         work.add_stiffness_to_band_and_pull(b, elements, state.scattered, state.pull)
-                    interior += own.condense_interior_force_and_get_square(b, elements, elements.force_r,
+                    interior += own.condense_interior_force_and_get_square(b, b, elements, elements.force_r,
                                                                            elements.force_z)
                     own.add_forces_to_residual(b, elements, state.residual)
                 if smallest <= 0.0 and halvings < NEWTON.max_halvings:

@@ -108,8 +108,7 @@ class MaterialSensitivity:
         self._which[SensitivityControlIndex.SOFTENS] = (equations.memory.past[RelaxationSofteningCoefficient.LOSS] != 0
                                                         or self._past_rates[:,
                                                                             RelaxationSofteningCoefficient.LOSS:].any())
-        self._which[SensitivityControlIndex.TERMS], self._which[[SensitivityControlIndex.ONE,
-                                                                 SensitivityControlIndex.PASSES]] = self._decay.size, 1
+        self._which[[SensitivityControlIndex.TERMS, SensitivityControlIndex.PASSES]] = self._decay.size, 1
         relaxes = [up is not None and down is not None and up != down for up, down, _ in self._relaxations]
         self._which[SensitivityControlIndex.RELAXES] = any(relaxes)
         found = {"directions": np.concatenate([np.tile(inputs[0], (m, 1)), coefficient_rates], axis=1),

@@ -174,7 +174,7 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
                 if refines == 1 and round > 0:
                     for b in range(batches):
                         missed = tangent.add_tangent_product_to_residual(
-                            b, k, kappa, batches, which[SensitivityControlIndex.ONE], elements, rates, state.residual)
+                            b, k, kappa, batches, elements, rates, state.residual)
                         missing += missed
             for i in range(free, state.residual.shape[0]):
                 rates.motion[state.equation.shape[0] + i] = state.residual[i]

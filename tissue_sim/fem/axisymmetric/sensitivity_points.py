@@ -10,6 +10,8 @@ from typing import NamedTuple
 import sympy as sp
 
 from tissue_sim.fem.axisymmetric import energy as point
+from tissue_sim.fem.axisymmetric.condensation import make_condensation_functions
+from tissue_sim.fem.axisymmetric.kinematics import make_kinematic_functions
 from tissue_sim.fem.axisymmetric.scratch import AT, get_axisymmetric_scratch_field
 from tissue_sim.fem.axisymmetric.sensitivity_tables import (
     PointRecordOffset,
@@ -50,9 +52,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
 
     Tissue without memory uses `store_point_data` and `add_force_derivatives_at_fixed_displacement` only.
 
-    Rows of arrays of vectors are numbered by batch, point, parameter, term and component, the last fastest. The
-    component in a row index is multiplied by `one`, a 1 that is unknown to the compiler: with constant indices the
-    compiler would load a vector number by number.
+    Rows of arrays of vectors are numbered by batch, point, parameter, term and component, the last fastest.
     """
     ti = get_initialised_taichi()
     element = ELEMENTS[element_name]
@@ -61,7 +61,8 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
     has_centre, centre = nodes > nb, nodes - 1
     coefficients_of_both = 2 * len(energy.coefficients)
     vec = ti.types.vector(LANES, ti.f64)
-    s = get_axisymmetric_scratch_field()
+    s, kinematics = get_axisymmetric_scratch_field(), make_kinematic_functions(element_name)
+    condensation = make_condensation_functions(element_name)
     law_of = point.make_stress_function(energy)
     add_pressure_terms = point.make_pressure_term_function()
     stress_rate = point.make_stress_function(build_directional_derivative_energy(energy), tangents=False)
@@ -98,31 +99,14 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 F[2] * S[1] + F[3] * S[2], F[4] * S[3]]
 
     @ti.func
-    def compute_gradient_of_stored_displacements(b, q, elements: ti.template()):
-        """Return the gradient (rR, rZ, zR, zZ, hoop) of the stored nodal displacements at quadrature point q."""
-        h0, h1, h2, h3, h4 = vec(0.0), vec(0.0), vec(0.0), vec(0.0), vec(0.0)
-        for a in range(nodes):
-            g = (b * points + q) * nodes + a
-            gr, gz, gh = elements.gradient_r[g], elements.gradient_z[g], elements.value_r[g]
-            ur, uz = s[UR + a], s[UZ + a]
-            h0 = h0 + ur * gr
-            h1 = h1 + ur * gz
-            h2 = h2 + uz * gr
-            h3 = h3 + uz * gz
-            h4 = h4 + ur * gh
-        return h0, h1, h2, h3, h4
-
-    @ti.func
     def store_point_data(b, which: ti.template(), pressures, elements: ti.template(), tissue: ti.template(),
                          state: ti.template(), rates: ti.template()):
         """Store strains, stresses and tangents at the quadrature points of batch b, equal for all parameters."""
-        one = which[SensitivityControlIndex.ONE]
         for a in range(nodes):
             i = b * nodes + a
-            s[UR + a] = ti.Vector([state.x[elements.dofs[i][l]] for l in ti.static(range(LANES))])
-            s[UZ + a] = ti.Vector([state.x[elements.dofs[i][l] + 1] for l in ti.static(range(LANES))])
+            s[UR + a], s[UZ + a] = kinematics.gather_node_vector(state.x, elements, i)
         for q in range(points):
-            h0, h1, h2, h3, h4 = compute_gradient_of_stored_displacements(b, q, elements)
+            h0, h1, h2, h3, h4 = kinematics.compute_gradient_of_stored_displacements(b, q, elements)
             area = h0 + h3 + h0 * h3 - h1 * h2
             F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
             root = inverse_cube_root(ti.max(1.0 + area + h4 + area * h4, 1e-6))
@@ -138,7 +122,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                     s[at + PointRecordOffset.STRESS + i] = f * P[i]
                     s[at + PointRecordOffset.SOFT_STRESS + i] = f * P[i]
                 for n in ti.static(range(15)):
-                    to = kept + (StoredRecordOffset.SOFT_TANGENT + n) * one
+                    to = kept + StoredRecordOffset.SOFT_TANGENT + n
                     rates.law[to] = f * A[n]
                 if tissue.past[RelaxationSofteningCoefficient.LOSS] != 0.0:
                     P1, A1 = apply_softening(
@@ -150,7 +134,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                     for i in ti.static(range(5)):
                         s[at + PointRecordOffset.SOFT_STRESS + i] = P1[i]
                     for n in ti.static(range(15)):
-                        to = kept + (StoredRecordOffset.SOFT_TANGENT + n) * one
+                        to = kept + StoredRecordOffset.SOFT_TANGENT + n
                         rates.law[to] = A1[n]
                 left = compute_first_piola_from_second_piola(
                     F, [gather_point_component_per_lane(tissue.inherited, elements.numbers, b, q, i)
@@ -159,14 +143,14 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                     s[at + PointRecordOffset.RELAXED_STRESS + i] = (
                         tissue.past[RelaxationSofteningCoefficient.INSTANT] * s[at + PointRecordOffset.SOFT_STRESS + i]
                         + left[i])
-                    to = kept + (StoredRecordOffset.GRADIENT + i) * one
+                    to = kept + StoredRecordOffset.GRADIENT + i
                     rates.law[to] = F[i]
-                    to1 = kept + (StoredRecordOffset.STRESS + i) * one
+                    to1 = kept + StoredRecordOffset.STRESS + i
                     rates.law[to1] = s[at + PointRecordOffset.STRESS + i]
                 S = compute_second_piola_from_first_piola(F, [s[at + PointRecordOffset.SOFT_STRESS + i]
                                                               for i in ti.static(range(5))])
                 for i in ti.static(range(4)):
-                    to2 = kept + (StoredRecordOffset.SECOND + i) * one
+                    to2 = kept + StoredRecordOffset.SECOND + i
                     rates.law[to2] = S[i]
             elif which[SensitivityControlIndex.LAYERED] + which[SensitivityControlIndex.REFINES] > 0:
                 W, P, A = law_of(F, root, tissue.coefficients)
@@ -181,21 +165,21 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 P1, A1 = add_pressure_terms(F, p, [modulus * P[i] for i in ti.static(range(5))],
                                             [modulus * A[n] for n in ti.static(range(15))])
                 for n in ti.static(range(15)):
-                    to = (b * points + q) * 15 + n * one
+                    to = (b * points + q) * 15 + n
                     rates.law[to] = w * A1[n]
 
     @ti.func
     def copy_stress_history_to_buffers(b, which: ti.template(), elements: ti.template(), tissue: ti.template(),
                                        rates: ti.template()):
         """Copy internal stresses to `recent`, and the last stress and its change to the scratch field, for batch b."""
-        one, terms = which[SensitivityControlIndex.ONE], which[SensitivityControlIndex.TERMS]
+        terms = which[SensitivityControlIndex.TERMS]
         for q in range(points):
             for i in ti.static(range(4)):
                 s[BEFORE + 4 * q + i] = gather_point_component_per_lane(tissue.before, elements.numbers, b, q, i)
                 stress = gather_point_component_per_lane(tissue.stresses, elements.numbers, b, q, i)
                 s[CHANGE + 4 * q + i] = stress - s[BEFORE + 4 * q + i]
                 for t in range(terms):
-                    at_term = (q * terms + t) * 4 + i * one
+                    at_term = (q * terms + t) * 4 + i
                     rates.recent[at_term] = ti.Vector([tissue.internal[t, elements.numbers[b][l], q, i]
                                                        for l in ti.static(range(LANES))])
 
@@ -208,7 +192,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
         The modulus ratio of the element is not included.
         """
         at, noted = RATE + 5 * q, LAW + PointRecordOffset.SIZE * q
-        terms, one = which[SensitivityControlIndex.TERMS], which[SensitivityControlIndex.ONE]
+        terms = which[SensitivityControlIndex.TERMS]
         f = tissue.past[RelaxationSofteningCoefficient.FACTOR]
         df = rates.past_rates[k, RelaxationSofteningCoefficient.FACTOR] / f
         F = [s[noted + PointRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
@@ -235,15 +219,15 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
         rates.energy_rates[own] = dW
         S = compute_second_piola_from_first_piola(F, [s[at + i] for i in ti.static(range(5))])
         for i in ti.static(range(4)):
-            to = 4 * own + i * one
+            to = 4 * own + i
             rates.stress_rates[to] = S[i]
             s[PAST + i] = vec(0.0)
             for t in range(terms):
-                of = (own * terms + t) * 4 + i * one
+                of = (own * terms + t) * 4 + i
                 s[PAST + i] = (s[PAST + i] + rates.decay[t] * rates.internal_rates[of]
                                - rates.gain[t] * rates.before_rates[to])
                 if rates.relaxes[k] == 1:
-                    at_term = (q * terms + t) * 4 + i * one
+                    at_term = (q * terms + t) * 4 + i
                     s[PAST + i] = (s[PAST + i] + rates.decay_rates[k, t] * rates.recent[at_term]
                                    - rates.gain_rates[k, t] * s[BEFORE + 4 * q + i])
         left = compute_first_piola_from_second_piola(F, [s[PAST + i] for i in ti.static(range(4))])
@@ -283,12 +267,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
         # Relative derivative of the pressure p = K (v - V) at fixed volume.
         share = (rates.kappa_rates[k] * modulus + kappa * modulus_rate) / (kappa * modulus)
         for a in range(nodes):
-            fr, fz = vec(0.0), vec(0.0)
-            for q in range(points):
-                g = (b * points + q) * nodes + a
-                gr, gz, gh, at = elements.gradient_r[g], elements.gradient_z[g], elements.value_r[g], RATE + 5 * q
-                fr = fr + s[at] * gr + s[at + 1] * gz + s[at + 4] * gh
-                fz = fz + s[at + 2] * gr + s[at + 3] * gz
+            fr, fz = kinematics.integrate_stored_stresses(a, b, RATE, elements)
             for m in range(modes):
                 v = (b * modes + m) * nodes + a
                 p = ti.Vector([state.x[pressures + modes * elements.numbers[b][l] + m]
@@ -296,14 +275,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 fr = fr + share * p * elements.volume_r[v]
                 fz = fz + share * p * elements.volume_z[v]
             s[FR + a], s[FZ + a] = fr, fz
-        if ti.static(has_centre):
-            f0, f1 = s[FR + centre], s[FZ + centre]
-            rates.centre_r[own] = elements.inverse_rr[b] * f0 + elements.inverse_rz[b] * f1
-            rates.centre_z[own] = elements.inverse_rz[b] * f0 + elements.inverse_zz[b] * f1
-            for a in range(nb):
-                at = b * nb + a
-                s[FR + a] = s[FR + a] - (f0 * elements.rows_rr[at] + f1 * elements.rows_zr[at])
-                s[FZ + a] = s[FZ + a] - (f0 * elements.rows_rz[at] + f1 * elements.rows_zz[at])
+        condensation.condense_interior_force_and_get_square(b, own, elements, rates.centre_r, rates.centre_z)
         for a in range(nb):
             at = b * nb + a
             fr, fz = s[FR + a], s[FZ + a]
@@ -315,11 +287,10 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
     def update_memory_derivatives(b, k, parameters, batches, which: ti.template(), elements: ti.template(),
                                   tissue: ti.template(), rates: ti.template()):
         """Update the derivatives of the material history of batch b with parameter k, from the derivatives `dx`."""
-        in_batch, terms, one = k * batches + b, which[SensitivityControlIndex.TERMS], which[SensitivityControlIndex.ONE]
+        in_batch, terms = k * batches + b, which[SensitivityControlIndex.TERMS]
         for a in range(nb):
             i = b * nodes + a
-            s[UR + a] = ti.Vector([rates.dx[k, elements.dofs[i][l]] for l in ti.static(range(LANES))])
-            s[UZ + a] = ti.Vector([rates.dx[k, elements.dofs[i][l] + 1] for l in ti.static(range(LANES))])
+            s[UR + a], s[UZ + a] = kinematics.gather_node_vector_of_row(rates.dx, k, elements, i)
         if ti.static(has_centre):
             cr, cz = -rates.centre_r[in_batch], -rates.centre_z[in_batch]
             for a in range(nb):
@@ -329,40 +300,40 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
             s[UR + centre], s[UZ + centre] = cr, cz
         for q in range(points):
             own, kept = (b * points + q) * parameters + k, (b * points + q) * StoredRecordOffset.SIZE
-            h0, h1, h2, h3, h4 = compute_gradient_of_stored_displacements(b, q, elements)
+            h0, h1, h2, h3, h4 = kinematics.compute_gradient_of_stored_displacements(b, q, elements)
             H = [h0, h1, h2, h3, h4]
             F = [1.0 * h0 for _i in ti.static(range(5))]
             second = [1.0 * h0 for _i in ti.static(range(4))]
             dW = rates.energy_rates[own]
             for i in ti.static(range(5)):
-                of = kept + (StoredRecordOffset.GRADIENT + i) * one
+                of = kept + StoredRecordOffset.GRADIENT + i
                 F[i] = rates.law[of]
-                of1 = kept + (StoredRecordOffset.STRESS + i) * one
+                of1 = kept + StoredRecordOffset.STRESS + i
                 dW = dW + rates.law[of1] * H[i]
             for i in ti.static(range(4)):
-                of2 = kept + (StoredRecordOffset.SECOND + i) * one
+                of2 = kept + StoredRecordOffset.SECOND + i
                 second[i] = rates.law[of2]
             # d(F S) = F dS + dF S.
             lost = compute_first_piola_from_second_piola(H, second)
             rate = [-1.0 * lost[i] for i in ti.static(range(5))]
             for i in ti.static(range(5)):
                 for n in ti.static(range(5)):
-                    of = kept + ti.static(StoredRecordOffset.SOFT_TANGENT + row[i][n]) * one
+                    of = kept + ti.static(StoredRecordOffset.SOFT_TANGENT + row[i][n])
                     rate[i] = rate[i] + rates.law[of] * H[n]
             S_rate = compute_second_piola_from_first_piola(F, rate)
             most = gather_point_value_per_lane(tissue.largest, elements.numbers, b, q)
             energy = gather_point_value_per_lane(tissue.energies, elements.numbers, b, q)
             rates.largest_rates[own] = ti.select(energy > most, dW, rates.largest_rates[own])
             for i in ti.static(range(4)):
-                to = 4 * own + i * one
+                to = 4 * own + i
                 S = rates.stress_rates[to] + S_rate[i]
                 change = S - rates.before_rates[to]
                 rates.before_rates[to] = S
                 for t in range(terms):
-                    of = (own * terms + t) * 4 + i * one
+                    of = (own * terms + t) * 4 + i
                     rates.internal_rates[of] = rates.decay[t] * rates.internal_rates[of] + rates.gain[t] * change
                     if rates.relaxes[k] == 1:
-                        at_term = (q * terms + t) * 4 + i * one
+                        at_term = (q * terms + t) * 4 + i
                         rates.internal_rates[of] = (rates.internal_rates[of]
                                                     + rates.decay_rates[k, t] * rates.recent[at_term]
                                                     + rates.gain_rates[k, t] * s[CHANGE + 4 * q + i])

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.condensation import make_condensation_functions
+from tissue_sim.fem.axisymmetric.kinematics import make_kinematic_functions
 from tissue_sim.fem.axisymmetric.scratch import AT, get_axisymmetric_scratch_field
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES
@@ -33,12 +34,12 @@ def make_tangent_product_functions(element_name: str) -> TangentProductFunctions
     has_centre, centre = nodes > element.boundary_nodes, nodes - 1
     own = make_condensation_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
-    s = get_axisymmetric_scratch_field()
+    s, kinematics = get_axisymmetric_scratch_field(), make_kinematic_functions(element_name)
     UR, UZ, FR, FZ, SR, SZ, RATE = (AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ", "STRESS"))
     row = point.PLACE
 
     @ti.func
-    def add_tangent_product_to_residual(b, k, kappa, batches, one, elements: ti.template(), rates: ti.template(),
+    def add_tangent_product_to_residual(b, k, kappa, batches, elements: ti.template(), rates: ti.template(),
                                         residual: ti.template()):
         """Add the forces of the displacement derivatives (row k of `dx`) and pressure derivatives to the residual.
 
@@ -50,36 +51,20 @@ def make_tangent_product_functions(element_name: str) -> TangentProductFunctions
         """
         for a in range(nodes):
             i = b * nodes + a
-            s[UR + a] = ti.Vector([rates.dx[k, elements.dofs[i][l]] for l in ti.static(range(LANES))])
-            s[UZ + a] = ti.Vector([rates.dx[k, elements.dofs[i][l] + 1] for l in ti.static(range(LANES))])
+            s[UR + a], s[UZ + a] = kinematics.gather_node_vector_of_row(rates.dx, k, elements, i)
         for q in range(points):
-            h0, h1, h2, h3, h4 = vec(0.0), vec(0.0), vec(0.0), vec(0.0), vec(0.0)
-            for a in range(nodes):
-                g = (b * points + q) * nodes + a
-                gr, gz, gh = elements.gradient_r[g], elements.gradient_z[g], elements.value_r[g]
-                ur, uz = s[UR + a], s[UZ + a]
-                h0 = h0 + ur * gr
-                h1 = h1 + ur * gz
-                h2 = h2 + uz * gr
-                h3 = h3 + uz * gz
-                h4 = h4 + ur * gh
+            h0, h1, h2, h3, h4 = kinematics.compute_gradient_of_stored_displacements(b, q, elements)
             H, at = [h0, h1, h2, h3, h4], RATE + 5 * q
             A = [1.0 * h0 for _n in ti.static(range(15))]
             for n in ti.static(range(15)):
-                of = (b * points + q) * 15 + n * one
+                of = (b * points + q) * 15 + n
                 A[n] = rates.law[of]
             for i in ti.static(range(5)):
                 s[at + i] = (A[ti.static(row[i][0])] * H[0] + A[ti.static(row[i][1])] * H[1]
                              + A[ti.static(row[i][2])] * H[2] + A[ti.static(row[i][3])] * H[3]
                              + A[ti.static(row[i][4])] * H[4])
         for a in range(nodes):
-            fr, fz = vec(0.0), vec(0.0)
-            for q in range(points):
-                g = (b * points + q) * nodes + a
-                gr, gz, gh, at = elements.gradient_r[g], elements.gradient_z[g], elements.value_r[g], RATE + 5 * q
-                fr = fr + s[at] * gr + s[at + 1] * gz + s[at + 4] * gh
-                fz = fz + s[at + 2] * gr + s[at + 3] * gz
-            s[FR + a], s[FZ + a] = fr, fz
+            s[FR + a], s[FZ + a] = kinematics.integrate_stored_stresses(a, b, RATE, elements)
         aside = vec(0.0)
         for m in range(modes):
             mode = b * modes + m
@@ -96,7 +81,7 @@ def make_tangent_product_functions(element_name: str) -> TangentProductFunctions
                 s[FZ + a] = s[FZ + a] + p * elements.volume_z[v] + missed * elements.known_volume_z[v]
                 aside = aside + ti.abs(missed * (elements.known_volume_r[v] - elements.volume_r[v])) + ti.abs(
                     missed * (elements.known_volume_z[v] - elements.volume_z[v]))
-        own.condense_interior_force_and_get_square(b, elements, rates.way_r, rates.way_z)
+        own.condense_interior_force_and_get_square(b, b, elements, rates.way_r, rates.way_z)
         if ti.static(has_centre):
             at = k * batches + b
             rates.way_r[b], rates.way_z[b] = rates.way_r[b] + rates.centre_r[at], rates.way_z[b] + rates.centre_z[at]

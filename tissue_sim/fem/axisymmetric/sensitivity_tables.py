@@ -52,7 +52,6 @@ class SensitivityControlIndex(IntEnum):
         SOFTENS: 1 if the material or a derivative of the material softens.
         TERMS: number of relaxation terms.
         RELAXES: 1 if a parameter changes the relaxation.
-        ONE: 1, unknown to the compiler, see `make_sensitivity_functions`.
         REFINES: 1 if the iteration uses the factorisation of the step instead of one of the exact tangent.
         SETTLED: output, 1 if the iteration of `REFINES` converged.
         PASSES: number of passes of the loop in a kernel, 1.
@@ -63,7 +62,6 @@ class SensitivityControlIndex(IntEnum):
     SOFTENS = 2
     TERMS = 3
     RELAXES = 4
-    ONE = 5
-    REFINES = 6
-    SETTLED = 7
-    PASSES = 8
+    REFINES = 5
+    SETTLED = 6
+    PASSES = 7
