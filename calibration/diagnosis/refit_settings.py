@@ -9,31 +9,32 @@ from tissue_sim.settings import require_all_settings_positive
 
 @dataclass(frozen=True)
 class RefitSettings:
-    """Settings of the choice of effects for a nonlinear fit, and of these fits.
+    """Settings that select effects by their scores and control their nonlinear fits.
 
     Attributes:
-        max_effects: number of effects that are fitted.
+        max_effects: largest number of effects that are fitted.
         max_similar: largest number of fitted effects if further scores are close to the best.
         similar: ratio to the best score above which a further score is close.
         shape_margin: largest difference of squared scores for which a second value of the shape parameters is fitted.
-        promising: smallest squared score of a fitted effect, as a fraction of the smallest acceptable decrease.
-        rival_margin: an effect is fitted if its squared score is within this difference of the best.
+        promising: fraction of the smallest acceptable decrease of BIC; effects with a larger squared score are fitted.
+        rival_margin: effects whose squared score is within this difference of the best are fitted, too.
         near: difference to the best decrease of BIC, as a fraction of it, within which the mesh correction is computed
             for the effect itself.
-        min_near: smallest absolute difference for the same purpose.
+        min_near: smallest difference for the same purpose; the larger one applies.
         shortfall: difference between predicted and achieved decrease of the sum of squares above which the descent
             continues.
         on_bound: relative distance at which a parameter counts as on its bound.
         starts: fractions of the size from the score at which a fit starts; the first that improves the fit is used.
-        jump_steps: trial displacements of a jump after a fit, in sampling steps; a fit may move the contacts.
-        max_jump_moves: maximum number of repetitions of this search.
+        jump_steps: distances, in steps of the sampled displacement, by which the position of a jump is shifted in both
+            directions after a fit.
+        max_jump_moves: maximum number of repetitions of this search, because a fit can change the contact positions.
         gain: predicted decrease of the sum of squares at which a descent ends; differences between effects are much
             larger.
         tolerance: relative tolerance of the descent.
         patience: number of evaluations without sufficient decrease after which a descent ends.
 
     Raises:
-        InputError: a setting is not positive and finite, or a sequence is empty.
+        InputError: a setting is not positive and finite, a count is not a whole number, or a sequence is empty.
     """
 
     max_effects: int = 6

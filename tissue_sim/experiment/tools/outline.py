@@ -32,14 +32,14 @@ class OutlineLineColumn(IntEnum):
 
 
 class ClosestOutlinePoints(NamedTuple):
-    """Closest points of a polyline.
+    """Distances and normals at the closest points of a polyline.
 
     Attributes:
         line: index of the line segment, shape (n,).
         distance: signed distance, m, negative inside of the body, shape (n,).
         normal: outward unit normal (r, z), shape (n, 2).
-        curvature: of the curve at this distance from the polyline, 1/m, shape (n,); 0 unless the closest point is a
-            vertex.
+        curvature: curvature of the offset curve through the point, 1/m, shape (n,): 1 / distance if a vertex is
+            closest, otherwise 0.
     """
 
     line: np.ndarray
@@ -86,7 +86,7 @@ class Profile:
 
     def find_closest_points(self, points: np.ndarray, first_line: int = 0,
                             is_endless: bool = False) -> ClosestOutlinePoints:
-        """Find the closest points of the polyline, without its rounding.
+        """Compute distances and normals at the closest points of the polyline, without its rounding.
 
         `tissue_sim.fem.contact.closest_point` is the same algorithm for kernels.
 
@@ -119,7 +119,11 @@ class Profile:
         return ClosestOutlinePoints(best + first_line, sign * distance, normal, np.where(beyond, sign / safe, 0.0))
 
     def gap(self, points: np.ndarray) -> np.ndarray:
-        """Signed distance of points, shape (n, 2), from the surface, m, positive outside, shape (n,)."""
+        """Return the signed distance of points from the surface, m, positive outside, shape (n,).
+
+        Args:
+            points: (r, z), m, shape (n, 2).
+        """
         return self.find_closest_points(points).distance - self.rounding
 
     def sample_outline_up_to_height(self, height: float) -> np.ndarray:

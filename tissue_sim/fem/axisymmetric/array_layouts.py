@@ -41,7 +41,7 @@ STATE_ARRAYS = ArrayLayout(
     slots=integer_array(), weights=real_array(), scattered=real_array(), residual=real_array(), pull=real_array(),
     reaction=real_array())
 
-#: Derivatives with respect to the parameters of the material, see
+#: Derivatives with respect to the parameters of the material, and the data from which they are computed, see
 #: `tissue_sim.fem.axisymmetric.sensitivity.MaterialSensitivity`.
 RATE_ARRAYS = ArrayLayout(
     acts=integer_array(), relaxes=integer_array(), directions=real_array(2), kappa_rates=real_array(),

@@ -19,10 +19,11 @@ def make_gap_function():
 
     @ti.func
     def compute_gap_and_normal(r, z, i, depth, surface: ti.template()):
-        """Return gap (m), outward normal, curvature (1/m) and index of the line segment closest to (r, z).
+        """Return gap (m), outward normal, absolute curvature (1/m) and index of the line segment closest to (r, z).
 
-        While a tool with a sharp shaft is pressed in, the shaft is extended downwards: the tissue below the face
-        occupies that region, so that tissue next to the tool cannot enter it.
+        If the edge between face and shaft is sharp and the tool is pressed in, the line of the shaft is extended below
+        the face for points that can touch the shaft only. These points cannot move under the face, where other tissue
+        is.
         """
         first, is_endless = surface.spans[i, OutlineSpanColumn.FIRST_LINE], 0
         if first == surface.spans[i, OutlineSpanColumn.SHAFT] and surface.rounding[i] == 0.0 and depth >= 0.0:

@@ -1,6 +1,7 @@
 """Kinematics of axisymmetric elements as Taichi functions, for a batch of elements with one element in each lane.
 
-The components of a displacement gradient are rR, rZ, zR, zZ and hoop; those of a first Piola stress likewise.
+The components of a displacement gradient are rR, rZ, zR, zZ and hoop; those of a first Piola stress likewise. The
+indices are b for the batch, q for the quadrature point and a for the node of an element.
 """
 
 from functools import cache
@@ -16,8 +17,8 @@ class KinematicFunctions(NamedTuple):
     """Taichi functions of one element type.
 
     Attributes:
-        gather_node_vector: ``gather_node_vector(values, elements, i) -> (r, z)``: components of a vector of nodal
-            values, in the order of the degrees of freedom, at the nodes of row i of ``elements.dofs``.
+        gather_node_vector: ``gather_node_vector(values, elements, i) -> (r, z)``: components of nodal values, stored
+            as r0, z0, r1, z1, ..., at the nodes in row i of ``elements.dofs``, one element in each lane.
         gather_node_vector_of_row: the same for row k of a matrix: ``(values, k, elements, i)``.
         compute_gradient_of_stored_displacements: ``(b, q, elements) -> h0, ..., h4``: displacement gradient of the
             displacements UR and UZ in the scratch field at quadrature point q.

@@ -1,4 +1,6 @@
-"""Closest point of the outline of a rigid body of revolution, as a Taichi function of all solvers.
+"""Distance and normal at the closest point of the outline of a rigid body of revolution, as a Taichi function.
+
+The axisymmetric, reduced and condensed solvers use it.
 
 `tissue_sim.experiment.tools.outline.Profile.find_closest_points` is the same algorithm for NumPy arrays.
 """
@@ -18,8 +20,9 @@ def make_closest_point_function():
 
     ``find_closest_outline_point(r, z, first, end, is_endless, lines)`` returns the index of the closest of the line
     segments `first` to `end` - 1, the signed distance (m, negative inside of the body), the outward normal (r, z), and
-    the curvature (1/m) of the curve at this distance; it is 0 unless the closest point is a vertex. `lines` has the
-    columns `OutlineLineColumn`. If `is_endless` is 1, the first segment is extended without end before its first point.
+    the curvature (1/m) of the offset curve through the point: 1 / distance if a vertex is closest, otherwise 0.
+    `lines` has the columns `OutlineLineColumn`. If `is_endless` is 1, the first segment is extended without end before
+    its first point.
     """
     ti = get_initialised_taichi()
 
@@ -36,7 +39,8 @@ def make_closest_point_function():
                 part = ti.max(part, 0.0)
             a_r, a_z = d_r - part * t_r, d_z - part * t_z
             d, f = ti.sqrt(a_r * a_r + a_z * a_z), a_r * t_z - a_z * t_r
-            # At a vertex two segments are equally close: the one with the larger distance from its line decides.
+            # At a vertex two segments are equally close: the one with the larger normal distance determines
+            # the sign.
             if d < distance - DISTANCE_TOLERANCE or (d < distance + DISTANCE_TOLERANCE and ti.abs(f) > ti.abs(front)):
                 best, distance, front, along, share, away_r, away_z = line, d, f, position, part, a_r, a_z
         # The polyline has no inside before its first vertex.

@@ -1,9 +1,10 @@
 """Named arrays that a kernel gets through one table of their offsets from the origins, instead of one argument each.
 
-A launch of Taichi costs a fraction of a microsecond for each array argument, and neighbouring numbers of an argument
-are not loaded as a vector (`tissue_sim.fem.taichi.origins`). An `ArrayLayout` names the arrays of one subject. Outside
-of kernels, `ArrayLayout.make_table` computes the table of arrays. In a kernel, ``layout.open_table(table)`` returns an
-object with an attribute for each array: ``arrays.moduli[b]``. Offsets are loaded once, where the table is opened.
+A launch of a `BoundKernel` costs a fraction of a microsecond for each array argument, and neighbouring numbers of an
+argument are not loaded as a vector (`tissue_sim.fem.taichi.origins`). An `ArrayLayout` names the arrays of one subject.
+Outside of kernels, `ArrayLayout.make_table` computes the table of arrays. In a kernel, ``layout.open_table(table)``
+returns an object with an attribute for each array: ``arrays.moduli[b]``. Offsets are loaded once, where the table is
+opened. A table holds no references to its arrays.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ class ArrayType:
 
     Attributes:
         kind: origin of the array.
-        rank: number of indices in kernels. Lanes have one index, whose element is a vector.
+        rank: number of indices in kernels. An array of lanes has one index, and its entries are vectors.
     """
 
     kind: OriginKind
@@ -34,7 +35,7 @@ class ArrayType:
 
     @property
     def has_lanes(self) -> bool:
-        """Whether the elements are vectors with one number for each element of a batch."""
+        """Whether each entry is a vector with one component for each finite element of a batch."""
         return self.kind in (OriginKind.REAL_LANES, OriginKind.INTEGER_LANES)
 
     @property
@@ -46,7 +47,7 @@ class ArrayType:
         """Return the entries of an array in the table.
 
         Raises:
-            ValueError: the array has another shape, or kernels cannot address it.
+            ValueError: the array has another number of axes or lanes, or kernels cannot address it.
         """
         expected = f"shape (rows, {self.kind.width})" if self.has_lanes else f"{self.rank} axes"
         if array.ndim != (2 if self.has_lanes else self.rank) or (self.has_lanes
@@ -83,10 +84,12 @@ class ArrayLayout:
         self.types = types
 
     def make_table(self, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the table of arrays, int32; its owner keeps the arrays alive. Arrays of other names are ignored.
+        """Return the table of arrays, int32. Arrays of other names are ignored.
+
+        The caller must keep the arrays alive as long as kernels use the table.
 
         Raises:
-            ValueError: an array is missing or has another shape, or kernels cannot address it.
+            ValueError: an array is missing or has another number of axes or lanes, or kernels cannot address it.
             OverflowError: an array is too far from its origin.
         """
         if missing := [name for name in self.types if name not in arrays]:
@@ -140,7 +143,7 @@ class _NumberView:
 
     def __init__(self, kind: OriginKind, offset: Any, shape: list[Any]):
         self._field, self._offset, self.shape = get_origin(kind).field, offset, shape
-        # Both widths are powers of two: the vector of number i is i >> shift, and its component is i & mask.
+        # Both widths are powers of two: entry i is component i & mask of vector i >> shift.
         self._shift, self._mask = kind.width.bit_length() - 1, kind.width - 1
 
     def __getitem__(self, indices: Any) -> Any:

@@ -1,12 +1,13 @@
 """Arrays that kernels address relative to small fields, the origins.
 
-Taichi addresses the elements of array arguments by 32-bit integers whose sign extension LLVM cannot simplify, so that
-neighbouring numbers are fetched by a gather instruction, which is slow on many processors, or one by one. The
-elements of a field of vectors are loaded as vectors. Taichi checks no bounds: memory at a distance of a whole number of
-elements from a field is ``field[offset + i]``. The arrays are NumPy arrays in aligned anonymous maps, which are freed
-when their last view dies.
+LLVM cannot prove that neighbouring entries of an array argument are contiguous, because Taichi indexes them with
+sign-extended 32-bit integers. It loads them one by one or by gather instructions, which are slow on many processors.
+Vectors of a Taichi field are loaded by one instruction.
 
-An array that a kernel addresses this way is no argument of the kernel. Its owner keeps the array alive.
+Kernels therefore reach NumPy arrays by indices beyond the end of a small field, the origin: ``origin[offset + i]``.
+Taichi checks no bounds. The arrays lie in anonymous memory maps at a distance of whole vectors from the origin. A map
+is freed when the last view of its array dies. Kernels hold no reference to such an array; the caller must keep it
+alive.
 """
 
 import math
@@ -22,13 +23,13 @@ from tissue_sim.fem.taichi.shared_fields import BLOCK, INTEGER_BLOCK, LANES, get
 
 #: Alignment of an array, bytes: a cache line. The vectors of every origin divide it.
 ALIGNMENT = 64
-#: Largest distance of an array from an origin, in vectors of the origin (127 GiB of blocks): indices of kernels have 32
-#: bits, and the array itself needs a part of them.
+#: Largest distance of an array from an origin, in vectors of the origin: 127 GiB for blocks, 63 GiB for lanes of reals,
+#: 31 GiB for lanes of integers. Indices of kernels have 32 bits; 2**24 vectors are kept for indices within an array.
 MAX_OFFSET = 2**31 - 2**24
 
 
 class OriginKind(Enum):
-    """Kind of an origin: name in `SharedFields`, type and number of the numbers in a vector.
+    """Kind of an origin: name in `SharedFields`, type and number of the components of a vector.
 
     Attributes:
         REAL_BLOCKS: rows of blocks of band matrices, and single numbers.
@@ -44,12 +45,12 @@ class OriginKind(Enum):
 
     @property
     def dtype(self) -> np.dtype:
-        """Type of the numbers."""
+        """Type of the components."""
         return self.value[1]
 
     @property
     def width(self) -> int:
-        """Number of numbers in a vector."""
+        """Number of components of a vector."""
         return self.value[2]
 
     @property
@@ -94,12 +95,12 @@ def allocate_array(shape: tuple[int, ...], dtype: type = float) -> np.ndarray:
         dtype: float, or np.int32.
     """
     count, size = math.prod(shape), np.dtype(dtype).itemsize
-    memory = _map_memory((-(-count * size // ALIGNMENT) + 2) * ALIGNMENT)
-    return np.frombuffer(memory, dtype, count, offset=ALIGNMENT).reshape(shape)
+    return np.frombuffer(_map_memory(count * size), dtype, count, offset=ALIGNMENT).reshape(shape)
 
 
-def _map_memory(length: int) -> mmap.mmap:
-    """Return an anonymous map of `length` bytes, which begins on a page and contains zeros."""
+def _map_memory(used: int) -> mmap.mmap:
+    """Return an anonymous map of zeros for an array of `used` bytes, with `ALIGNMENT` bytes or more on both sides."""
+    length = (-(-used // ALIGNMENT) + 2) * ALIGNMENT
     if not hasattr(mmap, "MAP_PRIVATE"):
         return mmap.mmap(-1, length)  # Windows
     # A process that is forked gets a copy of a private map.
@@ -129,10 +130,10 @@ def compute_offset(array: np.ndarray, kind: OriginKind = OriginKind.REAL_BLOCKS)
                          f"strides {array.strides}. Use allocate_array.")
     offset, rest = divmod(array.ctypes.data - get_origin(kind).address, kind.vector_bytes)
     if rest:
-        raise ValueError(f"array must begin a whole number of {kind.vector_bytes} bytes from the origin; got a "
+        raise ValueError(f"array must begin at a multiple of {kind.vector_bytes} bytes from the origin; got a "
                          f"remainder of {rest} bytes. Use allocate_array.")
     if abs(offset) > MAX_OFFSET:
-        raise OverflowError(f"the distance of an array from the origin must be at most {MAX_OFFSET} elements of "
-                            f"{kind.vector_bytes} bytes; got {offset}. Create the simulator before other arrays of the "
-                            "process occupy that much address space.")
+        raise OverflowError(f"the distance of an array from the origin must be at most {MAX_OFFSET} vectors of "
+                            f"{kind.vector_bytes} bytes; got {offset}. Create the simulator before the process "
+                            "reserves large ranges of addresses.")
     return offset

@@ -9,8 +9,9 @@ from functools import cache
 
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
-#: Number of components of each vector, one per element of a batch (SIMD lanes). Eight lanes (AVX-512) are no faster on
-#: processors with AVX-512, slower on others, and take 1.5 times as long to compile (docs/performance.md).
+#: Number of components of the vectors of lanes and of the scratch field, one per finite element of a batch. Eight lanes
+#: (AVX-512) are no faster on processors with AVX-512, slower on others, and take 1.5 times as long to compile
+#: (docs/performance.md).
 LANES = 4
 #: Number of vectors in the scratch field.
 VECTORS = 3200
@@ -76,7 +77,7 @@ class SharedFields:
 def get_shared_fields() -> SharedFields:
     """Return the fields of this process; the first call creates them."""
     ti = get_initialised_taichi()
-    # The first field begins on a page of memory, so that the arrays that it addresses are aligned to cache lines.
+    # The first field begins on a page of memory. Arrays aligned to cache lines are whole vectors away from it.
     return SharedFields(blocks=ti.Vector.field(BLOCK, ti.f64, shape=ORIGIN_SIZE),
                         lanes=ti.Vector.field(LANES, ti.f64, shape=ORIGIN_SIZE),
                         integer_blocks=ti.Vector.field(INTEGER_BLOCK, ti.i32, shape=ORIGIN_SIZE),
