@@ -1,8 +1,13 @@
 """Tables of arrays: kernels read and write the arrays that a layout names, and nothing else."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
+import tissue_sim as ts
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
 from tissue_sim.fem.taichi.array_tables import LANE_INTEGERS, LANE_REALS, ArrayLayout, integer_array, real_array
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
@@ -103,3 +108,42 @@ def test_a_missing_array_is_named():
     arrays["dof"] = arrays.pop("dofs")
     with pytest.raises(ValueError, match="arrays must contain dofs; did you mean 'dof'"):
         LAYOUT.make_table(arrays)
+
+
+def test_a_table_keeps_its_arrays_alive_until_they_are_replaced():
+    first, second = ({name: copy_to_addressable_array(each) for name, each in make_values(40).items()}
+                     for _ in range(2))
+    table, expected = LAYOUT.make_table(first), LAYOUT.make_table(second).tolist()
+    watched = weakref.ref(first["x"])
+    del first
+    gc.collect()
+    assert watched() is not None
+    incomplete = {name: array for name, array in second.items() if name != "x"}
+    with pytest.raises(ValueError, match="arrays must contain x"):
+        LAYOUT.replace_arrays(table, incomplete)
+    assert table.tolist() != expected and watched() is not None
+    LAYOUT.replace_arrays(table, second)
+    gc.collect()
+    assert table.tolist() == expected and watched() is None
+
+
+def test_a_material_whose_kernel_fails_leaves_the_solver_with_valid_memory(monkeypatch):
+    """The new law has more coefficients, in another array; the old kernel keeps the arrays of its table."""
+    experiment = ts.Experiment(ts.Specimen(0.020, 0.015), ts.Protocol.ramp(1e-3, 5), friction="bonded")
+    bulk = ts.Bulk("bulk_ratio", 1e3)
+    one = ts.Material("neo_hooke", {"C10": 1000.0}, bulk)
+    two = ts.Material("reduced_polynomial_2", {"C10": 1000.0, "C20": 500.0}, bulk)
+    solver, other = (build_solver(ts.Model(experiment, one), build_mesh(experiment, "realtime")) for _ in range(2))
+    for each in (solver, other):
+        assert each.step(1e-4, 0.1).status is ts.StepStatus.CONVERGED
+
+    def fail(*_):
+        raise ts.InputError("no kernel")
+
+    monkeypatch.setattr("tissue_sim.fem.axisymmetric.newton.make_step_kernel", fail)
+    with pytest.raises(ts.InputError, match="no kernel"):
+        solver.set_material(two)
+    gc.collect()
+    assert solver.equations.tables["tissue_table"].arrays["coefficients"].tolist() == [1000.0]
+    for depth in (2e-4, 3e-4):
+        assert solver.step(depth, 0.1).wrench == other.step(depth, 0.1).wrench

@@ -100,10 +100,11 @@ class EquilibriumEquations:
         self.counts = np.zeros(len(newton.StepIntegerIndex), dtype=np.int32)
         self.counts[[newton.StepIntegerIndex.PASSES, newton.StepIntegerIndex.FREE, newton.StepIntegerIndex.CONTACTS,
                      newton.StepIntegerIndex.BATCHES]] = 1, self.free, self.surface.count, self.batches.batches
+        self._tissue_table = TISSUE_ARRAYS.make_table(self._collect_tissue_arrays_by_name())
         #: Tables of the arrays, by the names of the arguments of the kernels.
         self.tables = {
             "element_table": ELEMENT_ARRAYS.make_table(self.batches.make_arrays_by_name()),
-            "tissue_table": TISSUE_ARRAYS.make_table(self._collect_tissue_arrays_by_name()),
+            "tissue_table": self._tissue_table,
             "surface_table": SURFACE_ARRAYS.make_table({**vars(self.surface), "law_settings": self._law_settings}),
             "state_table": STATE_ARRAYS.make_table(self._collect_state_arrays_by_name()),
             "band_table": self._band_table}
@@ -158,7 +159,7 @@ class EquilibriumEquations:
             kernel = newton.make_step_kernel(self.mesh.element.name, energy, self.surface.has_coulomb_friction_points,
                                              self.effects.formulas, self._laws)
             # In place, because kernels of sensitivities are bound to the same table.
-            self.tables["tissue_table"][:] = TISSUE_ARRAYS.make_table(self._collect_tissue_arrays_by_name())
+            TISSUE_ARRAYS.replace_arrays(self._tissue_table, self._collect_tissue_arrays_by_name())
             if not (isinstance(self._kernel, BoundKernel) and self._kernel.kernel is kernel):
                 self._kernel = BoundKernel(kernel, {"report": self.report,
                                                     **self.collect_shared_kernel_arrays_by_name()})

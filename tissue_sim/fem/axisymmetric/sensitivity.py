@@ -76,8 +76,7 @@ class MaterialSensitivity:
         kernels = make_force_and_state_sensitivity_kernels(equations.mesh.element.name,
                                                            equations.material.energy_law.kernel_energy,
                                                            memory.works, surface.has_coulomb_friction_points)
-        #: Arrays of the kernels, which only a table of addresses refers to.
-        self._arrays = {
+        arrays = {
             **self._differentiate_material_inputs(neighbours), **self._allocate_point_rate_lanes_by_name(m, terms),
             "past_rates": self._past_rates, "decay": self._decay, "gain": self._gain,
             "decay_rates": self._decay_rates, "gain_rates": self._gain_rates,
@@ -85,7 +84,7 @@ class MaterialSensitivity:
             "point_rates": self._point_rates, "force_rates": self.force,
             "motion": allocate_array((equations.equation.size + equations.residual.size,)),
             "forces": allocate_array((m, equations.residual.size)), "dx": allocate_array((m, equations.equation.size))}
-        arguments = {"which": self._which, "rate_table": RATE_ARRAYS.make_table(self._arrays),
+        arguments = {"which": self._which, "rate_table": RATE_ARRAYS.make_table(arrays),
                      **equations.collect_shared_kernel_arrays_by_name()}
         self._differentiate_forces_by_one_parameter, self._differentiate_state = (
             BoundKernel.bind_by_name(kernel, arguments) for kernel in kernels)

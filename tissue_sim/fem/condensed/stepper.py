@@ -116,18 +116,17 @@ class CondensedStepper:
         self._guess = local[:, LinearisedContactColumn.FORCE:LinearisedContactColumn.FORCE + 3]
         constants = {"chains": surface.chains.reshape(-1, surface.chains.shape[-1]), "shapes": surface.shapes,
                      "surface": np.column_stack([surface.places, surface.springs, surface.friction])}
-        #: Arrays of the contact iteration, to which only its table of addresses refers.
-        self._arrays = {
+        arrays = {
             **{name: copy_to_addressable_array(array) for name, array in constants.items()}, "states": self._states,
             "carried": self._carried, "lists": lists, "free_displacement": self._free_displacement,
             "tool_coupling": self._tool_coupling, "compliance": self._compliance,
             "rows": self._compliance.reshape(-1, LANES), "u": allocate_array((width,)), "local": local,
             "columns": self._columns, "matrix": self._matrix, "right": self._right}
         self._sum = np.zeros(ANSWER_SIZE)
-        arrays = self._arrays | {"settings": self._settings, "results": self._results, "answer": self._sum}
+        table = CONTACT_ARRAYS.make_table(arrays)
+        arrays |= {"settings": self._settings, "results": self._results, "answer": self._sum, "table": table}
         with LOCK:
-            self._kernel = BoundKernel.bind_by_name(make_contact_iteration_kernel(), arrays | {
-                "table": CONTACT_ARRAYS.make_table(self._arrays)})
+            self._kernel = BoundKernel.bind_by_name(make_contact_iteration_kernel(), arrays)
             self._wrench_kernel = BoundKernel.bind_by_name(make_wrench_kernel(), arrays)
         self._flat = TangentPlaneContact(arrays, _SETTINGS.flat_gap * surface.radius, surface.floor)
         self._tolerance, self._stiffest = _SETTINGS.violation_factor * surface.tolerance, math.inf

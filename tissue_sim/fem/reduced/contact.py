@@ -89,7 +89,7 @@ class LayerContact:
             "lines": profile.lines, "shaft": np.array([profile.shaft], dtype=np.int32), "friction": friction,
             "first": np.array([body.first_line for body in own], dtype=np.int32),
             "closed": np.array([body.closed for body in own], dtype=np.int32)}
-        self._arrays = {
+        arrays = {
             **{name: copy_to_addressable_array(array) for name, array in constants.items()},
             "places": self.places, "moved": self._moved, "springs": self._springs, "anchors": self.anchors,
             "touched": self.touched, "forces": self.forces, "rates": allocate_array((n, 3, 3)),
@@ -98,7 +98,7 @@ class LayerContact:
             "twists": self._twists}
         with LOCK:
             self._press = BoundKernel(make_layer_contact_kernel(), {
-                "settings": self._settings, "report": self._report, "table": LAYER_ARRAYS.make_table(self._arrays)})
+                "settings": self._settings, "report": self._report, "table": LAYER_ARRAYS.make_table(arrays)})
 
     def set_penalty_from_moduli_and_get_smallest(self, moduli: np.ndarray) -> float:
         """Set the penalty stiffness of the contact nodes from the shear moduli at all nodes, Pa, shape (nodes,).

@@ -58,8 +58,6 @@ class RegionElements:
         self.coefficients = allocate_array((0,))
         self.bulk = self.mu0 = 0.0
         self.kernel: BoundKernel
-        #: Arrays of the kernel to which only its tables of addresses refer.
-        self._arrays: dict[str, np.ndarray] = {}
 
     def set_material(self, own: Material, bulk: float, contact_radius: float) -> None:
         """Set material and bulk modulus, Pa, which is stated separately, because a kernel needs a finite one."""
@@ -84,7 +82,6 @@ class RegionElements:
             arguments: other arguments by name.
         """
         material = {"coefficients": self.coefficients, **self.memory.collect_arrays_by_name()}
-        self._arrays = {**elements, **material}
         self.kernel = BoundKernel(kernel, {
             "settings": self.settings, "least": self.least,
             "batches": np.array([len(elements["moduli"])], dtype=np.int32), **arguments,

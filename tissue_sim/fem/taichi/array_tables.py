@@ -4,7 +4,7 @@ A launch of a `BoundKernel` costs a fraction of a microsecond for each array arg
 argument are not loaded as a vector (`tissue_sim.fem.taichi.origins`). An `ArrayLayout` names the arrays of one subject.
 Outside of kernels, `ArrayLayout.make_table` computes the table of arrays. In a kernel, ``layout.open_table(table)``
 returns an object with an attribute for each array: ``arrays.moduli[b]``. Offsets are loaded once, where the table is
-opened. A table holds no references to its arrays.
+opened. A table keeps its arrays alive.
 """
 
 from __future__ import annotations
@@ -73,6 +73,16 @@ def integer_array(rank: int = 1) -> ArrayType:
     return ArrayType(OriginKind.INTEGER_BLOCKS, rank)
 
 
+class ArrayTable(np.ndarray):
+    """Table of a layout, an array of int32, which keeps the arrays alive whose offsets it contains.
+
+    Attributes:
+        arrays: name -> array.
+    """
+
+    arrays: dict[str, np.ndarray]
+
+
 class ArrayLayout:
     """Names and types of the arrays that one table describes.
 
@@ -83,10 +93,8 @@ class ArrayLayout:
     def __init__(self, **types: ArrayType):
         self.types = types
 
-    def make_table(self, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the table of arrays, int32. Arrays of other names are ignored.
-
-        The caller must keep the arrays alive as long as kernels use the table.
+    def make_table(self, arrays: Mapping[str, np.ndarray]) -> ArrayTable:
+        """Return the table of arrays. Arrays of other names are ignored.
 
         Raises:
             ValueError: an array is missing or has another number of axes or lanes, or kernels cannot address it.
@@ -95,8 +103,20 @@ class ArrayLayout:
         if missing := [name for name in self.types if name not in arrays]:
             raise ValueError(f"arrays must contain {', '.join(missing)}"
                              f"{make_hint_with_similar_or_known_words(missing[0], arrays)}")
-        return np.array([entry for name, kind in self.types.items()
-                         for entry in kind.list_entries(name, arrays[name])], dtype=np.int32)
+        table = np.array([entry for name, kind in self.types.items()
+                          for entry in kind.list_entries(name, arrays[name])], dtype=np.int32).view(ArrayTable)
+        table.arrays = {name: arrays[name] for name in self.types}
+        return table
+
+    def replace_arrays(self, table: ArrayTable, arrays: Mapping[str, np.ndarray]) -> None:
+        """Replace all arrays of a table, for every kernel that is bound to it.
+
+        Raises:
+            ValueError: as for `make_table`; nothing is changed.
+            OverflowError: likewise.
+        """
+        other = self.make_table(arrays)
+        table[:], table.arrays = other, other.arrays
 
     def open_table(self, table: Any) -> SimpleNamespace:
         """Return an object with an attribute for each array of a table; to be called in a kernel.
