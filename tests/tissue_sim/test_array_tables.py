@@ -128,11 +128,11 @@ def test_a_table_keeps_its_arrays_alive_until_they_are_replaced():
 
 
 def test_a_material_whose_kernel_fails_leaves_the_solver_with_valid_memory(monkeypatch):
-    """The new law has more coefficients, in another array; the old kernel keeps the arrays of its table."""
+    """The new law has other coefficients, in another array; the old kernel keeps the arrays of its table."""
     experiment = ts.Experiment(ts.Specimen(0.020, 0.015), ts.Protocol.ramp(1e-3, 5), friction="bonded")
     bulk = ts.Bulk("bulk_ratio", 1e3)
     one = ts.Material("neo_hooke", {"C10": 1000.0}, bulk)
-    two = ts.Material("reduced_polynomial_2", {"C10": 1000.0, "C20": 500.0}, bulk)
+    two = ts.Material("ogden_1", {"mu1": 2000.0, "alpha1": 2.0}, bulk)
     solver, other = (build_solver(ts.Model(experiment, one), build_mesh(experiment, "realtime")) for _ in range(2))
     for each in (solver, other):
         assert each.step(1e-4, 0.1).status is ts.StepStatus.CONVERGED
@@ -144,6 +144,7 @@ def test_a_material_whose_kernel_fails_leaves_the_solver_with_valid_memory(monke
     with pytest.raises(ts.InputError, match="no kernel"):
         solver.set_material(two)
     gc.collect()
-    assert solver.equations.tables["tissue_table"].arrays["coefficients"].tolist() == [1000.0]
+    expected = one.energy_law.kernel_coefficients(one.parameters)
+    np.testing.assert_array_equal(solver.equations.tables["tissue_table"].arrays["coefficients"], expected)
     for depth in (2e-4, 3e-4):
         assert solver.step(depth, 0.1).wrench == other.step(depth, 0.1).wrench
