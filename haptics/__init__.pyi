@@ -22,9 +22,6 @@ from haptics.devices.motions import HandMotion as HandMotion
 from haptics.devices.motions import ProtocolMotion as ProtocolMotion
 from haptics.devices.motions import RandomWalk as RandomWalk
 from haptics.devices.motions import SineMotion as SineMotion
-from haptics.loop.local_model import LocalModel as LocalModel
-from haptics.loop.local_model import LocalModelBlend as LocalModelBlend
-from haptics.loop.local_model import SlowSolver as SlowSolver
 from haptics.loop.loop import LoopReport as LoopReport
 from haptics.loop.loop import LoopSettings as LoopSettings
 from haptics.loop.process import LoopError as LoopError
@@ -42,3 +39,6 @@ from haptics.safety.watchdog import Watchdog as Watchdog
 from haptics.safety.watchdog import WatchdogState as WatchdogState
 from haptics.server.client import TissueClient as TissueClient
 from haptics.server.server import TissueServer as TissueServer
+from tissue_sim.realtime.local_model import LocalModel as LocalModel
+from tissue_sim.realtime.local_model import LocalModelBlend as LocalModelBlend
+from tissue_sim.realtime.local_model import SlowSolver as SlowSolver

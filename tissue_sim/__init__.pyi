@@ -18,7 +18,6 @@ from tissue_sim.experiment.kinds.kind import TestKind as TestKind
 from tissue_sim.experiment.protocol import Protocol as Protocol
 from tissue_sim.experiment.tools.tool import TOOLS as TOOLS
 from tissue_sim.experiment.tools.tool import Tool as Tool
-from tissue_sim.explicit_coupling import LightToolWarning as LightToolWarning
 from tissue_sim.fem.axisymmetric.fields import Fields as Fields
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface as DeformedSurface
 from tissue_sim.fem.reduced.file import load_reduced as load_reduced
@@ -57,8 +56,11 @@ from tissue_sim.model import Model as Model
 from tissue_sim.motion_limits import MotionLimits as MotionLimits
 from tissue_sim.parameters import parameter as parameter
 from tissue_sim.parameters import with_values as with_values
-from tissue_sim.path_settings import PathSettings as PathSettings
 from tissue_sim.pose import Pose as Pose
+from tissue_sim.realtime.explicit_coupling import LightToolWarning as LightToolWarning
+from tissue_sim.realtime.path_settings import PathSettings as PathSettings
+from tissue_sim.realtime.simulator import Simulator as Simulator
+from tissue_sim.realtime.simulator import SimulatorState as SimulatorState
 from tissue_sim.recording.contact import Contact as Contact
 from tissue_sim.recording.contact import find_contact as find_contact
 from tissue_sim.recording.failure import Failure as Failure
@@ -77,8 +79,6 @@ from tissue_sim.rig.file import load_rig as load_rig
 from tissue_sim.rig.file import write_rig as write_rig
 from tissue_sim.rig.rig import Rig as Rig
 from tissue_sim.simulation import simulate as simulate
-from tissue_sim.simulator import Simulator as Simulator
-from tissue_sim.simulator import SimulatorState as SimulatorState
 from tissue_sim.snapshot import Snapshot as Snapshot
 from tissue_sim.specimen.block import Block as Block
 from tissue_sim.specimen.cylinder import Cylinder as Cylinder

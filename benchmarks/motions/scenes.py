@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import tissue_sim as ts
-from haptics.loop.bulk_link import DelayedBulk
+from benchmarks.realtime.delayed_bulk import DelayedBulk
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation

@@ -21,7 +21,7 @@ from benchmarks.random_models.equilibrium_check import EquilibriumCheck
 from benchmarks.random_models.generator import Description, build
 from benchmarks.random_models.runs import Clock, OutOfTimeError, stratum
 from haptics.devices.motions import RandomWalk
-from tissue_sim.simulator import TOLERANCE
+from tissue_sim.realtime.simulator import TOLERANCE
 
 #: Number of ticks.
 TICKS = 2000

@@ -22,7 +22,7 @@ import numpy as np
 
 import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
-from haptics.loop.bulk_link import DelayedBulk
+from benchmarks.realtime.delayed_bulk import DelayedBulk
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.linear.sparse import SparseSolver, get_pardiso_or_scipy_name
 from tissue_sim.fem.solid.discretisation import make_solver

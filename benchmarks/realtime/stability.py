@@ -4,7 +4,7 @@ The tissues are the stiffest of the documentation (EF50_0T, docs/measured_silico
 the needle of radius 8 mm. A polynomial through the simulator's forces, without the mass of the tissue, replaces
 them in the wide sweep; fewer hands are tried with the simulator itself, mass included. A hand presses with a constant
 force to the depth where the tissue balances it, after a step of its place by 0.5 mm. What counts as shaking is in
-`haptics.loop.stability`.
+`benchmarks.realtime.oscillation`.
 """
 
 import argparse
@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 
 import tissue_sim as ts
+from benchmarks.realtime.delayed_hand import DelayedHand
+from benchmarks.realtime.oscillation import measure_sustained_peak_to_peak, simulate_device_depths
 from haptics.devices.contracts import AxialMotion
-from haptics.devices.virtual.delayed_hand import DelayedHand
 from haptics.devices.virtual.hand import VirtualHand
-from haptics.loop.stability import measure_sustained_peak_to_peak, simulate_device_depths
 from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering

@@ -28,10 +28,10 @@ import numpy as np
 
 import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
+from benchmarks.realtime.delayed_bulk import DelayedBulk
 from benchmarks.realtime.multirate import MESHES, mesh_of
 from benchmarks.viewer.processes import looked_at, reading
 from haptics.devices.motions import SpatialWalk
-from haptics.loop.bulk_link import DelayedBulk
 from haptics.loop.multirate import ERROR_FLOOR, ERROR_SHARE, MultiRateTissue
 from haptics.loop.ring import TICK, RingReader
 from scenes.viewer.frame import FrameViewer, Phase, SessionFrame

@@ -1,383 +1,39 @@
-"""Multirate simulation: contact in each tick of the loop, on a bulk that another process linearises at a lower rate."""
+"""Multirate simulation whose bulk is linearised in another process."""
 
 from __future__ import annotations
 
-import math
-import threading
-import time as clock
-from collections import deque
-from dataclasses import replace
-from typing import Any, NoReturn
+from typing import Any
 
-from haptics.loop.bulk_link import BulkLink, BulkProcess
-from haptics.loop.model_transition import ModelTransition
-from haptics.loop.multirate_settings import MULTIRATE
-from haptics.loop.touch_frame import TouchFrame, interpolate_pose_at_surface
-from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import CondensedBulk
-from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
-from tissue_sim.kernel_owner import CopyError, KernelOwner, make_single_thread_method
-from tissue_sim.live_material import require_equal_layer_thicknesses, require_tissue_moduli
-from tissue_sim.material.effect import ReducedForceFactor
-from tissue_sim.material.material import BULK_RATIOS
+from haptics.loop.bulk_process import BulkProcess
 from tissue_sim.model import Model
-from tissue_sim.motion_limits import LimitError, MotionLimits, convert_to_pose
-from tissue_sim.parameters import with_values
-from tissue_sim.pose import Pose, add_screws, motion, scale_screw
-from tissue_sim.snapshot import Snapshot
-from tissue_sim.tool_force import (
-    ERROR_FLOOR,
-    ERROR_SHARE,
-    ForceStatus,
-    ToolForce,
-    TouchState,
-    is_force_accurate_enough,
-    make_axial_stiffness_matrix,
-    make_axial_wrench,
-    scale_matrix,
-)
+from tissue_sim.motion_limits import MotionLimits
+from tissue_sim.realtime import multirate
+from tissue_sim.realtime.bulk_link import BulkLink
+from tissue_sim.realtime.multirate import ERROR_FLOOR, ERROR_SHARE, OLDEST
 
 __all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue"]
 
-#: Largest age of the model of a CONVERGED force, s.
-OLDEST = MULTIRATE.oldest
-#: Force before the first step.
-_AT_REST = ToolForce(make_axial_wrench(0.0), make_axial_stiffness_matrix(0.0), ForceStatus.STOPPED)
 
-
-class MultiRateTissue(KernelOwner):
-    """`Tissue` of a solid with contact in each tick and a bulk that is linearised at a lower rate.
-
-    The methods `warm_up`, `step`, `reset`, `set_parameters` and `snapshot` are those of a `Simulator`. Each tick solves
-    lift-off, touch and friction on the newest linearisation of the bulk. The process of the bulk receives the contact
-    forces and returns the next linearisation, a "model". When a model arrives, the wrench continues from its value, and
-    the difference is reduced tick by tick (`ModelTransition`).
-
-    The status of a force is `CONVERGED` if all of these conditions hold, otherwise `LATE`:
-
-    - the contact conditions are satisfied, and the model contains all nodes that the tool can touch;
-    - the model has the present material and is not older than `oldest`, and the process of the bulk runs;
-    - the estimated error (`haptics.loop.linearisation_error`) is at most `ERROR_SHARE` of the force, or `ERROR_FLOOR`.
-      While the error is unknown, the tool must be within a tenth of the contact radius of the pose of the model, or of
-      the pose of the touch if the model describes the undeformed tissue.
-
-    Before the first touch the force is zero. A bonded tool adheres to the tissue from the pose of its first touch.
+class MultiRateTissue(multirate.MultiRateTissue):
+    """`tissue_sim.realtime.multirate.MultiRateTissue` with a process for the bulk, which `warm_up` starts.
 
     Args:
         model: experiment and material.
         solver: solver of the bulk; see `tissue_sim.fem.condensed.model.LINEARISATIONS`.
         resolution: resolution of the mesh of the bulk.
         mesh: mesh of the bulk; None: generated with `resolution`.
-        link: link to a bulk; None: `warm_up` starts a process for the bulk.
+        link: link to a bulk; None: to a new process.
         oldest: largest age of the model of a CONVERGED force, s.
-        waits: whether a step blocks until the bulk has sent a model for the pose of the step. Use it with simulated
-            clocks, which run faster than the bulk; a haptic loop refuses such a tissue.
+        waits: whether a step blocks until the bulk has sent a model for the pose of the step.
         limits: limits of poses and time steps; see `MotionLimits`.
-
-    Attributes:
-        error: estimated error of the force, N; infinite while it is unknown.
-        models: number of models received.
-        resolution: as in `Simulator`.
-        force_error: as in `Simulator`.
-        budget: as in `Simulator`.
-        mesh: as in `Simulator`.
 
     Raises:
         InputError: a `Simulator` refuses the model; `warm_up` also raises the errors of the linearisation.
     """
 
-    copy_remedy = "Its bulk runs in another process. Make another MultiRateTissue of the same model."
-    force_error: float | None = None
-    budget: float | None = None
-    mesh: Any = None
-
     def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None,
                  link: BulkLink | None = None, oldest: float = OLDEST, waits: bool = False,
                  limits: MotionLimits | None = None):
-        if not oldest > 0.0:
-            raise InputError(f"oldest must be positive; got {oldest:g} s. Use more than the period of the bulk, such "
-                             "as 1.", field="oldest")
-        require_tissue_moduli(model.material)
-        self.model, self.resolution, self.oldest = model, resolution if mesh is None else "own mesh", oldest
-        self.waits, self.limits, self._guard = waits, limits or MotionLimits(), threading.RLock()
-        self._link = link or BulkProcess(model, solver=solver, resolution=resolution, mesh=mesh)
-        self._stepper: CondensedStepper | None = None
-        self._epoch, self._material, self.models = 0, 0, 0
-        self._holds = model.experiment.friction == "bonded"
-        self._reduced = ReducedForceFactor(
-            model.material.list_acting_reduced_effects(plate=model.experiment.tool.is_plate))
-        self._untouched = self._reduced.history
-        self._reset_state()
-
-    def _reset_state(self) -> None:
-        """Set time, error, contact and model times to their values before the first step."""
-        self._time, self._ticks, self.error, self._left = 0.0, 0, math.inf, 1.0
-        self._answer = _AT_REST
-        self._step: ContactStepResult | None = None
-        self._poses: deque[tuple[float, Pose]] = deque(maxlen=MULTIRATE.speed_ticks)
-        self._touch = TouchState()
-        self._last_pose: Pose | None = None
-        #: Times of the states to which the model and its tangent belong, s.
-        self._made = self._tangent_made = 0.0
-        self._prepared = False
-        #: The previous model, if a new model has arrived since the last step.
-        self._known: CondensedBulk | None = None
-        #: Whether the force converged in the last exchange of a step that waits.
-        self._settled = True
-
-    @make_single_thread_method
-    def warm_up(self) -> None:
-        """Start the process of the bulk and compile all functions of a tick.
-
-        Raises:
-            InputError: the solver of the bulk refuses the model.
-            RuntimeError: the process of the bulk has ended.
-        """
-        if self._stepper is not None:
-            return
-        self._first = self._link.start()
-        surface = self._link.contact_surface
-        self._stepper = CondensedStepper(surface)
-        self._stepper.set_linearisation(self._first)
-        tool = self.model.experiment.tool
-        self._transition = ModelTransition(self._stepper, self.model.material.mu0, tool.radius, tool.contact_radius)
-        x, y, z = surface.start.position
-        # Touch the tissue once so that all functions of a tick are compiled, then return to the start.
-        for depth in MULTIRATE.touch_depths:
-            self._stepper.step(replace(surface.start, position=(x, y, z - depth * surface.radius)))
-        self._reset_tool_to_start_in_air()
-
-    def _reset_tool_to_start_in_air(self) -> None:
-        """Place the tool at its start pose without contact; reset the touch frame and the transition."""
-        assert self._stepper is not None
-        self._stepper.reset_contact_in_air()
-        start = self._link.contact_surface.start
-        self._frame = TouchFrame(start, start)
-        self._transition.reset(start)
-
-    def close(self) -> None:
-        """End the process of the bulk; the tissue cannot be stepped afterwards."""
-        self._link.close()
-
-    def __del__(self) -> None:
-        link = getattr(self, "_link", None)
-        if link is not None:
-            link.close()
-
-    def clone(self) -> NoReturn:
-        """Raise a `CopyError`: a multirate tissue has no copy."""
-        raise CopyError(f"{type(self).__name__} cannot be cloned. {self.copy_remedy}")
-
-    @property
-    def has_touched(self) -> bool:
-        """Whether the tool has touched the tissue since the last reset."""
-        return self._touch.has_touched
-
-    @make_single_thread_method
-    def step(self, pose: float | Pose, dt: float) -> ToolForce:
-        """Return the force at the present pose of the tool; see `Simulator.step`."""
-        began = clock.perf_counter()
-        self.warm_up()
-        pose = convert_to_pose(pose)
-        try:
-            self.limits.require_valid_step(pose, self._last_pose, dt)
-        except LimitError:
-            return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
-                           compute_time=clock.perf_counter() - began)
-        self._time += dt
-        self._ticks += 1
-        if not self._prepared:
-            self.prepare()
-        inside = self._register_pose_and_get_time_in_contact(pose, dt)
-        if inside is None and self._holds:
-            self._answer = self._step_before_bonded_touch(pose, began)
-        else:
-            self._answer = self._solve_contact_step(pose, dt if inside is None else inside, began)
-        self._prepared = False
-        return self._answer
-
-    def _register_pose_and_get_time_in_contact(self, pose: Pose, dt: float) -> float | None:
-        """Store the pose, begin contact at the first touch, and return the step's time in contact, s; None before."""
-        assert self._stepper is not None
-        start, touched = self._link.contact_surface.start, self._touch.has_touched
-        height = start.position[2]
-        inside = self._touch.register_height_and_get_contact_time(pose.position[2] - height, dt)
-        if inside is not None and not touched:
-            touch = interpolate_pose_at_surface(self._last_pose, pose, height)
-            if self._holds:
-                self._frame = TouchFrame(start, touch)
-                touch = start
-                self._poses.clear()
-            self._stepper.place_at_first_touch(touch)
-            self._transition.free, self._step = touch, None
-        self._last_pose = pose
-        return inside
-
-    def _step_before_bonded_touch(self, pose: Pose, began: float) -> ToolForce:
-        """Send the undeformed state regularly; return the zero force of a bonded tool before its first touch."""
-        assert self._stepper is not None
-        self._known, start = None, self._link.contact_surface.start
-        if self._ticks % MULTIRATE.ticks_between_states == 0:
-            self._link.send_state(self._stepper.export_state(self._time, start, self._time, start, self._epoch,
-                                                             touched=False))
-        status = ForceStatus.CONVERGED if self._link.is_alive else ForceStatus.LATE
-        return ToolForce(make_axial_wrench(0.0), make_axial_stiffness_matrix(0.0), status, pose=pose,
-                         compute_time=clock.perf_counter() - began)
-
-    def _solve_contact_step(self, pose: Pose, dt: float, began: float) -> ToolForce:
-        """Solve the contact at a pose, in contact or not, on the newest model; send the state, and return the force."""
-        stepper, here = self._stepper, self._frame.pose_in_bulk(pose)
-        assert stepper is not None
-        before, step = self._step, stepper.step(here)
-        known, self._known, self._step, transition = self._known, None, step, self._transition
-        if known is not None and before is not None:
-            transition.update_offset_for_new_model(before, known, self._poses[-1][1] if self._poses else here, here,
-                                                   step)
-        if self._poses and stepper.compute_max_contact_point_travel(motion(self._poses[-1][1], here)) \
-            > transition.estimate.short:
-            self._poses.clear()  # the tool jumped: its speed is unknown
-        self._poses.append((self._time, here))
-        if any(step.wrench):
-            self._touch.has_touched = True
-        elif transition.is_above_or_just_below_surface(here):
-            transition.free = here
-        if self.waits:
-            if transition.free is not here and self._is_model_too_old_or_too_far(step, here):
-                self._step = step = self._exchange_until_force_converges(step, here)
-        elif known is not None or self._ticks % MULTIRATE.ticks_between_states == 0:
-            earlier, there = self._poses[0]
-            self._link.send_state(stepper.export_state(self._time, here, earlier, there, self._epoch, self.has_touched))
-        transition.reduce_offset()
-        return self._make_tool_force(step, here, pose, dt, began)
-
-    @make_single_thread_method
-    def prepare(self) -> None:
-        """Use the newest model from the bulk if one has arrived; called between two ticks, otherwise by `step`."""
-        self._prepared, stepper = True, self._stepper
-        if stepper is None or stepper.model is None:
-            return
-        model = self._link.receive_model(self._time)
-        if model is not None and model.epoch == self._epoch:
-            self._known = stepper.model
-            self._use_model_and_store_its_times(model)
-
-    def _use_model_and_store_its_times(self, model: CondensedBulk) -> None:
-        """Use this model for the contact; store the times of its state and tangent, and count it."""
-        assert self._stepper is not None
-        self.models, self._made = self.models + 1, model.time
-        self._tangent_made = model.tangent_time
-        self._stepper.set_linearisation(model)
-
-    def _is_model_too_old_or_too_far(self, step: ContactStepResult, pose: Pose) -> bool:
-        """Return whether a step that waits needs another model: too old, too far from a pose, or not converged."""
-        assert self._stepper is not None and self._stepper.model is not None
-        model, transition = self._stepper.model, self._transition
-        return (not (step.converged and self._settled) or model.material != self._material
-                or self._time - self._made > MULTIRATE.recent
-                or transition.compute_distance_from_model(model, pose) > MULTIRATE.near * transition.estimate.short)
-
-    def _exchange_until_force_converges(self, step: ContactStepResult, pose: Pose) -> ContactStepResult:
-        """Wait for new models until the force at a pose converges, and return the step on the last model."""
-        stepper = self._stepper
-        assert stepper is not None and stepper.model is not None
-        self._settled = False
-        for _ in range(MULTIRATE.max_exchanges):
-            old = stepper.model
-            # The clock is simulated: the pose must not be extrapolated by the wall time of a model.
-            model = self._link.send_state_and_wait_for_model(
-                stepper.export_state(self._time, pose, self._time, pose, self._epoch, self.has_touched))
-            if model is None:
-                break
-            if model.epoch != self._epoch:
-                continue
-            self._use_model_and_store_its_times(model)
-            before, step = step, stepper.step(pose)
-            missed = math.dist(before.wrench[:3], step.wrench[:3])
-            self._transition.update_error_estimate(add_screws(step.wrench, scale_screw(-1.0, before.wrench)), old, pose)
-            if (model.time >= self._time and model.material == self._material and step.converged
-                    and missed <= max(MULTIRATE.force_floor, MULTIRATE.force_tolerance * math.hypot(*step.wrench[:3]))):
-                self._settled = True
-                break
-        self._transition.clear_offset_and_correction()
-        return step
-
-    def _make_tool_force(self, step: ContactStepResult, here: Pose, pose: Pose, dt: float, began: float) -> ToolForce:
-        """Return the force of a step with its status and estimated error; store the error in `error`.
-
-        Args:
-            step: solved step of the contact.
-            here: pose of the tool in the frame of the bulk.
-            pose: pose of the tool in the scene.
-            dt: time since the touch or the last step, s.
-            began: clock at the beginning of the step, s.
-        """
-        stepper, transition = self._stepper, self._transition
-        assert stepper is not None and stepper.model is not None
-        model = stepper.model
-        wrench, stiffness = transition.compute_wrench_and_stiffness(step, here)
-        age = self._time - self._made
-        self.error, judged = transition.estimate_error_and_status_error(step, here, age)
-        if model.material != self._material and self.has_touched:
-            self.error = judged = math.inf
-        good = (step.converged and self._settled and self._link.is_alive and age <= self.oldest
-                and not stepper.may_touch_missing_nodes(here) and is_force_accurate_enough(wrench, judged))
-        self._left = self._reduced.record_depth_and_get_force_factor(pose.depth, dt)
-        if self._left != 1.0:
-            wrench, stiffness = scale_screw(self._left, wrench), scale_matrix(self._left, stiffness)
-        is_known, learned_at = math.isfinite(self.error), transition.estimate.time
-        return ToolForce(
-            wrench, stiffness, ForceStatus.CONVERGED if good else ForceStatus.LATE, step.iterations, step.residual,
-            clock.perf_counter() - began, age=max(0.0, age), pose=self._frame.pose_in_scene(model.pose),
-            stiffness_age=max(0.0, self._time - self._tangent_made),
-            force_error=self._left * self.error if is_known else None,
-            error_age=max(0.0, self._time - learned_at) if is_known and math.isfinite(learned_at) else 0.0)
-
-    @make_single_thread_method
-    def reset(self) -> None:
-        """Restore the undeformed tissue, in the state before the first touch of the tool."""
-        self._epoch += 1
-        self._reset_state()
-        self._reduced.history = self._untouched
-        if self._stepper is not None:
-            self._reset_tool_to_start_in_air()
-            self._stepper.set_linearisation(self._first)
-            start = self._link.contact_surface.start
-            self._link.send_state(self._stepper.export_state(0.0, start, 0.0, start, self._epoch, touched=False))
-
-    @make_single_thread_method
-    def set_parameters(self, **values: float) -> None:
-        """Change parameters of the material. See `Simulator.set_parameters`.
-
-        The status is LATE until a model of the new material arrives; a loop reduces the force after 50 ms.
-
-        Raises:
-            InputError: there is no such parameter, the material refuses the value, or a modulus is outside the range of
-                tissue.
-        """
-        material = with_values(self.model.material, values)
-        require_equal_layer_thicknesses(self.model.material, material)
-        require_tissue_moduli(material)
-        (low, high), ratio = BULK_RATIOS, material.bulk_modulus / material.mu0
-        # An infinite ratio, an incompressible material, gets a finite one that depends on the specimen.
-        if not (low <= ratio <= high or math.isinf(ratio)):
-            raise InputError(f"K/mu0 must be {low:g} to {high:g}, the validated range of the finite elements; got "
-                             f"{ratio:g}", field="bulk")
-        self.warm_up()
-        try:
-            self._link.set_material(material, self._material + 1)
-        except OSError as error:
-            raise InputError(f"the process of the bulk has ended ({error}). Create another MultiRateTissue",
-                             field="material") from None
-        self._material += 1
-        self._transition.estimate.scale_up_for_stiffer_material(material.mu0)
-        self.model = replace(self.model, material=material)
-        history = self._reduced.history
-        self._reduced = ReducedForceFactor(
-            material.list_acting_reduced_effects(plate=self.model.experiment.tool.is_plate))
-        self._reduced.history = history
-
-    def snapshot(self) -> Snapshot:
-        """Return a snapshot of the deformed tissue at one of the last models, in the frame of the bulk."""
-        self.warm_up()
-        surface = self._link.contact_surface
-        return self._link.snapshot() or Snapshot(surface.start, surface.datum, None)
+        super().__init__(model, link or BulkProcess(model, solver=solver, resolution=resolution, mesh=mesh),
+                         resolution=resolution if mesh is None else "own mesh", oldest=oldest, waits=waits,
+                         limits=limits)

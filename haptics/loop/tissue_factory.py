@@ -9,7 +9,7 @@ from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import LINEARISATIONS
 from tissue_sim.model import Model
-from tissue_sim.simulator import Simulator
+from tissue_sim.realtime.simulator import Simulator
 
 #: Default wall-time budget of a step in a tick of 1 ms, s; the rest of the tick is left for the ring and the snapshots.
 STEP_BUDGET = 0.8e-3

@@ -31,8 +31,8 @@ from scenes.viewer.tool_motions import (
 )
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
-from tissue_sim.live_material import require_tissue_moduli
 from tissue_sim.parameters import parameter_values, with_values
+from tissue_sim.realtime.accepted_models import require_tissue_moduli
 
 #: Duration of a single step of a paused motion, s.
 STEP_TIME = 1.0 / FRAMES.rate

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tissue_sim.simulator import Simulator
+from tissue_sim.realtime.simulator import Simulator
 
 #: Budget of a step over the time of one linear solve, for slow solvers: enough for one solve with its assembly, so that
 #: the loop can receive commands after each solve.

@@ -156,3 +156,21 @@ def test_the_old_name_of_the_experiment_of_a_test_warns(module):
     effects = import_module(module)
     with pytest.warns(DeprecationWarning, match="experiment_of is renamed to .*get_experiment"):
         assert effects.experiment_of is effects.get_experiment
+
+
+@pytest.mark.parametrize(("module", "name", "new"), [
+    ("tissue_sim.simulator", "Simulator", "tissue_sim.realtime.simulator"),
+    ("tissue_sim.simulator", "SimulatorState", "tissue_sim.realtime.simulator"),
+    ("haptics.loop.local_model", "LocalModelBlend", "tissue_sim.realtime.local_model")])
+def test_moved_classes_are_found_at_their_old_path(module, name, new):
+    with pytest.warns(DeprecationWarning, match=rf"^{module}\.{name} is renamed to {new}\.{name}$"):
+        assert getattr(import_module(module), name) is getattr(import_module(new), name)
+
+
+def test_a_multirate_tissue_has_a_process_for_its_bulk_unless_a_link_is_given():
+    from haptics.loop.multirate import MultiRateTissue
+    from tissue_sim.realtime import multirate
+
+    assert issubclass(MultiRateTissue, multirate.MultiRateTissue)
+    with pytest.raises(TypeError, match="link"):
+        multirate.MultiRateTissue(model())

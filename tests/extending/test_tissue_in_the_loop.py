@@ -8,7 +8,6 @@ import pytest
 from waiting import wait_for_value
 
 import tissue_sim as ts
-from haptics.loop.local_model import LocalModelBlend, SlowSolver
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopProcess
 from haptics.safety.limits import ForceLimits
@@ -19,6 +18,7 @@ from haptics.server.steps import StepService
 from haptics.server.wire import Request, Status, decode_reply, encode_request
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from tissue_sim.pose import Pose
+from tissue_sim.realtime.local_model import LocalModelBlend, SlowSolver
 from tissue_sim.tool_force import ForceStatus
 
 DT = 1e-3

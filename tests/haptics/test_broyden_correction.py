@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.loop.broyden_correction import BroydenCorrection
 from tissue_sim.pose import Pose
+from tissue_sim.realtime.broyden_correction import BroydenCorrection
 
 RADIUS = 5e-3
 

@@ -5,14 +5,14 @@ import math
 import pytest
 
 import tissue_sim as ts
-from haptics.loop.bulk_link import DelayedBulk
-from haptics.loop.linearisation_error import LinearisationError
+from benchmarks.realtime.delayed_bulk import DelayedBulk
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation
 from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import create_needle_mesh
 from tissue_sim.pose import Pose
+from tissue_sim.realtime.linearisation_error import LinearisationError
 
 #: m.
 RADIUS = 8e-3

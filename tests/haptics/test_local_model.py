@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.loop.local_model import LocalModel, LocalModelBlend, SlowSolver
 from tissue_sim import InputError
 from tissue_sim.pose import Pose
+from tissue_sim.realtime.local_model import LocalModel, LocalModelBlend, SlowSolver
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 DT = 1e-3

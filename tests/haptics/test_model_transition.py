@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from haptics.loop.model_transition import ModelTransition
 from tissue_sim.pose import Pose
+from tissue_sim.realtime.model_transition import ModelTransition
 
 RADIUS = 4e-3
 AIR = SimpleNamespace(has_contact=False, pose=Pose((0.0, 0.0, 4e-3)))

@@ -12,10 +12,10 @@ import pytest
 from waiting import wait_for_value
 
 import tissue_sim as ts
+from benchmarks.realtime.delayed_bulk import DelayedBulk
 from haptics.devices.motions import SineMotion
-from haptics.loop.bulk_link import BulkProcess, DelayedBulk
+from haptics.loop.bulk_process import BulkProcess
 from haptics.loop.loop import Loop, LoopSettings
-from haptics.loop.model_transition import TRANSITION
 from haptics.loop.multirate import MultiRateTissue
 from haptics.loop.process import LoopProcess
 from haptics.loop.tissue_factory import make_real_time_tissue_factory
@@ -26,6 +26,7 @@ from tissue_sim.fem.solid.linearisation import SolidLinearisation
 from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import create_needle_mesh
 from tissue_sim.pose import Pose, between
+from tissue_sim.realtime.model_transition import TRANSITION
 from tissue_sim.tool_force import ERROR_FLOOR, ERROR_SHARE, ForceStatus
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))

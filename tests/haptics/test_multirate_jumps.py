@@ -3,7 +3,7 @@
 import pytest
 
 import tissue_sim as ts
-from haptics.loop.bulk_link import DelayedBulk
+from benchmarks.realtime.delayed_bulk import DelayedBulk
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation

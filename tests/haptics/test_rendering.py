@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from haptics.loop.local_model import LocalModel, LocalModelBlend
 from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
 from haptics.safety.passivity import ReturnedEnergyCutoff
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from haptics.safety.watchdog import Watchdog, WatchdogState
 from tissue_sim.pose import Pose
+from tissue_sim.realtime.local_model import LocalModel, LocalModelBlend
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 DT = 1e-3

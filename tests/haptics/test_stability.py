@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
+from benchmarks.realtime.delayed_hand import DelayedHand
+from benchmarks.realtime.oscillation import measure_sustained_peak_to_peak, simulate_device_depths
 from haptics.devices.contracts import AxialMotion
-from haptics.devices.virtual.delayed_hand import DelayedHand
 from haptics.devices.virtual.hand import VirtualHand
-from haptics.loop.stability import measure_sustained_peak_to_peak, simulate_device_depths
 from haptics.safety.coupling import VirtualCoupling
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.pending_path import MOST_TICKS, PendingPath
 from tissue_sim.pose import Pose
+from tissue_sim.realtime.pending_path import MOST_TICKS, PendingPath
 
 START = Pose.at_depth(0.0)
 #: Time of a tick, s.

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.explicit_coupling import LightToolWarning, ToolReversalDetector, minimum_stable_tool_mass
 from tissue_sim.kernel_owner import BusyError, CopyError
 from tissue_sim.motion_limits import MotionLimits
+from tissue_sim.realtime.explicit_coupling import LightToolWarning, ToolReversalDetector, minimum_stable_tool_mass
 from tissue_sim.tool_force import ERROR_FLOOR, ERROR_SHARE, is_force_accurate_enough, make_axial_stiffness_matrix
 
 SOFT = ts.Material("neo_hooke", {"C10": 2000.0}, ts.Bulk("bulk_ratio", 1e3))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim import simulator as simulating
+from tissue_sim.realtime import simulator as simulating
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
 CASES = {

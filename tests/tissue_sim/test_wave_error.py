@@ -1,4 +1,4 @@
-"""Error of the force by waves that the steps do not resolve (`tissue_sim.wave_error`)."""
+"""Error of the force by waves that the steps do not resolve (`tissue_sim.realtime.wave_error`)."""
 
 import math
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
+from tissue_sim.realtime.wave_error import REVERBERATION, ContactWaveTimeAndShearSpeed, UnresolvedWaveErrorEstimator
 from tissue_sim.tool_force import make_axial_stiffness_matrix
-from tissue_sim.wave_error import REVERBERATION, ContactWaveTimeAndShearSpeed, UnresolvedWaveErrorEstimator
 
 #: Shear modulus, Pa, density, kg/m3, radius of the tool, m.
 MODULUS = 4e3

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from device_contracts import HapticDeviceContract
 
+from benchmarks.realtime.delayed_hand import DelayedHand
 from haptics.devices.back_ends import HAPTIC_DEVICES, open_haptic
 from haptics.devices.contracts import Motion
 from haptics.devices.motions import HandMotion
-from haptics.devices.virtual.delayed_hand import DelayedHand
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering

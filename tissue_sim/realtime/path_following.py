@@ -6,15 +6,20 @@ import math
 import time
 from dataclasses import replace
 
-from tissue_sim.explicit_coupling import ToolReversalDetector, issue_light_tool_warning, minimum_stable_tool_mass
 from tissue_sim.fem.solver import Solver, StaticStiffnessRequest, Step, StepStatus
-from tissue_sim.material.effect import ReducedForceFactor
-from tissue_sim.model import Model
-from tissue_sim.path_settings import PathSettings
-from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose, Screw, between, motion, shift_pose_along_z
-from tissue_sim.simulator_state import AT_REST, DampedPathState, LastEquilibrium, NewtonAttempt
-from tissue_sim.step_clock import LEAST_SOLVES, StepBudget, StepClock, count_solves_in_budget_or_none
+from tissue_sim.realtime.explicit_coupling import (
+    ToolReversalDetector,
+    issue_light_tool_warning,
+    minimum_stable_tool_mass,
+)
+from tissue_sim.realtime.path_settings import PathSettings
+from tissue_sim.realtime.pending_path import PendingPath
+from tissue_sim.realtime.simulator_state import AT_REST, DampedPathState, LastEquilibrium, NewtonAttempt
+from tissue_sim.realtime.step_clock import LEAST_SOLVES, StepBudget, StepClock, count_solves_in_budget_or_none
+from tissue_sim.realtime.tissue import RealTimeTissue
+from tissue_sim.realtime.tool_track import ToolTrack, compute_fraction_in_air
+from tissue_sim.realtime.wave_error import ContactWaveTimeAndShearSpeed
 from tissue_sim.tool_force import (
     ForceStatus,
     PredictedForceOfNextStep,
@@ -24,18 +29,15 @@ from tissue_sim.tool_force import (
     is_force_accurate_enough,
     limit_force_of_wrench,
 )
-from tissue_sim.tool_track import ToolTrack, compute_fraction_in_air
-from tissue_sim.wave_error import ContactWaveTimeAndShearSpeed
 
 
-class SimulatorPathMixin:
-    """Mixin of `Simulator` that follows the path of the tool: substeps, retries, damped paths, and the step result.
+class PathFollowingTissue(RealTimeTissue):
+    """Base of `Simulator` that follows the path of the tool: substeps, retries, damped paths, and the step result.
 
     Attributes:
         error: estimate of the error of the force at the last equilibrium, N; None if it is unknown.
     """
 
-    model: Model
     budget: float | None
     inertia: str
     tolerance: float
@@ -45,10 +47,8 @@ class SimulatorPathMixin:
     error: float | None
     _solver: Solver
     _clock: StepClock
-    _reduced: ReducedForceFactor
     _equilibrium: LastEquilibrium
     _pose: Pose
-    _answer: ToolForce
     _tool: ToolTrack
     _motion_check: ToolReversalDetector
     _attempt: NewtonAttempt | None

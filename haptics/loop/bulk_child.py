@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from haptics.loop.multirate_settings import BULK_PROCESS
+from haptics.loop.bulk_settings import BULK_PROCESS
 from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, remove_file
 from haptics.loop.snapshot_board import SnapshotBoard
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
@@ -35,6 +35,7 @@ from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, Predic
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.packing import run_packed_task
+from tissue_sim.realtime.bulk_link import make_untouched_state
 from tissue_sim.snapshot import Snapshot, snapshot
 
 #: Kind of the shared file of contact states.
@@ -76,12 +77,6 @@ def start_in_thread_and_get_finish_check(compute: Callable[[], None]) -> Callabl
     thread = threading.Thread(target=compute, daemon=True)
     thread.start()
     return lambda: not thread.is_alive()
-
-
-def make_untouched_state(surface: ContactSurface) -> ContactState:
-    """Return the contact state of undeformed tissue with the tool at its start pose, without contact forces."""
-    zeros, count = np.zeros((len(surface.places), 3)), len(surface.places)
-    return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, zeros, zeros, np.zeros((3, count)), False)
 
 
 def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:

@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass, replace
 
 from tissue_sim.pose import Pose, Screw, between, motion
-from tissue_sim.wave_error import UnresolvedWaveErrorEstimator
+from tissue_sim.realtime.wave_error import UnresolvedWaveErrorEstimator
 
 #: Largest number of ticks that are followed one by one. The oldest ones beyond it are merged.
 MOST_TICKS = 32

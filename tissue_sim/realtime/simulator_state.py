@@ -8,14 +8,14 @@ from numbers import Real
 from typing import Any
 
 from tissue_sim.errors import InputError
-from tissue_sim.explicit_coupling import ToolReversalDetector
 from tissue_sim.fem.solver import Step
 from tissue_sim.material.effect import ToolHistory
 from tissue_sim.model import Model
-from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose, Screw, scale_screw
+from tissue_sim.realtime.explicit_coupling import ToolReversalDetector
+from tissue_sim.realtime.pending_path import PendingPath
+from tissue_sim.realtime.tool_track import ToolTrack
 from tissue_sim.tool_force import Matrix, ToolForce, make_axial_stiffness_matrix, make_axial_wrench, scale_matrix
-from tissue_sim.tool_track import ToolTrack
 
 #: Age of a stiffness that has not been computed yet.
 NEVER = 1 << 30

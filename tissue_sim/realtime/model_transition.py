@@ -9,11 +9,11 @@ from typing import cast
 
 import numpy as np
 
-from haptics.loop.broyden_correction import BroydenCorrection
-from haptics.loop.linearisation_error import LinearisationError
 from tissue_sim.fem.condensed.model import CondensedBulk
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
 from tissue_sim.pose import Pose, Screw, add_screws, motion, scale_screw
+from tissue_sim.realtime.broyden_correction import BroydenCorrection
+from tissue_sim.realtime.linearisation_error import LinearisationError
 from tissue_sim.tool_force import Matrix
 
 

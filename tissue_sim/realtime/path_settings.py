@@ -11,7 +11,7 @@ from tissue_sim.settings import require_all_settings_positive
 class PathSettings:
     """Settings of the division of a path into parts, and of the repetition of failed parts.
 
-    `tissue_sim.path_following.SimulatorPathMixin` uses them.
+    `tissue_sim.realtime.path_following.PathFollowingTissue` uses them.
 
     Attributes:
         largest_part: largest motion of the tool in one part, as a fraction of the contact radius, 1; a larger motion is

@@ -1,8 +1,7 @@
-"""Links between the contact solver and the slower solver of the bulk: in one process with a fixed delay, or in two."""
+"""Bulk of a multirate simulation in another process, which linearises it continuously."""
 
 from __future__ import annotations
 
-import math
 import os
 import pickle
 import struct
@@ -10,162 +9,27 @@ import subprocess
 import sys
 import time
 import zlib
-from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from haptics.loop.multirate_settings import BULK_PROCESS
-from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, remove_file
-from haptics.loop.slow_bulk import (
+from haptics.loop.bulk_child import (
     KIND_CORRECTION,
     KIND_MODEL,
     KIND_STATE,
     BulkReadyMessage,
     make_linearisation,
-    make_untouched_state,
 )
+from haptics.loop.bulk_settings import BULK_PROCESS
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, remove_file
 from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import (
-    BulkLinearisation,
-    CondensedBulk,
-    ContactState,
-    ContactSurface,
-    compute_packed_state_size,
-)
-from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLinearisation
+from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface, compute_packed_state_size
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.packing import pack_task
 from tissue_sim.snapshot import Snapshot
-
-
-class BulkLink(Protocol):
-    """Source of linearised models of the bulk. Call `close` at the end."""
-
-    @property
-    def contact_surface(self) -> ContactSurface:
-        """Contact nodes and tool of the bulk; available after `start`."""
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether the bulk, or its process, still runs and can send models."""
-
-    def start(self) -> CondensedBulk:
-        """Start the bulk, wait until it is ready, and return its model of the undeformed tissue.
-
-        Raises:
-            InputError: the solver does not support the model.
-            RuntimeError: the process of the bulk ended.
-        """
-
-    def send_state(self, state: ContactState) -> None:
-        """Send the state of the contact, at which the bulk is linearised next, without waiting for the model."""
-
-    def receive_model(self, now: float) -> CondensedBulk | None:
-        """Return a model that has arrived since the last call, or None; does not wait. `now` is the loop's time, s."""
-
-    def send_state_and_wait_for_model(self, state: ContactState) -> CondensedBulk | None:
-        """Send a state and block until the next model arrives, which may belong to an earlier state.
-
-        Returns:
-            The model; None if none arrives within `BulkCommunicationSettings.longest_exchange` or the bulk has ended.
-        """
-
-    def set_material(self, material: Material, number: int) -> None:
-        """Change the material of the bulk; models of the new material have this `number` in their field `material`."""
-
-    def snapshot(self) -> Snapshot | None:
-        """Return a snapshot of the deformed tissue at a recent model; None for a link without snapshots."""
-
-    def close(self) -> None:
-        """End the bulk and free its resources."""
-
-
-class DelayedBulk:
-    """Bulk in this process whose models arrive after a fixed simulated delay, so that forces are reproducible.
-
-    Args:
-        linearisation: linearisation of the bulk.
-        delay: time from the state of a model to the tick that receives the model, s.
-        tangent: time from the state of a tangent to the first model with this tangent, s; None: each model has a new
-            tangent.
-
-    Attributes:
-        linearising: CPU time spent on models, s.
-    """
-
-    is_alive = True
-
-    def __init__(self, linearisation: BulkLinearisation, delay: float, tangent: float | None = None):
-        self._bulk, self.contact_surface, self._delay, self._epoch = linearisation, linearisation.surface, delay, 0
-        self._predictive, self._now = PredictiveLinearisation(linearisation), 0.0
-        self._tangent = tangent
-        if tangent is not None:
-            linearisation.executor = self._compute_tangent_and_get_finish_check
-        self.linearising = 0.0
-        self._coming: tuple[float, CondensedBulk | None] | None = None
-
-    def _compute_tangent_and_get_finish_check(self, compute: Callable[[], None]) -> Callable[[], bool]:
-        """Compute a tangent now, and return a function that returns True once the tangent's delay is over.
-
-        After a reset the tangent belongs to a discarded specimen and is reported as finished at once.
-        """
-        assert self._tangent is not None
-        compute()
-        due, epoch = self._now + self._tangent, self._epoch
-        return lambda: self._epoch != epoch or self._now >= due - 1e-9
-
-    def start(self) -> CondensedBulk:
-        """Compute and return the model of the undeformed tissue.
-
-        Raises:
-            RuntimeError: the undeformed tissue has no linearisation.
-        """
-        model = self._predictive.linearise_at_predicted_pose_or_none(make_untouched_state(self.contact_surface), 0.0,
-                                                                     0.0)
-        if model is None:
-            raise RuntimeError("the bulk must have a linearisation of the undeformed tissue; the solver returned none")
-        return model
-
-    def send_state(self, state: ContactState) -> None:
-        """Linearise the bulk at a state, unless a model is in transit; the model arrives after the delay."""
-        if state.epoch != self._epoch:
-            # A model in transit belongs to the specimen before the reset.
-            self._epoch, self._coming = state.epoch, None
-        if self._coming is None:
-            began, self._now = time.process_time(), state.time
-            serves = 2.0 * (self._delay if self._tangent is None else self._tangent)
-            model = self._predictive.linearise_at_predicted_pose_or_none(state, PREDICTION.lead_factor * self._delay,
-                                                                         serves)
-            self._coming = state.time + self._delay, model
-            self.linearising += time.process_time() - began
-
-    def receive_model(self, now: float) -> CondensedBulk | None:
-        """Return the model in transit if it has arrived at the time `now`, s, otherwise None."""
-        if self._coming is None or now < self._coming[0] - 1e-9:
-            return None
-        model, self._coming = self._coming[1], None
-        return model
-
-    def send_state_and_wait_for_model(self, state: ContactState) -> CondensedBulk | None:
-        """Return a model at once: of an earlier state whose model was not yet received, otherwise of this state."""
-        self.send_state(state)
-        return self.receive_model(math.inf)
-
-    def set_material(self, material: Material, number: int) -> None:
-        """Change the material of the bulk; later models have this `number` in their field `material`."""
-        self._predictive.set_material(material, number)
-
-    def snapshot(self) -> Snapshot | None:
-        """Return None: this link has no snapshots."""
-        return None
-
-    def close(self) -> None:
-        """Do nothing: the bulk is part of this process."""
-        return
 
 
 class BulkProcess:
@@ -188,7 +52,7 @@ class BulkProcess:
         """Start the process and return its model of the undeformed tissue; raises the errors of `BulkLink.start`."""
         one = {"MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = process = subprocess.Popen(
-            [sys.executable, "-c", "from haptics.loop.slow_bulk import main; main()"], stdin=subprocess.PIPE,
+            [sys.executable, "-c", "from haptics.loop.bulk_child import main; main()"], stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, env={**one, **os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))})
         assert process.stdin is not None and process.stdout is not None
         self._write_to_process_stdin(struct.pack("<Q", len(self._task)) + self._task)

@@ -1,0 +1,350 @@
+"""Real-time simulation: pose of the tool in, force on the tool out, about 1000 times per second."""
+
+from __future__ import annotations
+
+import math
+import time
+from copy import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.fem.solver import SOLVERS, ResolutionLevel, Surface
+from tissue_sim.kernel_owner import make_single_thread_method
+from tissue_sim.material.material import Material
+from tissue_sim.model import Model
+from tissue_sim.motion_limits import MotionLimits
+from tissue_sim.pose import Pose
+from tissue_sim.realtime.accepted_models import require_no_tilt_or_partial_slip
+from tissue_sim.realtime.explicit_coupling import ToolReversalDetector
+from tissue_sim.realtime.path_following import PathFollowingTissue
+from tissue_sim.realtime.path_settings import PATH, PathSettings
+from tissue_sim.realtime.pending_path import PendingPath
+from tissue_sim.realtime.resolution_choice import choose_finest_level_in_budget, measure_tick_time_or_infinity
+from tissue_sim.realtime.simulator_state import (
+    AT_REST,
+    NEVER,
+    DampedPathState,
+    NewtonAttempt,
+    SimulatorState,
+    StateOrigin,
+)
+from tissue_sim.realtime.step_clock import StepClock, require_valid_max_solves
+from tissue_sim.realtime.tool_track import ToolTrack, is_pose_on_axis
+from tissue_sim.realtime.wave_error import ContactWaveTimeAndShearSpeed
+from tissue_sim.snapshot import Snapshot, snapshot
+from tissue_sim.tool_force import ForceStatus, ToolForce, compute_negligible_force_error
+
+#: Relative residual below which a state is an equilibrium, 1.
+TOLERANCE = 1e-6
+#: Density of tissue for which none is stated, kg/m3: that of water.
+DENSITY = 1000.0
+#: Number of inertial steps after which the static stiffness is computed again, by a linear solve.
+_STIFFNESS_LASTS = 5
+#: Index of the resolution level that is measured first.
+_FIRST_LEVEL = 1
+
+
+class Simulator(PathFollowingTissue):
+    """Force on a tool that follows any path, step by step.
+
+    A step computes the equilibrium at the new pose from the previous one; a long motion is divided into parts along a
+    rigid motion at constant velocity. All parts of the model's experiment and material act: friction, relaxation,
+    softening, layers, adhesion, puncture, self-weight. The rig does not act, because it belongs to a measurement.
+
+    Args:
+        model: experiment and material. Of the protocol only the largest depth is used, for the mesh under tools without
+            a flat face.
+        resolution: as in `simulate`. With a budget ``"realtime"`` is the finest mesh whose steps fit into the budget on
+            this computer, chosen by `warm_up`; ``"realtime_63"`` and similar names fix the mesh.
+        mesh: mesh to use instead.
+        budget: wall time of a step, s, after which the step returns an extrapolated force (`ForceStatus.LATE`); None:
+            no limit, and the same motion gives the same forces bit for bit.
+        inertia: ``"auto"``: the mass of the tissue acts if the tool is faster than `PathSettings.inertial_speed`, the
+            solver has a mass, and the steps resolve the motion (`ToolReversalDetector`); ``"on"``, ``"off"``.
+        tolerance: relative residual of the nodal forces, 1.
+        solver: name in `tissue_sim.fem.solver.SOLVERS`.
+        looks_ahead: whether inertial steps predict the force of the next step (`ToolForce.ahead`), for a virtual
+            coupling; takes a tenth of the time of a step.
+        max_solves: largest number of linear solves of a step, with those of its stiffness (for a reduced solid:
+            iterations, each with a contact solution), after which the step returns an extrapolated force
+            (`ForceStatus.LATE`). Every tenth step has one more for a static stiffness that found none left. None: the
+            number that fits into the budget, as measured by `warm_up`; without a budget no limit.
+        strict_axis: whether an axisymmetric scene refuses a pose off its axis or tilted (`ForceStatus.REFUSED`),
+            instead of marking the result (`ToolForce.is_on_axis`); tolerances:
+            `tissue_sim.realtime.tool_track.AxisTolerances`.
+        limits: of poses and time steps; see `MotionLimits`.
+        path_settings: division of the path of the tool into parts, and repetition of failed parts.
+
+    Before the first touch, and in the air after lift-off, a motion of the tool needs no equilibrium. A tool that is
+    inside of the tissue in the first step is at rest there. A late step leaves the rest of its path and of its time to
+    the next step. With `strict_axis` the status of a pose off the axis or tilted is REFUSED.
+
+    One thread at a time may call a simulator; simultaneous calls raise `BusyError`. It cannot be copied or pickled:
+    `clone` makes an independent simulator at the same state, `save` and `restore` keep a state.
+
+    Attributes:
+        resolution: name of the resolution in use; "own mesh" for a given mesh.
+        force_error: largest known relative error of the force on this mesh, 1; None if unknown.
+        error: estimated error of the force at the last equilibrium, N; None if unknown.
+
+    Raises:
+        InputError: an unknown solver, resolution or inertia; inertia "on" with a solver without inertia; a tilted tool
+            or partial slip; a modulus outside of the range of tissues; a bulk response or layers that the solver does
+            not support.
+        ConvergenceError: the specimen has no equilibrium under its own weight.
+        MissingBackendError: Taichi is not installed.
+
+    Examples:
+        >>> from tissue_sim import KINDS, Bulk, Protocol, Specimen, Tool
+        >>> needle = KINDS["needle_indentation"].experiment(
+        ...     specimen=Specimen(0.040, 0.070), protocol=Protocol.ramp(0.002), tool=Tool("flat", radius=0.008))
+        >>> simulator = Simulator(Model(needle, Material("neo_hooke", {"C10": 1000.0}, Bulk("bulk_ratio", 1e3))))
+        >>> result = simulator.step(0.001, dt=0.001)
+        >>> result.status.name, round(result.force, 2)  # N
+        ('CONVERGED', 0.13)
+    """
+
+    copy_remedy = "Use clone() for an independent simulator at the same state, or save() and restore()."
+
+    def __init__(self, model: Model, *, resolution: str = "realtime", mesh: Any = None,
+                 budget: float | None = None, inertia: str = "auto", tolerance: float = TOLERANCE,
+                 solver: str = "axisymmetric", looks_ahead: bool = False, max_solves: int | None = None,
+                 strict_axis: bool = False, limits: MotionLimits | None = None, path_settings: PathSettings = PATH):
+        if inertia not in ("auto", "on", "off"):
+            raise InputError(f"must be 'auto', 'on' or 'off'; got {inertia!r}.", field="inertia")
+        if budget is not None and not budget > 0:
+            raise InputError(f"must be positive or None; got {budget:g} s.", field="budget")
+        require_valid_max_solves(max_solves)
+        require_no_tilt_or_partial_slip(model.experiment)
+        super().__init__(model, limits)
+        self.budget, self.inertia, self.tolerance = budget, inertia, tolerance
+        self.looks_ahead, self.strict_axis = looks_ahead, strict_axis
+        self._settings, self._made_of = path_settings, (model, mesh)
+        self._solver = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
+        self._solver_name, levels = solver, () if mesh is not None else self._solver.realtime_levels(model)
+        #: Levels among which `warm_up` chooses.
+        self._levels = levels if resolution == "realtime" and budget is not None else ()
+        self.resolution = "own mesh" if mesh is not None else resolution
+        self.force_error = {level.resolution: level.force_error for level in levels}.get(resolution)
+        self._solver.ask_for_stiffness()
+        self.density = model.experiment.specimen.density or model.material.density or DENSITY
+        # Whether the solver supports inertia.
+        self._weighs = inertia != "off" and self._solver.enable_inertia(self.density) is not False
+        if inertia == "on" and not self._weighs:
+            raise InputError(f"must be 'auto' or 'off' with the solver {solver!r}, which supports no inertia.",
+                             field="inertia")
+        # Whether the tool cannot lift off, and whether the tissue can attract the tool.
+        self._bonded = model.experiment.friction == "bonded"
+        self._pulls = self._bonded or bool(model.experiment.acting_laws)
+        # Whether the force depends on the path of the tool, apart from its dependence on time.
+        self._keeps_path = model.experiment.is_path_dependent or model.material.remembers
+        # A rotation counts as the displacement of a point at the edge of the contact.
+        self._radius = model.experiment.contact_radius
+        self._largest_part = path_settings.largest_part * self._radius
+        self._wave_scale = ContactWaveTimeAndShearSpeed.from_model(model, self.density)
+        self._error_floor = compute_negligible_force_error(model.material.mu0, self._radius)
+        self._left = 1.0  # factor of effects in reduced form on the force at the last equilibrium
+        self._solve: float | None = None  # wall time of a linear solve at warm-up, s
+        self._clock, self._most = StepClock(), max_solves
+        self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
+        self._equilibrium = AT_REST
+        self.error: float | None = None
+        # Track of the tool; whether its first pose in the tissue has yet to be reached; largest force so far, N.
+        self._tool, self._begins, self._largest_force = ToolTrack(), False, 0.0
+        self._pose, self._motion_check, self._has_warned = self._solver.pose, ToolReversalDetector(), False
+        # Path since the last equilibrium; time since the last fast motion, s; fraction of the largest part that works.
+        self._pending, self._lingers, self._share = PendingPath(), math.inf, 1.0
+        # Whether a quasi-static transition is in progress: the tool is pressed on again, and no time passes.
+        self._leaps = False
+        self._has_waves = False  # whether waves that the last step did not resolve are too large a part of its force
+        # Unfinished iteration; whether the next may extrapolate first; whether the tool may be pressed on again.
+        self._attempt: NewtonAttempt | None = None
+        self._extrapolates, self._can_restart = True, not self._bonded
+        self._creep: DampedPathState | None = None
+        self._stiffness_lasts = _STIFFNESS_LASTS
+        self._origin = StateOrigin.from_model(solver, self._solver.mesh_digest(), model)
+        self._start = self.save()
+
+    @property
+    def has_touched(self) -> bool:
+        """Whether the tool has touched the tissue since the last `reset`."""
+        return self._tool.touch.has_touched
+
+    @property
+    def mesh(self) -> Any:
+        """Undeformed mesh of the specimen."""
+        return self._solver.mesh
+
+    @property
+    def solve_time(self) -> float:
+        """Wall time of a linear solve with its assembly, s, estimated since `warm_up`."""
+        return self._clock.solve
+
+    @make_single_thread_method
+    def warm_up(self) -> None:
+        """Compile the kernels of a step or load them from the cache, and choose the mesh; the state is kept.
+
+        This takes seconds the first time on a computer; call it before the first step.
+        """
+        self._compile_kernels_and_measure_solve_time()
+        if self._levels:
+            self._switch_to_finest_mesh_in_budget()
+
+    def _switch_to_finest_mesh_in_budget(self) -> None:
+        """Measure ticks, and replace the solver by that of the finest mesh in the budget; at the first call only."""
+        levels, self._levels = self._levels, ()
+        depth = float(np.max(self.model.experiment.protocol.displacement))
+        made: dict[str, Simulator] = {}
+
+        def measure_level_tick(level: ResolutionLevel) -> float:
+            try:
+                one = Simulator(self.model, resolution=level.resolution, inertia=self.inertia, tolerance=self.tolerance,
+                                solver=self._solver_name, looks_ahead=self.looks_ahead, path_settings=self._settings)
+            except ConvergenceError:  # the specimen has an equilibrium under its weight on finer meshes only
+                return math.inf
+            made[level.resolution] = one
+            one._compile_kernels_and_measure_solve_time()
+            one._stiffness_lasts = NEVER  # the static stiffness is only computed in spare time
+            tick = measure_tick_time_or_infinity(one, depth, lifts=not self._bonded, budget=self.budget or math.inf)
+            one.reset()
+            return tick
+
+        level = choose_finest_level_in_budget(levels, _FIRST_LEVEL, self.budget or math.inf, measure_level_tick)
+        if level.resolution not in made:
+            return
+        one = made[level.resolution]
+        self._solver, self._clock, self._solve, self._start = one._solver, one._clock, one._solve, one._start
+        self._origin = one._origin
+        self.resolution, self.force_error = level.resolution, level.force_error
+        self.restore(self._start)
+
+    def _compile_kernels_and_measure_solve_time(self) -> None:
+        """Compile the kernels by three small steps, and restore the state."""
+        saved, pose = self.save(), self._solver.pose
+        x, y, z = pose.position
+        spent = []
+        for depth in (1e-5, 2e-5, 3e-5):
+            started = time.perf_counter()
+            step = self._solver.step(replace(pose, position=(x, y, z - depth * self._radius)), 1e-3,
+                                     tolerance=self.tolerance)
+            spent.append((time.perf_counter() - started) / (1 + step.iterations))
+        self._clock.restart_estimate_from_solve_time(min(spent))
+        self._solve = self._clock.solve
+        # Stiffness with which a late first touch is extrapolated.
+        touch = replace(AT_REST, stiffness=AT_REST.make_next_equilibrium(step, AT_REST.pose, 1.0, False).stiffness)
+        self._start = replace(self._start, equilibrium=touch)
+        self.restore(saved if saved.tool.touch.has_touched else replace(saved, equilibrium=touch))
+
+    @property
+    def _last_pose(self) -> Pose | None:
+        """Pose of the tool in the last step; None before the first step."""
+        return self._tool.pose
+
+    def _compute_step(self, pose: Pose, dt: float, began: float) -> ToolForce:
+        tool, solver = self._tool, self._solver
+        seen = tool.remove_rotation_at_last_touch(pose)
+        target = solver.project_pose(seen)
+        on_axis = target is seen or is_pose_on_axis(pose, target, self._radius)
+        if not on_axis and self.strict_axis:
+            return replace(self._make_refused_result(began), is_on_axis=False)
+        tick, is_behind = dt, not self._pending.is_empty
+        if not tool.touch.has_touched:
+            first = tool.touch.height is None or tool.touch.height <= 0.0
+            spent, is_possible = tool.register_air_step_and_place_at_touch(solver, pose, dt)
+            if spent is None or not is_possible:
+                tool.pose = pose
+                status = ForceStatus.CONVERGED if is_possible else ForceStatus.STOPPED
+                self._answer = ToolForce(AT_REST.wrench, AT_REST.stiffness, status, pose=pose, is_on_axis=on_axis,
+                                         compute_time=time.perf_counter() - began)
+                return self._answer
+            self._begins, dt = first, spent
+            self._pose, target = (tool.project_to_solver_pose_without_rotation(solver, each)
+                                  for each in (tool.pose or pose, pose))
+        elif self._is_unloaded_with_path_solved:
+            in_air = self._move_in_air_and_get_force_or_time(pose, target, dt, began)
+            if isinstance(in_air, ToolForce):
+                return in_air
+            dt = in_air
+            target = tool.project_to_solver_pose_without_rotation(solver, pose)
+        self._register_motion_speed_and_reversals(target, tick)
+        tool.pose, self._pose = pose, target
+        self._pending.append_tick(target, dt)
+        answer = self._step_along_pending_path(target, tick, began, is_behind)
+        self._answer = answer if on_axis else replace(answer, is_on_axis=False)
+        return self._answer
+
+    @make_single_thread_method
+    def reset(self) -> None:
+        """Return to the specimen before the first touch."""
+        self.restore(self._start)
+
+    @make_single_thread_method
+    def save(self) -> SimulatorState:
+        """Return the state on which the next step depends, without parameters; a damped path is restarted."""
+        self._abandon_damped_path()
+        return SimulatorState(self._origin, self._solver.save(), self._answer, self._equilibrium, self._tool.copy(),
+                              self._pose, self._leaps, self._pending.copy(), self._lingers, self._share, self._begins,
+                              self._largest_force, self._motion_check.copy(), self._reduced.history, self.error)
+
+    @make_single_thread_method
+    def restore(self, state: SimulatorState) -> None:
+        """Restore a saved state of this simulator or of a similar one.
+
+        A similar simulator has the same solver, mesh, experiment and material structure; parameter values may differ.
+
+        Raises:
+            InputError: not a saved state, or one of another solver, mesh, experiment or material; nothing is changed.
+        """
+        if not isinstance(state, SimulatorState):
+            raise InputError(f"must be a state that save() returned; got {type(state).__name__}.", field="state")
+        self._origin.require_equal_origin(state.origin)
+        self._abandon_damped_path()
+        self._solver.restore(state.solver)
+        self.error, self._answer, self._equilibrium = state.error, state.answer, state.equilibrium
+        self._tool, self._pose, self._leaps = state.tool.copy(), state.pose, state.leaps
+        self._pending, self._lingers, self._share = state.pending.copy(), state.lingers, state.share
+        self._begins, self._largest_force = state.begins, state.largest_force
+        self._motion_check, self._reduced.history = state.motion_check.copy(), state.history
+        self._attempt, self._extrapolates, self._can_restart, self._has_waves = None, True, not self._bonded, False
+
+    @make_single_thread_method
+    def clone(self) -> Simulator:
+        """Return an independent simulator with the same parameters at the same state.
+
+        Compiled kernels are shared, arrays are copied: planners can try motions on a clone, also in another thread.
+        """
+        model, mesh = self._made_of
+        chosen = self.resolution if mesh is None else "realtime"
+        other = type(self)(model, resolution=chosen, mesh=mesh, inertia=self.inertia, tolerance=self.tolerance,
+                           solver=self._solver_name, looks_ahead=self.looks_ahead, max_solves=self._most,
+                           strict_axis=self.strict_axis, limits=self.limits, path_settings=self._settings)
+        other.resolution, other.force_error, other.budget = self.resolution, self.force_error, self.budget
+        other._levels, other._solve, other._clock = self._levels, self._solve, copy(self._clock)
+        other._start, other._left, other._stiffness_lasts = self._start, self._left, self._stiffness_lasts
+        if self.model is not model:
+            other._set_material(self.model.material)
+        other.restore(self.save())
+        return other
+
+    def _abandon_damped_path(self) -> None:
+        """Stop an unfinished damped path; the solver returns to the equilibrium at the start of the path."""
+        if self._creep is not None:
+            self._creep.steps.close()
+            self._creep = None
+
+    def _send_material_to_solver(self, material: Material) -> None:
+        self._abandon_damped_path()
+        self._solver.set_material(material)
+
+    @make_single_thread_method
+    def surface(self) -> Surface:
+        """Return the surface of the tissue at the last equilibrium."""
+        return self._solver.deformed_surface()
+
+    @make_single_thread_method
+    def snapshot(self) -> Snapshot:
+        """Return a snapshot of the tissue at the last equilibrium, with its fields."""
+        return snapshot(self._solver)
