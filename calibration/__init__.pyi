@@ -20,14 +20,14 @@ from calibration.fit.fit import Prediction as Prediction
 from calibration.fit.hold import HoldFit as HoldFit
 from calibration.fit.hold import fit_hold as fit_hold
 from calibration.fit.result import CalibrationResult as CalibrationResult
-from calibration.fit.result import to_json as to_json
+from calibration.fit.result import to_json_dictionary as to_json_dictionary
 from calibration.fit.usability_settings import UsabilitySettings as UsabilitySettings
 from calibration.importing.files import import_files as import_files
 from calibration.importing.imported import ImportOptions as ImportOptions
 from calibration.importing.imported import ImportResult as ImportResult
 from calibration.pipeline import calibrate as calibrate
-from calibration.pipeline import design_experiments as design_experiments
 from calibration.pipeline import diagnose as diagnose
+from calibration.pipeline import evaluate_planned_experiments as evaluate_planned_experiments
 from calibration.tasks.errors import WorkerError as WorkerError
 from calibration.tasks.executors import Workers as Workers
-from tissue_sim.recording.formats.guesses import ColumnHints as ColumnHints
+from tissue_sim.recording.formats.guesses import InterpretationOverrides as InterpretationOverrides

@@ -37,7 +37,7 @@ from calibration.diagnosis.offsets import refit_from_far_contacts_and_describe_t
 from calibration.diagnosis.proposals import CatalogueScores, score_effects
 from calibration.diagnosis.refit_settings import REFITS, RefitSettings
 from calibration.diagnosis.result import DiagnosisResult
-from calibration.diagnosis.statements import list_candidate_statements, list_found_effects
+from calibration.diagnosis.statements import list_candidate_results, list_found_effects
 from calibration.diagnosis.verdict import fit_effects_and_decide_verdict
 from calibration.diagnosis.words import summarise_diagnosis
 from calibration.effects.catalogue import CATALOGUE
@@ -46,10 +46,10 @@ from calibration.fit.fit import Fit
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
 from calibration.fit.run_context import RunContext
 from calibration.fit.uncertainty import compute_marginal_uncertainty
-from calibration.forward.simulation_cache import SimulationCache, hash_content
+from calibration.forward.simulation_cache import SimulationCache, hash_content_and_source_code
 from calibration.output_folder import SOLVES
 from calibration.report.diagnosis_outputs import write_diagnosis_and_get_result
-from calibration.tasks.executors import Workers, open_tasks
+from calibration.tasks.executors import Workers, open_task_executor
 from tissue_sim.settings import get_changed_settings_by_name
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
                     *predict_held_out_tests_from_fits(before, after)]
         fit_before = _convert_evidence_to_fit_record(before)
         fit_after = None if after is None else _convert_evidence_to_fit_record(after)
-        candidates = list_candidate_statements(proposals, judgement, before)
+        candidates = list_candidate_results(proposals, judgement, before)
         effects = [] if after is None else list_found_effects(judgement, before, after)
         regions = compare_segment_misfits(before, after)
     with clock.measure_stage("the next experiment"):
@@ -206,7 +206,7 @@ def diagnose_campaign_file_without_writing(path: str | Path, *, law: str | None 
         ConvergenceError: no start converges.
     """
     campaign, measured = read_campaign_and_curves_for_diagnosis(path, law)
-    with open_tasks(workers or Workers()) as tasks:
+    with open_task_executor(workers or Workers()) as tasks:
         return diagnose_campaign(campaign, measured, RunContext(campaign.name, tasks, progress))
 
 
@@ -232,12 +232,12 @@ class CampaignDiagnosis:
         self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
         self.limits, self.refit_settings = limits, refit_settings
         self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = hash_content("diagnosis", compute_input_and_version_digest(
+        self.digest = hash_content_and_source_code("diagnosis", compute_input_and_version_digest(
             campaign, self.recordings,
             get_changed_settings_by_name(limits) | {
                 f"refit_settings.{name}": value
                 for name, value in get_changed_settings_by_name(refit_settings).items()}), campaign.fit.laws[0],
-                                   sorted(CATALOGUE), _hash_calibration_source_code())
+                                                   sorted(CATALOGUE), _hash_calibration_source_code())
         self.solves = SimulationCache()
         self._clock = _StageClock(self.solves)
 

@@ -18,13 +18,13 @@ from calibration.fit.assess import build_fit_record
 from calibration.fit.curves import compute_test_curves
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator
-from calibration.fit.failure import CalibrationFailureRecord, call_and_catch_law_errors
-from calibration.fit.fit import SensorNoiseStatement
+from calibration.fit.failure import LawFailureRecord, call_and_catch_law_errors
+from calibration.fit.fit import SensorNoiseRecord
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
 from calibration.fit.influence import add_influence_to_fit
 from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator
 from calibration.fit.predictor import PredictionParameters, make_held_out_predictor_or_none
-from calibration.fit.preload_cover import get_notes_with_preload_covered_by_fit
+from calibration.fit.preload_cover import copy_notes_with_explained_preload
 from calibration.fit.profiles import ProfileSide, compute_profile_side
 from calibration.fit.ranking import Fitted, explain_ranking, rank_laws_and_split_results
 from calibration.fit.replicates import find_replicate_disagreements
@@ -120,15 +120,15 @@ class CampaignFit:
             message += f" {law} has no fit: {failure}."
         message_before_notes = message
         # A material with memory describes relaxation and creep, so these need no note.
-        left_out = {"control"} if self.campaign.fit.neo_hookean_material_with_effects.remembers else set()
+        left_out = {"control"} if self.campaign.fit.placeholder_material_with_effects.is_history_dependent else set()
         message += format_notes_summary_by_test_and_subject((curve.test.name, curve.name, {
-            subject: note for subject, note in get_notes_with_preload_covered_by_fit(curve, fits[0]).items()
+            subject: note for subject, note in copy_notes_with_explained_preload(curve, fits[0]).items()
             if note not in message_before_notes and subject not in left_out})
             for curve in self.recordings)
         noises = {name: several[0].noise for name, several in self.measured.items()}
-        noise = tuple(SensorNoiseStatement(test=name, deviation_N=one.deviation,
-                                           correlation_time_s=one.correlation_time,
-                                           source=one.source) for name, one in noises.items())
+        noise = tuple(SensorNoiseRecord(test=name, deviation_N=one.deviation,
+                                        correlation_time_s=one.correlation_time,
+                                        source=one.source) for name, one in noises.items())
         sources = {curve.noise.source for curve in fitted}
         result = CalibrationResult(
             self.campaign, tuple(fits), tuple(predictions), message, self.folder, self.digest,
@@ -150,7 +150,7 @@ class CampaignFit:
         spreads: dict[str, ParameterUncertainty] = {}
         for law, estimate in list(estimates.items()):
             spread = call_and_catch_law_errors(_compute_estimate_uncertainty, self.estimator, estimate)
-            if isinstance(spread, CalibrationFailureRecord):
+            if isinstance(spread, LawFailureRecord):
                 failures[law] = spread.reason
                 del estimates[law]
             else:
@@ -162,7 +162,7 @@ class CampaignFit:
                 self.steps.report_progress(f"uncertainty and predictions of {law}")
             answer = call_and_catch_law_errors(self._compute_results_of_one_law, estimate, spreads[law], ends[law][0],
                                                sides_of[law], left_of[law])
-            if isinstance(answer, CalibrationFailureRecord):
+            if isinstance(answer, LawFailureRecord):
                 failures[law] = answer.reason
             else:
                 answers.append(answer)
@@ -222,7 +222,7 @@ class CampaignFit:
                                                   [arguments for _, arguments in tasks], words) if tasks else []
             for (law, _), answer in zip(tasks, answers, strict=True):
                 # A failed profile or left-out test does not invalidate the fit.
-                if not isinstance(answer, CalibrationFailureRecord):
+                if not isinstance(answer, LawFailureRecord):
                     found[law].append(answer)
         return sides_of, left_of
 

@@ -41,15 +41,15 @@ PICTURES_OF_LAW = ("profiles", "windows", "correlation", "population")
 CLAIM_SCHEMA = "tissue_sim/calibration/2"
 
 
-def list_calibration_file_paths(campaign: Campaign, folder: Path) -> list[Path]:
+def list_possible_calibration_file_paths(campaign: Campaign, folder: Path) -> list[Path]:
     """Return the paths of all files that the calibration of a campaign may write."""
     return [*(folder / f"{law}.material.json" for law in campaign.fit.laws), *(folder / name for name in TABLES),
-            *(folder / make_figure_file_name(name, kind) for name in _list_figure_names(campaign)
+            *(folder / make_figure_file_name(name, kind) for name in _list_possible_figure_names(campaign)
               for kind in PICTURE_FORMATS),
             folder / FIT_FILE]
 
 
-def list_diagnosis_result_file_paths(campaign: Campaign, folder: Path) -> list[Path]:
+def list_possible_diagnosis_result_paths(campaign: Campaign, folder: Path) -> list[Path]:
     """Return the paths of report, tables, figures and result file of the diagnosis of a campaign."""
     pictures = [*(make_numbered_test_figure_name(campaign, number) for number in range(len(campaign.tests))),
                 *PICTURES_OF_DIAGNOSIS]
@@ -58,11 +58,10 @@ def list_diagnosis_result_file_paths(campaign: Campaign, folder: Path) -> list[P
             folder / DIAGNOSIS_FILE]
 
 
-def remove_earlier_results_and_claim_folder(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign],
-                                            recordings: Sequence[MeasuredCurve], digests: Mapping[str, str],
-                                            overwrite: bool,
-                                            files_of: Callable[[Campaign, Path],
-                                                               list[Path]] = list_calibration_file_paths) -> None:
+def remove_earlier_results_and_claim_folder(
+        output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign], recordings: Sequence[MeasuredCurve],
+        digests: Mapping[str, str], overwrite: bool,
+        files_of: Callable[[Campaign, Path], list[Path]] = list_possible_calibration_file_paths) -> None:
     """Prepare the output folder for these campaigns: check it, remove earlier results, and write ``work.json``.
 
     Results of the same campaigns stay. Files of an earlier calibration are removed if ``work.json`` lists them; other
@@ -125,7 +124,7 @@ def has_figure_files_of_all_tests(campaign: Campaign, folder: Path, kind: str) -
                for number in range(len(campaign.tests)))
 
 
-def _list_figure_names(campaign: Campaign) -> list[str]:
+def _list_possible_figure_names(campaign: Campaign) -> list[str]:
     """Return the names of all figures that the report of a campaign may have."""
     return [*(make_numbered_test_figure_name(campaign, number, what) for number in range(len(campaign.tests))
               for what in ("test", "segments")), *PICTURES,

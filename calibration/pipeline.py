@@ -13,11 +13,14 @@ from calibration.output_folder import (
     PICTURE_FORMATS,
     SUMMARY_FILE,
     has_figure_files_of_all_tests,
-    list_calibration_file_paths,
+    list_possible_calibration_file_paths,
     remove_earlier_results_and_claim_folder,
 )
-from calibration.tasks.executors import Workers, open_tasks
+from calibration.tasks.executors import Workers, open_task_executor
 from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.public_names import make_getattr_for_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"design_experiments": "evaluate_planned_experiments"})
 
 if TYPE_CHECKING:
     from calibration.campaign.campaign import Campaign
@@ -98,7 +101,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
     from calibration.fit.usability_settings import USABILITY
     from calibration.report.outputs import write_summary_table
 
-    with open_tasks(workers or Workers()) as tasks:
+    with open_task_executor(workers or Workers()) as tasks:
         fits = [CampaignFit(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
                             RunContext(campaign.name, tasks, progress, listen), usability or USABILITY)
                 for campaign, curves in zip(campaigns, measured, strict=True)]
@@ -157,16 +160,16 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     from calibration.diagnosis.refit_settings import REFITS
     from calibration.diagnosis.result import read_matching_diagnosis_or_none
     from calibration.fit.run_context import RunContext
-    from calibration.report.diagnosis_outputs import list_all_diagnosis_file_paths
+    from calibration.report.diagnosis_outputs import list_all_possible_diagnosis_paths
 
-    with open_tasks(workers or Workers()) as tasks:
+    with open_task_executor(workers or Workers()) as tasks:
         parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
                                    RunContext(campaign.name, tasks, progress, announce=announce), limits or LIMITS,
                                    refit_settings or REFITS)
                  for campaign, curves in zip(campaigns, measured, strict=True)]
         results, failures = _run_campaigns_and_collect_failures(parts, output, read_matching_diagnosis_or_none,
                                                                 overwrite, figures, figures_format,
-                                                                list_all_diagnosis_file_paths)
+                                                                list_all_possible_diagnosis_paths)
     if failures:
         raise ConvergenceError("; ".join(failures))
     return results
@@ -174,7 +177,8 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
 
 def _run_campaigns_and_collect_failures(parts: Sequence[Any], output: Path, read_result: Callable[..., Any],
                                         overwrite: bool, figures: bool, figures_format: str | None,
-                                        files_of: Callable[..., list[Path]] = list_calibration_file_paths) -> tuple[
+                                        files_of: Callable[...,
+                                                           list[Path]] = list_possible_calibration_file_paths) -> tuple[
                                             list[Any], list[str]]:
     """Run several campaigns, except finished ones, whose results are read; collect the messages of failed campaigns.
 
@@ -210,9 +214,9 @@ def _run_campaigns_and_collect_failures(parts: Sequence[Any], output: Path, read
     return results, failures
 
 
-def design_experiments(path: str | Path, *, law: str | None = None, replicates: int = PLANNED.replicates,
-                       samples: int = PLANNED.samples, workers: Workers | None = None,
-                       progress: Progress | None = None) -> Design:
+def evaluate_planned_experiments(path: str | Path, *, law: str | None = None, replicates: int = PLANNED.replicates,
+                                 samples: int = PLANNED.samples, workers: Workers | None = None,
+                                 progress: Progress | None = None) -> Design:
     """Predict what the planned experiments of a campaign will determine, without writing files.
 
     Planned tests state a ``protocol`` instead of recordings; ``[noise]`` states the noise of the force sensor and
@@ -235,11 +239,11 @@ def design_experiments(path: str | Path, *, law: str | None = None, replicates: 
 
     campaign = make_one_law_whole_recording_campaign(load_campaign(path, planned=True), law)
     measured = read_or_plan_curves_of_all_tests(campaign, replicates, samples)
-    from calibration.diagnosis.design import compute_experiment_design
+    from calibration.diagnosis.design import evaluate_experiment_design
     from calibration.fit.run_context import RunContext
 
-    with open_tasks(workers or Workers()) as tasks:
-        return compute_experiment_design(campaign, measured, RunContext(campaign.name, tasks, progress))
+    with open_task_executor(workers or Workers()) as tasks:
+        return evaluate_experiment_design(campaign, measured, RunContext(campaign.name, tasks, progress))
 
 
 def _require_known_figure_format(figures_format: str | None) -> None:

@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import tissue_sim as ts
-from calibration import ColumnHints, ImportOptions, calibrate, import_files
+from calibration import ImportOptions, InterpretationOverrides, calibrate, import_files
 from scenes import SCENES, draw_simulation, run_demo, run_hidden_demo
 from scenes.colour_scale import choose_colour_scale
 from scenes.figures import draw_section, write_figure_file
@@ -185,9 +185,9 @@ def draw_inverse_calibration(material: ts.Material) -> None:
 
 #: Picture -> files of a measured set, and what only a person knows of them.
 IMPORTS = {
-    "ecoflex": ("ecoflex_compression/EF10_0T_A?.csv", ColumnHints()),
-    "brain": ("brain_tension_damage/brain_gm1.csv", ColumnHints()),
-    "acrylic": ("oca_vhb_viscoelastic/uniaxial*loading_2d0_unloading_0d01.xlsx", ColumnHints(
+    "ecoflex": ("ecoflex_compression/EF10_0T_A?.csv", InterpretationOverrides()),
+    "brain": ("brain_tension_damage/brain_gm1.csv", InterpretationOverrides()),
+    "acrylic": ("oca_vhb_viscoelastic/uniaxial*loading_2d0_unloading_0d01.xlsx", InterpretationOverrides(
         columns={"time": "A", "stretch": "B", "nominal stress": "C"}, units={"time": "s", "nominal stress": "kPa"}))}
 
 

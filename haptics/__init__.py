@@ -5,5 +5,8 @@ Public names are listed once, in `__init__.pyi`, and imported on first use.
 
 from tissue_sim.public_names import make_lazy_package_members as _import_on_use
 
-_names, __getattr__, __dir__ = _import_on_use(__name__)
+#: Old public names -> new names.
+_RENAMED = {"open_motion": "make_motion", "open_sensor": "make_sensor", "open_stage": "make_stage",
+            "open_haptic": "make_haptic_device", "HandMotion": "TargetFollowingMotion", "ForceLimits": "ForceLimiter"}
+_names, __getattr__, __dir__ = _import_on_use(__name__, _RENAMED)
 __all__ = _names

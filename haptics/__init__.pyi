@@ -4,10 +4,10 @@ from haptics.devices.back_ends import FORCE_SENSORS as FORCE_SENSORS
 from haptics.devices.back_ends import HAPTIC_DEVICES as HAPTIC_DEVICES
 from haptics.devices.back_ends import MOTIONS as MOTIONS
 from haptics.devices.back_ends import STAGES as STAGES
-from haptics.devices.back_ends import open_haptic as open_haptic
-from haptics.devices.back_ends import open_motion as open_motion
-from haptics.devices.back_ends import open_sensor as open_sensor
-from haptics.devices.back_ends import open_stage as open_stage
+from haptics.devices.back_ends import make_haptic_device as make_haptic_device
+from haptics.devices.back_ends import make_motion as make_motion
+from haptics.devices.back_ends import make_sensor as make_sensor
+from haptics.devices.back_ends import make_stage as make_stage
 from haptics.devices.contracts import AxialMotion as AxialMotion
 from haptics.devices.contracts import DeviceError as DeviceError
 from haptics.devices.contracts import ForceSample as ForceSample
@@ -18,10 +18,10 @@ from haptics.devices.contracts import SampleStatus as SampleStatus
 from haptics.devices.contracts import Stage as Stage
 from haptics.devices.contracts import StageLimits as StageLimits
 from haptics.devices.contracts import StageSample as StageSample
-from haptics.devices.motions import HandMotion as HandMotion
 from haptics.devices.motions import ProtocolMotion as ProtocolMotion
 from haptics.devices.motions import RandomWalk as RandomWalk
 from haptics.devices.motions import SineMotion as SineMotion
+from haptics.devices.motions import TargetFollowingMotion as TargetFollowingMotion
 from haptics.loop.loop import LoopReport as LoopReport
 from haptics.loop.loop import LoopSettings as LoopSettings
 from haptics.loop.process import LoopError as LoopError
@@ -29,7 +29,7 @@ from haptics.loop.process import LoopProcess as LoopProcess
 from haptics.loop.ring import RingReader as RingReader
 from haptics.loop.snapshot_board import SnapshotReader as SnapshotReader
 from haptics.safety.coupling import VirtualCoupling as VirtualCoupling
-from haptics.safety.limits import ForceLimits as ForceLimits
+from haptics.safety.limits import ForceLimiter as ForceLimiter
 from haptics.safety.passivity import PassivityController as PassivityController
 from haptics.safety.passivity import PassivityObserver as PassivityObserver
 from haptics.safety.rendering import ForceRendering as ForceRendering

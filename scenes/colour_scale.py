@@ -46,7 +46,7 @@ def choose_colour_scale(fields: Any, name: str, sample: int = -1) -> LabelledCol
         sample: index of the sample.
     """
     label, factor = LABELS[name]
-    low, high = compute_low_and_high_volume_quantile(fields.at_points(name, sample) * factor, fields.weights)
+    low, high = compute_volume_weighted_quantiles(fields.at_points(name, sample) * factor, fields.weights)
     least = _ROUNDING * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
     uniform = high - low <= max(_ROUNDING * max(abs(low), abs(high)), least)
     if uniform:
@@ -57,8 +57,8 @@ def choose_colour_scale(fields: Any, name: str, sample: int = -1) -> LabelledCol
     return LabelledColourScale(label, low, high, uniform)
 
 
-def compute_low_and_high_volume_quantile(values: np.ndarray, weights: np.ndarray,
-                                         left_out: float = 0.01) -> tuple[float, float]:
+def compute_volume_weighted_quantiles(values: np.ndarray, weights: np.ndarray,
+                                      left_out: float = 0.01) -> tuple[float, float]:
     """Return the lower and the upper quantile of a field, weighted by volume.
 
     Args:

@@ -28,5 +28,5 @@ def make_kind_specimen_tool_metadata(kind: str, experiment: Experiment) -> dict[
     approach = {} if line is None else {"approach": {"offset_mm": line.offset * 1e3,
                                                      "tilt_deg": math.degrees(line.angle)}}
     specimen = experiment.specimen
-    return {"kind": kind, "specimen": {"shape": specimen.shape, **specimen.stated},
+    return {"kind": kind, "specimen": {"shape": specimen.shape, **specimen.values_by_file_key},
             "tool": {"shape": tool.shape, **sizes}, **approach}

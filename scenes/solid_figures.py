@@ -10,7 +10,7 @@ from scenes.colour_scale import choose_colour_scale
 from scenes.field_labels import LABELS
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.mesh.sections import cut_tetrahedra, intersect_triangles
+from tissue_sim.mesh.sections import intersect_tetrahedra_at_zero_level, intersect_triangles_at_zero_level
 from tissue_sim.mesh.subdivision import find_outline_edges_of_face, subdivide_into_tetrahedra, triangulate_surface_faces
 from tissue_sim.pose import Pose
 
@@ -63,9 +63,9 @@ def draw_section_through_tool_axis(axes, fields: SolidFields, name: str, sample:
 
     mesh, scale = fields.mesh, choose_colour_scale(fields, name, sample)
     nodes = compute_deformed_nodes_in_scene_frame(fields, sample)
-    heights = compute_distance_from_plane(nodes, pose)
-    crossings, triangles = cut_tetrahedra(mesh.connectivity[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4),
-                                          heights)
+    heights = compute_distance_from_section_plane(nodes, pose)
+    tetrahedra = mesh.connectivity[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4)
+    crossings, triangles = intersect_tetrahedra_at_zero_level(tetrahedra, heights)
     points = crossings.interpolate_nodal_values(nodes)
     values = crossings.interpolate_nodal_values(fields.at_nodes(name, sample) * LABELS[name][1])
     # The picture is seen from -y; the reversed order of the corners turns the triangles towards the viewer.
@@ -74,14 +74,17 @@ def draw_section_through_tool_axis(axes, fields: SolidFields, name: str, sample:
     picture.set_in_layout(False)  # faster: the layout would measure each triangle
     sides = triangulate_surface_faces(mesh.element, mesh.connectivity[:, mesh.element.local_face_node_indices].reshape(
         -1, mesh.element.local_face_node_indices.shape[1]))
-    edges = _project_line_ends_to_xz_mm(intersect_triangles(sides, heights).interpolate_nodal_values(nodes))
+    crossings = intersect_triangles_at_zero_level(sides, heights)
+    edges = _project_line_ends_to_xz_mm(crossings.interpolate_nodal_values(nodes))
     axes.add_collection(LineCollection(edges, colors="white", linewidths=0.3, alpha=0.4))
     outside = triangulate_surface_faces(mesh.element, np.concatenate(list(mesh.faces.values())))
-    edges = _project_line_ends_to_xz_mm(intersect_triangles(outside, heights).interpolate_nodal_values(nodes))
+    crossings = intersect_triangles_at_zero_level(outside, heights)
+    edges = _project_line_ends_to_xz_mm(crossings.interpolate_nodal_values(nodes))
     axes.add_collection(LineCollection(edges, colors="0.15", linewidths=1.0))
     undeformed = mesh.nodes - [0.0, 0.0, fields.datum]
-    outline = intersect_triangles(outside,
-                                  compute_distance_from_plane(undeformed, pose)).interpolate_nodal_values(undeformed)
+    outline = intersect_triangles_at_zero_level(outside,
+                                                compute_distance_from_section_plane(undeformed, pose)
+                                                ).interpolate_nodal_values(undeformed)
     axes.add_collection(LineCollection(_project_line_ends_to_xz_mm(outline), colors="0.4", linewidths=0.9,
                                        linestyles=[_DASHED]))
     low, high = 1e3 * nodes.min(axis=0), 1e3 * np.maximum(nodes.max(axis=0), undeformed.max(axis=0))
@@ -94,7 +97,7 @@ def draw_section_through_tool_axis(axes, fields: SolidFields, name: str, sample:
     else:
         outline = compute_needle_profile(tool, nodes, pose)
         both = np.concatenate([outline, (outline * [-1.0, 1.0])[::-1]])
-        tip, rotation = np.array(pose.position), np.array(pose.rotation)
+        tip, rotation = np.array(pose.position), np.array(pose.rotation_matrix)
         drawn = 1e3 * (tip + np.column_stack([both[:, 0], np.zeros(len(both)), both[:, 1]]) @ rotation.T)
         axes.fill(drawn[:, 0], drawn[:, 2], color=RIGID, edgecolor="0.4", linewidth=0.6)
     set_axis_scales_and_labels(axes, "x [mm]")
@@ -119,7 +122,7 @@ def draw_deformed_surface(axes, fields: SolidFields, name: str, sample: int, pos
     if not tool.is_plate:
         outline = compute_needle_profile(tool, nodes, pose)
         vertices, faces = make_surface_of_revolution(outline)
-        vertices = np.array(pose.position) + vertices @ np.array(pose.rotation).T
+        vertices = np.array(pose.position) + vertices @ np.array(pose.rotation_matrix).T
         split, faces = _split_vertex_numbers_at_sharp_edges(vertices, faces)
         bodies.append((vertices[split], faces, np.full((len(split), 3), float(RIGID))))
     _draw_shaded_bodies(axes, bodies)
@@ -129,7 +132,7 @@ def draw_deformed_surface(axes, fields: SolidFields, name: str, sample: int, pos
     ends = normals[sides[:, find_outline_edges_of_face(mesh.element)].reshape(-1, 2)]
     lines = lines[(ends @ _compute_view_direction() > 0.0).all(axis=1)]
     if not tool.is_plate:
-        lines = lines[~_find_hidden_points(lines.mean(axis=1), *bodies[1][:2])]
+        lines = lines[~_find_hidden_point_mask(lines.mean(axis=1), *bodies[1][:2])]
     thickness = min(0.4, 8.0 / np.sqrt(len(lines) + 1))
     axes.add_collection(LineCollection(list(1e3 * _rotate_to_camera_axes(lines)[..., :2]), colors="white",
                                        linewidths=thickness, alpha=0.55))
@@ -144,7 +147,7 @@ def compute_deformed_nodes_in_scene_frame(fields: SolidFields, sample: int) -> n
     return fields.mesh.nodes + fields.displacement(sample) - [0.0, 0.0, fields.datum]
 
 
-def compute_distance_from_plane(points: np.ndarray, pose: Pose) -> np.ndarray:
+def compute_distance_from_section_plane(points: np.ndarray, pose: Pose) -> np.ndarray:
     """Return the signed distances of points, shape (n, 3), m, from the plane through the tool's axis and the x axis.
 
     Returns:
@@ -170,7 +173,7 @@ def choose_drawn_tool_pose(fields: SolidFields, sample: int, pose: Pose, tool: T
         return Pose(
             (0.0, 0.0, float(compute_deformed_nodes_in_scene_frame(fields, sample)[fields.mesh.sets["top"], 2].max())))
     surface = compute_deformed_nodes_in_scene_frame(fields, sample)[fields.mesh.sets["top"]]
-    rotation = np.array(pose.rotation)
+    rotation = np.array(pose.rotation_matrix)
     local = (surface - np.array(pose.position)) @ rotation
     gap = float(tool.profile.gap(np.column_stack([np.hypot(local[:, 0], local[:, 1]), local[:, 2]])).min())
     if gap > -1e-3 * tool.require_radius():
@@ -191,7 +194,7 @@ def compute_needle_profile(tool: Tool, nodes: np.ndarray, pose: Pose) -> np.ndar
         Points (r, z) relative to the tip, m, shape (n, 2).
     """
     top = nodes[:, 2].max() - pose.position[2] + 0.35 * np.ptp(nodes[:, 2])
-    outline = tool.profile.sample_outline_up_to_height(top / max(pose.rotation[2][2], 0.2))
+    outline = tool.profile.sample_outline_up_to_height(top / max(pose.rotation_matrix[2][2], 0.2))
     return np.concatenate([outline, [[0.0, outline[-1, 1]]]])
 
 
@@ -281,7 +284,7 @@ def _draw_shaded_bodies(axes, bodies: list[tuple[np.ndarray, np.ndarray, np.ndar
     axes.update_datalim(np.column_stack([x, y]))
 
 
-def _find_hidden_points(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _find_hidden_point_mask(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Return for each point, shape (n, 3), whether a triangle lies between it and the camera, bool, shape (n,)."""
     seen, corners = _rotate_to_camera_axes(points), _rotate_to_camera_axes(vertices)[faces]
     hidden = np.zeros(len(points), dtype=bool)

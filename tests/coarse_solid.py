@@ -6,7 +6,7 @@ quarter 9 %. Other processes import this module by name.
 
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 
 
 def make_coarse_solid(model, *, resolution="realtime", mesh=None, topology=None):
@@ -14,6 +14,7 @@ def make_coarse_solid(model, *, resolution="realtime", mesh=None, topology=None)
     experiment = model.experiment
     radius = experiment.tool.require_radius()
     offset = 0.0 if experiment.approach is None else experiment.approach.offset
-    coarse = create_needle_mesh(experiment.specimen.radius, experiment.specimen.height, radius, HEX8P0,
-                          smallest=0.25 * radius, growth=2.4, largest=3.0 * radius, around=4, centre=(offset, 0.0))
+    coarse = create_cylinder_mesh_under_needle(experiment.specimen.radius, experiment.specimen.height, radius, HEX8P0,
+                                               smallest=0.25 * radius, growth=2.4, largest=3.0 * radius, around=4,
+                                               centre=(offset, 0.0))
     return make_solver(model, mesh=coarse)

@@ -8,8 +8,8 @@ from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.solid import (
     add_face_and_free_node_sets,
     create_block_mesh_from_boundaries,
+    create_cylinder_mesh_under_needle,
     create_mesh_with_surface_sets,
-    create_needle_mesh,
 )
 from tissue_sim.mesh.tetrahedra import TET15P1
 
@@ -28,7 +28,7 @@ def block(x, y, z, element, move=None):
 def punched_cylinder(element, radius=8e-3, centre=(0.0, 0.0), **sizes):
     """The study's cylinder under a needle, with the node sets under its face and outside it."""
     made_of = element if isinstance(element, Hexahedron) else HEX27P1
-    mesh = create_needle_mesh(0.04, 0.07, radius, made_of, centre=centre, **sizes)
+    mesh = create_cylinder_mesh_under_needle(0.04, 0.07, radius, made_of, centre=centre, **sizes)
     if made_of is element:
         return mesh
     return add_face_and_free_node_sets(split_hexahedra(mesh, element), radius, centre)

@@ -9,14 +9,14 @@ from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.measured import make_campaign_with_scaled_offset_defaults, read_measured_curves
 from calibration.campaign_diagnosis import DiagnosisWithFits, diagnose_campaign, read_campaign_and_curves_for_diagnosis
 from calibration.diagnosis.extended import simulate_whitened_effect_change_or_reason
-from calibration.effects.effect import Candidate, Situation
+from calibration.effects.effect import Candidate, DiagnosisData
 from calibration.fit.campaign_problem import build_generalised_problem
 from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
 from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.adequacy import compute_orthonormal_basis
 from calibration.statistics.scores import EffectDirection
-from calibration.tasks.executors import Workers, open_tasks
+from calibration.tasks.executors import Workers, open_task_executor
 
 #: Name of the law.
 LAW = "reduced_polynomial_2"
@@ -41,7 +41,7 @@ def model_of(name, points=41):
 class Fitted:
     """A campaign at the true parameters of its law."""
 
-    situation: Situation
+    situation: DiagnosisData
     problem: GeneralisedProblem
     evaluation: ProblemEvaluation
 
@@ -91,7 +91,7 @@ def situation_of(path):
     campaign = replace(campaign, fit=replace(campaign.fit, whole=True))
     measured = read_measured_curves(campaign)
     campaign = make_campaign_with_scaled_offset_defaults(campaign, measured)
-    return Situation(campaign, measured, campaign.fit.laws[0])
+    return DiagnosisData(campaign, measured, campaign.fit.laws[0])
 
 
 def fitted(path):
@@ -136,5 +136,5 @@ def diagnosed_plates(folder, *, terms=(), rig=None, friction="frictionless", rip
                            folder / f"plates_{number}.csv")
     (folder / "study.toml").write_text(PLATES, encoding="utf-8")
     campaign, recordings = read_campaign_and_curves_for_diagnosis(folder / "study.toml")
-    with open_tasks(Workers()) as tasks:
+    with open_task_executor(Workers()) as tasks:
         return diagnose_campaign(campaign, recordings, RunContext("study", tasks))

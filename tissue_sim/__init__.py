@@ -6,5 +6,8 @@ Public names are listed once, in `__init__.pyi`, and imported on first use, so t
 from tissue_sim.public_names import make_lazy_package_members as _import_on_use
 from tissue_sim.version import __version__
 
-_names, __getattr__, __dir__ = _import_on_use(__name__)
+#: Old public names -> new names.
+_RENAMED = {"register": "register_law", "check_stability": "find_stability_range",
+            "ReducedEffect": "ForceScalingEffect"}
+_names, __getattr__, __dir__ = _import_on_use(__name__, _RENAMED)
 __all__ = ["__version__", *_names]

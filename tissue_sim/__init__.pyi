@@ -32,12 +32,12 @@ from tissue_sim.fem.solver import StepStatus as StepStatus
 from tissue_sim.kernel_owner import BusyError as BusyError
 from tissue_sim.kernel_owner import CopyError as CopyError
 from tissue_sim.laws import LAWS as LAWS
-from tissue_sim.laws import check_stability as check_stability
 from tissue_sim.laws import find_law as find_law
-from tissue_sim.laws import register as register
+from tissue_sim.laws import find_stability_range as find_stability_range
+from tissue_sim.laws import register_law as register_law
 from tissue_sim.material.effect import EFFECTS as EFFECTS
+from tissue_sim.material.effect import ForceScalingEffect as ForceScalingEffect
 from tissue_sim.material.effect import PointEffect as PointEffect
-from tissue_sim.material.effect import ReducedEffect as ReducedEffect
 from tissue_sim.material.effect import TissueEffect as TissueEffect
 from tissue_sim.material.effect import ToolHistory as ToolHistory
 from tissue_sim.material.file import MaterialFile as MaterialFile

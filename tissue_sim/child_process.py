@@ -60,7 +60,7 @@ def ignore_ctrl_c_and_exit_with_parent(grace: float = 0.0, clean_up: Callable[[]
             "ignore_ctrl_c_and_exit_with_parent must be called in a child process; this process has no parent. Start "
             "the process with multiprocessing.")
 
-    def wait_for_parent() -> None:
+    def wait_for_parent_and_exit() -> None:
         # A parent that is killed cannot end its children. join() waits without using the interpreter.
         parent.join()
         time.sleep(grace)
@@ -69,4 +69,4 @@ def ignore_ctrl_c_and_exit_with_parent(grace: float = 0.0, clean_up: Callable[[]
         os._exit(1)
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=wait_for_parent, daemon=True).start()
+    threading.Thread(target=wait_for_parent_and_exit, daemon=True).start()

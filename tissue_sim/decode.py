@@ -36,7 +36,7 @@ def read_json_value(path: str | Path, expected: str) -> Any:
     path = Path(path)
     text = read_text(path, expected, LIMITS.json)
     try:
-        return parse_json_without_duplicate_keys(text)
+        return parse_json_rejecting_duplicate_keys(text)
     except InputError as error:
         raise error.with_location(file=path) from None
     except json.JSONDecodeError as error:
@@ -46,7 +46,7 @@ def read_json_value(path: str | Path, expected: str) -> Any:
         raise InputError(f"damaged JSON ({error}), expected {expected}; repair or restore it", file=path) from None
 
 
-def parse_json_without_duplicate_keys(text: str) -> Any:
+def parse_json_rejecting_duplicate_keys(text: str) -> Any:
     """Parse a JSON text.
 
     Raises:
@@ -54,9 +54,9 @@ def parse_json_without_duplicate_keys(text: str) -> Any:
         ValueError: not JSON, or an integer that is too long.
     """
     try:
-        value = json.loads(text, object_pairs_hook=_make_dict_without_duplicates)
+        value = json.loads(text, object_pairs_hook=_make_dict_rejecting_duplicate_keys)
         if "\\u" in text:
-            _require_whole_characters(value, "")
+            _require_no_lone_surrogates(value, "")
         return value
     except RecursionError:
         raise InputError("damaged JSON (nested too deep); repair or restore it") from None
@@ -174,7 +174,7 @@ def require_valid_json_values(value: Any, field: str = "") -> None:
     Raises:
         InputError: the error names the dotted path of the value.
     """
-    _require_whole_characters(value, field)
+    _require_no_lone_surrogates(value, field)
     _require_finite_numbers(value, field)
 
 
@@ -191,21 +191,21 @@ def _require_finite_numbers(value: Any, field: str) -> None:
             _require_finite_numbers(item, f"{field}[{index}]")
 
 
-def _require_whole_characters(value: Any, field: str) -> None:
+def _require_no_lone_surrogates(value: Any, field: str) -> None:
     """Raise an `InputError` for a text in nested maps and lists that has half of a surrogate pair."""
     if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
         raise InputError(f"text must consist of whole characters; got half of a surrogate pair in {value!r}. Write the "
                          "character as UTF-8.", field=field)
     if isinstance(value, Mapping):
         for key, item in value.items():
-            _require_whole_characters(key, field)
-            _require_whole_characters(item, f"{field}.{key}".lstrip("."))
+            _require_no_lone_surrogates(key, field)
+            _require_no_lone_surrogates(item, f"{field}.{key}".lstrip("."))
     elif isinstance(value, list | tuple):
         for index, item in enumerate(value):
-            _require_whole_characters(item, f"{field}[{index}]")
+            _require_no_lone_surrogates(item, f"{field}[{index}]")
 
 
-def _make_dict_without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _make_dict_rejecting_duplicate_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Make a dictionary of the pairs of a JSON object; raise an `InputError` for a key that appears twice."""
     seen: dict[str, Any] = {}
     for key, value in pairs:

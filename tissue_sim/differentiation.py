@@ -11,16 +11,16 @@ import numpy as np
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.fem.solver import ForceDerivatives, ForceVectorDerivatives, Solver
-from tissue_sim.material.effect import ReducedEffect, TissueEffect
+from tissue_sim.material.effect import ForceScalingEffect, TissueEffect
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.model import Model
-from tissue_sim.parameters import Parameter, get_parameters_at_paths, parameters, value, with_values
+from tissue_sim.parameters import Parameter, get_parameter_value, get_parameters_at_paths, parameters, with_values
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
 
 
 @dataclass(frozen=True)
-class DifferenceSettings:
+class FiniteDifferenceSettings:
     """Widths of central differences, relative to the value of the parameter.
 
     Attributes:
@@ -34,7 +34,7 @@ class DifferenceSettings:
 
 
 #: Widths of all derivatives.
-DIFFERENCES = DifferenceSettings()
+DIFFERENCES = FiniteDifferenceSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +69,10 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     it: `bulk.bulk_ratio` if it is a ratio, `bulk.K_Pa` if it is a modulus.
 
     Derivatives are central differences of two simulations at the relative distance
-    `DifferenceSettings.simulation_width`, one-sided at the end of a range, in these cases: parameters of experiment,
-    rig or mesh; a compliant rig; a tilted tool or partial slip; additional effects of the material; a solver without
-    derivatives (the axisymmetric solver with self-weight, adhesion or another contact law). Changes of geometry move
-    the nodes of one mesh, so that the differences contain no jumps by remeshing.
+    `FiniteDifferenceSettings.simulation_width`, one-sided at the end of a range, in these cases: parameters of
+    experiment, rig or mesh; a compliant rig; a tilted tool or partial slip; additional effects of the material; a
+    solver without derivatives (the axisymmetric solver with self-weight, adhesion or another contact law). Changes of
+    geometry move the nodes of one mesh, so that the differences contain no jumps by remeshing.
 
     Args:
         model: experiment, material, rig; forces are those on the tool, before the sensor reads them.
@@ -93,9 +93,9 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     of_material = parameters(model.material)
     names = tuple(of_material) if names is None else tuple(names)
     asked = get_parameters_at_paths(model, names)
-    model = replace(model, rig=model.rig.motion_only)
+    model = replace(model, rig=model.rig.with_motion_effects_only)
     own = {f"material.{path}" for path in of_material}
-    exact = np.array([parameter.path in own and _has_exact_derivative(model, parameter) for parameter in asked],
+    exact = np.array([parameter.path in own and _may_have_exact_derivative(model, parameter) for parameter in asked],
                      dtype=bool)
     options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": topology or model,
                "estimate_error": False}
@@ -111,8 +111,8 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
         raise ConvergenceError("the tangent of a converged step is singular, so that the force has no derivative there",
                                recording=recording, depth=float(recording.displacement[-1]))
     for k in np.flatnonzero(~exact):
-        values[:, k] = _difference_force_by_one_parameter(model, asked[k], recording.force, options,
-                                                          one_sided=one_sided)
+        values[:, k] = _compute_force_derivative_by_differences(model, asked[k], recording.force, options,
+                                                                one_sided=one_sided)
     return Sensitivities(recording, names, values, exact, np.array(watch.kinks, dtype=bool))
 
 
@@ -128,11 +128,11 @@ class _DerivativeObserver:
 
     def before_first_step(self, solver: Solver) -> None:
         """Request derivatives before the first step."""
-        derivatives = solver.differentiate(self._pairs)
+        derivatives = solver.enable_force_derivatives(self._pairs)
         along_z = self._approach is None
         self.exact = along_z or isinstance(derivatives, ForceVectorDerivatives) if derivatives else False
         # Derivatives without parameters still report the kinks of the force.
-        self._derivatives = derivatives if self.exact or not self._pairs else solver.differentiate([])
+        self._derivatives = derivatives if self.exact or not self._pairs else solver.enable_force_derivatives([])
 
     def after_sample(self, solver: Solver, factor: float) -> None:
         """Append the derivatives of the present sample to `rates`, and to `kinks` whether the contact changed.
@@ -147,19 +147,19 @@ class _DerivativeObserver:
         self.kinks.append(derivatives is not None and derivatives.pop_contact_changed_flag())
 
 
-def _has_exact_derivative(model: Model, parameter: Parameter) -> bool:
+def _may_have_exact_derivative(model: Model, parameter: Parameter) -> bool:
     """Return whether a solver may differentiate its equations with respect to a parameter of the material.
 
     Otherwise, the derivative is a difference of two simulations.
     """
     if model.experiment.tilt or model.experiment.slip or model.rig.compliance:
         return False
-    added = [effect for effect in model.material.effects.values() if not isinstance(effect, ReducedEffect)]
+    added = [effect for effect in model.material.effects.values() if not isinstance(effect, ForceScalingEffect)]
     if issubclass(parameter.part, TissueEffect) or added or parameter.declaration.shapes_mesh:
         return False
     # With phi = 0 the drainage term is absent, and would appear with a change of phi.
     phi = f"{parameter.path.rpartition('.')[0]}.phi"
-    return not (issubclass(parameter.part, Poroelasticity) and value(model, phi) == 0.0)
+    return not (issubclass(parameter.part, Poroelasticity) and get_parameter_value(model, phi) == 0.0)
 
 
 def _make_perturbed_materials_and_width(model: Model, parameter: Parameter):
@@ -190,8 +190,8 @@ def _evaluate_at_both_perturbed_values(change: Callable, value: float, half: flo
     return more, less, high - low
 
 
-def _difference_force_by_one_parameter(model: Model, parameter: Parameter, force: np.ndarray, options: dict, *,
-                                       one_sided: bool) -> np.ndarray:
+def _compute_force_derivative_by_differences(model: Model, parameter: Parameter, force: np.ndarray, options: dict, *,
+                                             one_sided: bool) -> np.ndarray:
     """Compute the derivative of the force by a central difference of two simulations, N per SI unit, shape (n,).
 
     Both simulations use one mesh, whose nodes move with the geometry.

@@ -63,7 +63,7 @@ class RelativeForceErrorEstimate:
                 f"and {seen}; {remedy}")
 
 
-def select_samples_for_doubled_steps(displacement: np.ndarray) -> np.ndarray:
+def select_fractional_samples_for_longer_steps(displacement: np.ndarray) -> np.ndarray:
     """Select the samples of a motion at which a comparison test with longer steps is computed.
 
     These are every second sample, so that the steps are twice as long; the first and the last; those at which the

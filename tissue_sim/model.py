@@ -36,4 +36,4 @@ class Model:
     @property
     def is_path_dependent(self) -> bool:
         """Whether the force depends on the path of the tool, not only on its present pose."""
-        return self.material.remembers or self.experiment.is_path_dependent
+        return self.material.is_history_dependent or self.experiment.is_path_dependent

@@ -8,7 +8,7 @@ from typing import Any
 
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
-from tissue_sim.public_names import OldName, adopt_old_names
+from tissue_sim.public_names import OldName, rename_old_members_of_subclass
 
 
 class LimitError(InputError):
@@ -69,7 +69,7 @@ class MotionLimits:
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
-        adopt_old_names(cls, {"require": "require_valid_step"})
+        rename_old_members_of_subclass(cls, {"require": "require_valid_step"})
 
     def require_valid_step(self, pose: Pose, before: Pose | None, dt: float) -> None:
         """Raise a `LimitError` for a pose or time step beyond the limits, before the step changes the tissue.

@@ -88,13 +88,13 @@ def make_display_symbol_of_parameter(path: str, declaration: Declaration) -> str
 
 
 @runtime_checkable
-class HasParameters(Protocol):
+class HasNonFieldParameters(Protocol):
     """Protocol of a model component with parameters that are not dataclass fields, such as those of a law."""
 
-    def own_parameters(self) -> Mapping[str, tuple[Declaration, float]]:
+    def non_field_parameters(self) -> Mapping[str, tuple[Declaration, float]]:
         """Return name -> (declaration, value in SI) of the parameters that are not fields."""
 
-    def with_own_parameters(self: Part, values: Mapping[str, float], **changes: Any) -> Part:
+    def with_non_field_parameters(self: Part, values: Mapping[str, float], **changes: Any) -> Part:
         """Return a copy of the part with these parameters and, by `changes`, other fields changed."""
 
 
@@ -116,7 +116,7 @@ def list_field_declarations(kind: type) -> dict[str, Declaration]:
     return {entry.name: what for entry in fields(kind) if (what := get_field_declaration(entry)) is not None}
 
 
-def make_declared_class_predicate(base: type) -> Callable[[Any], bool]:
+def make_parameter_dataclass_predicate(base: type) -> Callable[[Any], bool]:
     """Return a predicate for registries: whether a class is a dataclass, derives from `base` and has parameters."""
     return lambda kind: (isinstance(kind, type) and issubclass(kind, base) and is_dataclass(kind)
                          and bool(list_field_declarations(kind)))
@@ -138,7 +138,7 @@ def parameter_values(part: Any) -> dict[str, float]:
     return {each.path: each.value for each in _iterate_parameters(part, "")}
 
 
-def value(part: Any, path: str) -> float:
+def get_parameter_value(part: Any, path: str) -> float:
     """Return the value of one parameter, SI.
 
     Raises:
@@ -146,7 +146,7 @@ def value(part: Any, path: str) -> float:
 
     Examples:
         >>> from tissue_sim import Material
-        >>> value(Material("neo_hooke", {"C10": 1000.0}), "C10")
+        >>> get_parameter_value(Material("neo_hooke", {"C10": 1000.0}), "C10")
         1000.0
     """
     known = parameters(part)
@@ -220,14 +220,14 @@ def split_path_into_names_and_indices(path: str) -> list[str | int]:
     return [name if name else int(index) for name, index in _TOKEN.findall(path)]
 
 
-def convert_to_file_keys(part: Any) -> dict[str, float]:
+def convert_to_file_values(part: Any) -> dict[str, float]:
     """Return file key -> number in the unit of the key, rounded to 15 digits; fields that are None are left out."""
     return {what.key: float(f"{number / what.factor:.15g}") for name,
             what in list_field_declarations(type(part)).items()
             if (number := getattr(part, name)) is not None}
 
 
-def make_from_file_keys(kind: type[Part], content: Mapping[str, float], field: str, **others: Any) -> Part:
+def make_from_file_values(kind: type[Part], content: Mapping[str, float], field: str, **others: Any) -> Part:
     """Make a part from numbers by file key, which are converted to SI.
 
     Args:
@@ -290,9 +290,9 @@ def _iterate_parameters(part: Any, place: str) -> Iterator[Parameter]:
 
 
 def _iterate_own_parameters(part: Any, place: str) -> Iterator[Parameter]:
-    """Yield the parameters of a part itself, declared fields and `own_parameters`, without those of parts in it."""
-    if _has_own_parameters(part):
-        for name, (what, number) in part.own_parameters().items():
+    """Yield the parameters of a part itself, from fields and `non_field_parameters`, without those of parts in it."""
+    if _has_non_field_parameters(part):
+        for name, (what, number) in part.non_field_parameters().items():
             yield Parameter(place + name, what, number, type(part))
     for entry in fields(part):
         stated = get_field_declaration(entry)
@@ -303,15 +303,15 @@ def _iterate_own_parameters(part: Any, place: str) -> Iterator[Parameter]:
                 yield Parameter(place + entry.name, stated, float(content), type(part))
 
 
-def _has_own_parameters(part: Any) -> TypeGuard[HasParameters]:
-    """Return whether a part implements `HasParameters`."""
-    return _implements_own_parameters(type(part))  # type: ignore[arg-type]
+def _has_non_field_parameters(part: Any) -> TypeGuard[HasNonFieldParameters]:
+    """Return whether a part implements `HasNonFieldParameters`."""
+    return _implements_non_field_parameters(type(part))  # type: ignore[arg-type]
 
 
 @cache
-def _implements_own_parameters(kind: type) -> bool:
-    """Whether a class implements `HasParameters`; cached, because `issubclass` with a protocol is slow."""
-    return issubclass(kind, HasParameters)
+def _implements_non_field_parameters(kind: type) -> bool:
+    """Whether a class implements `HasNonFieldParameters`; cached, because `issubclass` with a protocol is slow."""
+    return issubclass(kind, HasNonFieldParameters)
 
 
 def _replace_values_in_component(part: Any, tree: Mapping[Any, Any]) -> Any:
@@ -324,8 +324,8 @@ def _replace_values_in_component(part: Any, tree: Mapping[Any, Any]) -> Any:
                 item in part.items()}
     changes = {name: _replace_values_in_component(getattr(part, name), sub) if isinstance(sub, dict) else sub
                for name, sub in tree.items()}
-    if _has_own_parameters(part):
-        own = {name: changes.pop(name) for name in part.own_parameters() if name in changes}
+    if _has_non_field_parameters(part):
+        own = {name: changes.pop(name) for name in part.non_field_parameters() if name in changes}
         if own:
-            return part.with_own_parameters(own, **changes)
+            return part.with_non_field_parameters(own, **changes)
     return replace(part, **changes)

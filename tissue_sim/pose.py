@@ -6,6 +6,9 @@ import math
 from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
+from tissue_sim.public_names import make_getattr_for_old_names, with_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"between": "interpolate_pose", "motion": "compute_rigid_motion"})
 
 #: x, y, z.
 Vector = tuple[float, float, float]
@@ -38,6 +41,7 @@ class QuaternionTolerances:
 QUATERNION = QuaternionTolerances()
 
 
+@with_old_names(rotation="rotation_matrix")
 @dataclass(frozen=True, slots=True)
 class Pose:
     """Position and orientation of the tool in the frame of the scene.
@@ -103,7 +107,7 @@ class Pose:
         return -self.position[2]
 
     @property
-    def rotation(self) -> tuple[Vector, Vector, Vector]:
+    def rotation_matrix(self) -> tuple[Vector, Vector, Vector]:
         """Rotation matrix, row by row, from the frame of the tool to that of the scene."""
         w, x, y, z = self.orientation
         return ((1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
@@ -158,11 +162,11 @@ def add_screws(one: Screw, other: Screw) -> Screw:
     return (x + a, y + b, z + c, u + d, v + e, w + f)
 
 
-def motion(start: Pose, end: Pose) -> Screw:
+def compute_rigid_motion(start: Pose, end: Pose) -> Screw:
     """Compute the motion from the first to the second pose: translation, m, and rotation vector, rad, scene frame.
 
     Examples:
-        >>> motion(Pose.at_depth(0.0), Pose.at_depth(0.002))
+        >>> compute_rigid_motion(Pose.at_depth(0.0), Pose.at_depth(0.002))
         (0.0, 0.0, -0.002, 0.0, 0.0, 0.0)
     """
     (x0, y0, z0), (x1, y1, z1) = start.position, end.position
@@ -174,7 +178,7 @@ def motion(start: Pose, end: Pose) -> Screw:
     return (x1 - x0, y1 - y0, z1 - z0, factor * x, factor * y, factor * z)
 
 
-def between(start: Pose, end: Pose, share: float) -> Pose:
+def interpolate_pose(start: Pose, end: Pose, share: float) -> Pose:
     """Interpolate between two poses: linearly in position, and at constant angular velocity about one axis.
 
     Args:
@@ -185,7 +189,7 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     Source: Shoemake, SIGGRAPH 1985, spherical linear interpolation.
 
     Examples:
-        >>> between(Pose.at_depth(0.0), Pose.at_depth(0.002), 0.5).position
+        >>> interpolate_pose(Pose.at_depth(0.0), Pose.at_depth(0.002), 0.5).position
         (0.0, 0.0, -0.001)
     """
     if share == 1.0:

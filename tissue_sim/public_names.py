@@ -7,7 +7,9 @@ import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
+
+_Class = TypeVar("_Class", bound=type)
 
 
 def make_lazy_package_members(package: str, renamed: Mapping[str, str] | None = None
@@ -93,7 +95,28 @@ class OldName:
         return getattr(owner if instance is None else instance, self._new)
 
 
-def adopt_old_names(subclass: type, renamed: Mapping[str, str]) -> None:
+def with_old_names(**renamed: str) -> Callable[[_Class], _Class]:
+    """Return a class decorator that adds old names of members; reading one gives a `DeprecationWarning`.
+
+    Args:
+        renamed: old name -> new name.
+
+    Example:
+        ``@with_old_names(within_step="stiffness_matrix_within_step")``
+    """
+    def add_old_names(kind: _Class) -> _Class:
+        """Add an `OldName` for each renamed member; return the class."""
+        for old, new in renamed.items():
+            alias = OldName(new)
+            # Python calls `__set_name__` only for members of the class body.
+            alias.__set_name__(kind, old)
+            setattr(kind, old, alias)
+        return kind
+
+    return add_old_names
+
+
+def rename_old_members_of_subclass(subclass: type, renamed: Mapping[str, str]) -> None:
     """Rename the members that a subclass defines by old names to their new names, with a `DeprecationWarning`.
 
     To be called in ``__init_subclass__`` of a base class that plug-ins derive from. A member that the subclass defines
@@ -111,3 +134,7 @@ def adopt_old_names(subclass: type, renamed: Mapping[str, str]) -> None:
                           stacklevel=3)
             setattr(subclass, new, vars(subclass)[old])
         delattr(subclass, old)
+        # `dataclass` reads the annotated names of a class.
+        annotations = vars(subclass).get("__annotations__", {})
+        if old in annotations:
+            annotations[new] = annotations.pop(old)

@@ -16,12 +16,12 @@ from tissue_sim.force_error import (
     FORCE_ERROR,
     RelativeForceErrorEstimate,
     estimate_error_from_two_forces_or_none,
-    select_samples_for_doubled_steps,
+    select_fractional_samples_for_longer_steps,
 )
-from tissue_sim.laws import check_stability
-from tissue_sim.material.effect import ReducedForceFactor
+from tissue_sim.laws import find_stability_range
+from tissue_sim.material.effect import CombinedForceFactor
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose, Screw, between, scale_screw
+from tissue_sim.pose import Pose, Screw, interpolate_pose, scale_screw
 from tissue_sim.recording.recording import Recording
 from tissue_sim.slip import blend_bonded_and_frictionless_recordings
 from tissue_sim.tilt import compute_tilted_recording
@@ -64,7 +64,7 @@ _SETTINGS = SimulationSettings()
 _REMEDY = 'more samples show it'
 _REMEDIES = {"fast": 'the resolution "accurate" or more samples show it'}
 #: Step of a tool in the air.
-_NOTHING = Step.axial(StepStatus.CONVERGED, 0, 0.0, 0.0)
+_NOTHING = Step.from_axial_force(StepStatus.CONVERGED, 0, 0.0, 0.0)
 #: Channels of a wrench with other components than a force along z.
 _WRENCH = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
@@ -124,8 +124,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     rig.count_readings(protocol.time)  # raises its errors before the simulation
     if share := model.experiment.slip:
         held, free = (
-            simulate(replace(model, experiment=experiment, rig=rig.motion_only), resolution=resolution, mesh=mesh,
-                     fields=fields, progress=follow, watch=watched, solver=solver, topology=topology,
+            simulate(replace(model, experiment=experiment, rig=rig.with_motion_effects_only), resolution=resolution,
+                     mesh=mesh, fields=fields, progress=follow, watch=watched, solver=solver, topology=topology,
                      estimate_error=estimate_error)
             for experiment, follow, watched in ((replace(model.experiment, slip=None), progress, watch),
                                                 (model.experiment.with_slipping_faces_frictionless(), None, None)))
@@ -133,11 +133,10 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     tissue = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh, topology=topology)
     if watch:
         watch.before_first_step(tissue)
-    wrenches: list[Screw] = []
-    travels: list[float] = []
-    samples: list[Any] = []
+    wrenches, travels, samples = list[Screw](), list[float](), list[Any]()
     report = {"warnings": [], "force_error": None, "newton_iterations": 0, "cuts": 0, "residual": 0.0,
-              "dissipated_J": 0.0, **tissue.report(), "resolution": "own mesh" if mesh is not None else resolution}
+              "dissipated_J": 0.0, **tissue.get_recording_metadata()}
+    report["resolution"] = resolution if mesh is None else "own mesh"
     if "self_weight" in report:
         specimen = model.experiment.specimen
         report["self_weight"] = {"density_kg_m3": specimen.density, "gravity_m_s2": specimen.gravity,
@@ -148,7 +147,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         solved = {"status": status, "message": message, **report}
         solved.setdefault("wall_s", time.perf_counter() - started)
         channels = {"time": protocol.time[:done], "displacement": protocol.displacement[:done],
-                    "force": np.array([model.experiment.resistance(one) for one in wrenches])}
+                    "force": np.array([model.experiment.compute_force_against_motion(one) for one in wrenches])}
         if wrench[:, [0, 1, 3, 4, 5]].any():
             channels |= zip(_WRENCH, wrench.T, strict=True)
         true = Recording(channels, labels={name: values[:done] for name, values in protocol.labels.items()},
@@ -159,7 +158,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     if progress:
         progress(0, protocol.displacement.size)
     drive, largest = _ToolDrive(tissue, model), 0.0
-    path = drive.iterate_positions_times_and_steps(np.arange(protocol.time.size))
+    path = drive.iterate_positions_durations_and_steps(np.arange(protocol.time.size))
     for sample, (position, dt, steps) in enumerate(path):
         for step in steps:
             report["newton_iterations"] += step.iterations
@@ -170,25 +169,25 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             message = (f"stopped at {depth * 1e3:.4g} mm on the way to {position * 1e3:.4g} mm (sample "
                        f"{sample + 1}), the step cut to {_SETTINGS.smallest_cut:.1g} of its length: "
                        f"{step.status.message}")
-            stability = check_stability(model.material.energy_law, model.material.values)
-            if step.status is StepStatus.INDEFINITE or not stability.stable:
+            stability = find_stability_range(model.material.energy_law, model.material.values)
+            if step.status is StepStatus.INDEFINITE or not stability.is_stable_in_whole_range:
                 message += f"; the law alone is {stability}"
             solved = make_recording("not_converged", message) if wrenches else None
             raise ConvergenceError(message, recording=solved, depth=depth)
         _store_larger_values_in_report(report, step)
-        wrenches.append(drive.register_sample(step.wrench, dt))
+        wrenches.append(drive.register_sample_and_scale_wrench(step.wrench, dt))
         if (size := math.hypot(*wrenches[-1][:3])) >= largest:
             largest, report["warnings"] = size, list(tissue.warnings())
         travels.append(drive.travel)
         if watch:
-            watch.after_sample(tissue, drive.force_factor_of_reduced_effects)
+            watch.after_sample(tissue, drive.combined_force_factor)
         if fields:
             samples.append(tissue.field_sample())
         if progress:
             progress(sample + 1, protocol.displacement.size)
     report["wall_s"] = time.perf_counter() - started  # without the error estimate
     if estimate_error and mesh is None:
-        forces = np.array([model.experiment.resistance(one) for one in wrenches])
+        forces = np.array([model.experiment.compute_force_against_motion(one) for one in wrenches])
         most = max(_SETTINGS.always_to_compare, _SETTINGS.most_to_compare * report["newton_iterations"])
         found = _estimate_force_error(tissue, model, forces, solver, resolution, topology, most)
         if found is not None:
@@ -197,8 +196,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             warning = found.warning_or_none(protocol.displacement, _REMEDIES.get(resolution, _REMEDY))
             if warning is not None:
                 report["warnings"] = [warning, *report["warnings"]]
-    cuts = report["cuts"]
-    return make_recording("converged", f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}")
+    cuts = f", step cuts: {report['cuts']}" if report["cuts"] else ""
+    return make_recording("converged", f"converged at every sample{cuts}")
 
 
 def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solver: str, resolution: str,
@@ -213,7 +212,7 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
     Returns:
         None if the solver has no other mesh, or if no other solution reaches a sample.
     """
-    estimate, protocol = tissue.error_estimate(resolution), model.experiment.protocol
+    estimate, protocol = tissue.error_estimation_rule(resolution), model.experiment.protocol
     if estimate is None:
         return None
 
@@ -227,15 +226,16 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
                                along, tolerance=_SETTINGS.rough_tolerance)
         except ConvergenceError:
             return np.zeros(0)
-        for _, dt, steps in drive.iterate_positions_times_and_steps(np.arange(samples.size)):
+        for _, dt, steps in drive.iterate_positions_durations_and_steps(np.arange(samples.size)):
             for step in steps:
                 solves += step.iterations
             if step.status is not StepStatus.CONVERGED or solves > most_solves:
                 break
-            other.append(model.experiment.resistance(drive.register_sample(step.wrench, dt)))
+            wrench = drive.register_sample_and_scale_wrench(step.wrench, dt)
+            other.append(model.experiment.compute_force_against_motion(wrench))
         return np.array(other)
 
-    samples = select_samples_for_doubled_steps(protocol.displacement)
+    samples = select_fractional_samples_for_longer_steps(protocol.displacement)
     other = simulate_forces(samples)
     common = np.flatnonzero(samples[:other.size] % 1.0 == 0.0)
     found = estimate_error_from_two_forces_or_none(force, samples[common].astype(int), other[common], estimate.fraction)
@@ -303,26 +303,26 @@ class _ToolDrive:
     def __init__(self, solver: Solver, model: Model, **options: Any):
         self._solver, self._model, self._experiment, self._options = solver, model, model.experiment, options
         self._train = _LoadTrainDepthPredictor(model.rig.compliance)
-        self._reduced = ReducedForceFactor(
-            model.material.list_acting_reduced_effects(plate=model.experiment.tool.is_plate))
+        self._reduced = CombinedForceFactor(
+            model.material.list_acting_force_scaling_effects(plate=model.experiment.tool.is_plate))
         self.travel = 0.0
 
     @property
-    def force_factor_of_reduced_effects(self) -> float:
+    def combined_force_factor(self) -> float:
         """Factor of the effects in reduced form on the force at the present depth of the tool."""
         return self._reduced.compute_factor(self._solver.pose.depth)
 
-    def register_sample(self, wrench: Screw, dt: float) -> Screw:
+    def register_sample_and_scale_wrench(self, wrench: Screw, dt: float) -> Screw:
         """Register a converged sample, dt s after the last one; returns its wrench with effects in reduced form."""
-        share = self._reduced.record_depth_and_get_force_factor(self._solver.pose.depth, dt)
-        wrench = scale_screw(share, wrench)
-        self._train.register_sample(self.travel, self._experiment.resistance(wrench))
+        wrench = scale_screw(self._reduced.record_depth_and_get_force_factor(self._solver.pose.depth, dt), wrench)
+        self._train.register_sample(self.travel, self._experiment.compute_force_against_motion(wrench))
         return wrench
 
-    def iterate_positions_times_and_steps(self, samples: np.ndarray) -> Iterator[tuple[float, float, Iterable[Step]]]:
+    def iterate_positions_durations_and_steps(
+            self, samples: np.ndarray) -> Iterator[tuple[float, float, Iterable[Step]]]:
         """Yield position, m, time since the last sample, s, and the steps, for samples of the protocol."""
         protocol = self._experiment.protocol
-        positions = self._model.rig.tool_motion(protocol.displacement)[samples]
+        positions = self._model.rig.compute_unloaded_tool_displacement(protocol.displacement)[samples]
         waits, first = _compute_time_steps_and_first_contact(positions, protocol.time[samples])
         for number, (position, dt) in enumerate(zip(positions.tolist(), waits.tolist(), strict=True)):
             if number < first:
@@ -357,7 +357,8 @@ class _ToolDrive:
             if step.status is not StepStatus.CONVERGED:
                 return
             share = self._reduced.compute_factor(solver.pose.depth, dt)
-            excess = depth + train.compliance * share * self._experiment.resistance(step.wrench) - position
+            force = share * self._experiment.compute_force_against_motion(step.wrench)
+            excess = depth + train.compliance * force - position
             if abs(excess) <= _SETTINGS.position_tolerance * max(abs(position), abs(depth), 1e-6):
                 return
             # Secant method. The slope is at least 1, the contribution of d itself, also if the tissue softens.
@@ -381,7 +382,7 @@ def _iterate_adaptive_steps_to_pose(solver: Solver, target: Pose, dt: float = 0.
         share = min(length, 1.0 - done)
         last = done + share >= 1.0 - 1e-9
         # Extrapolation is inaccurate across a change of contact; the linear solution for the tool's motion is not.
-        goal = target if last else between(start, target, done + share)
+        goal = target if last else interpolate_pose(start, target, done + share)
         step = solver.step(goal, share * dt, max_iterations=_SETTINGS.max_solves, predictor_order=order, **options)
         yield step
         if step.status is not StepStatus.CONVERGED and not order and length <= _SETTINGS.damped_from:

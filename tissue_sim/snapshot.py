@@ -12,7 +12,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.fem.solver import Fields, SharedFields, Solver
 from tissue_sim.pose import Pose
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import OldName, with_old_names
 from tissue_sim.tool_force import Tissue
 
 
@@ -29,6 +29,7 @@ class TriangulatedSurface:
     triangles: np.ndarray
 
 
+@with_old_names(at="with_pose_and_arrays")
 @dataclass(frozen=True, eq=False)
 class Snapshot:
     """Tissue and tool at one equilibrium.
@@ -78,7 +79,7 @@ class Snapshot:
             return (self.skin.vertices,)
         return self.fields.arrays() if _has_shared_fields_interface(self.fields) else ()
 
-    def at(self, pose: Pose, datum: float, arrays: Sequence[np.ndarray]) -> Snapshot:
+    def with_pose_and_arrays(self, pose: Pose, datum: float, arrays: Sequence[np.ndarray]) -> Snapshot:
         """Make a snapshot of the same tissue at another equilibrium from the `arrays` of that snapshot."""
         fields, skin = self.fields, self.skin
         if skin is not None:

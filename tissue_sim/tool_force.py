@@ -8,7 +8,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from tissue_sim.pose import Pose, Screw, Vector, scale_screw
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import OldName, with_old_names
 
 #: 6 x 6 matrix, row by row.
 Matrix = tuple[Screw, Screw, Screw, Screw, Screw, Screw]
@@ -53,7 +53,7 @@ def compute_negligible_force_error(shear_modulus: float, contact_radius: float) 
     return min(ERROR_FLOOR, ERROR_FLOOR_SHARE * shear_modulus * contact_radius**2)
 
 
-def is_force_accurate_enough(wrench: Screw, error: float | None, floor: float = ERROR_FLOOR) -> bool:
+def is_force_error_acceptable_or_unknown(wrench: Screw, error: float | None, floor: float = ERROR_FLOOR) -> bool:
     """Return whether the estimated error of the force, N, allows the status CONVERGED; True for an unknown error.
 
     Args:
@@ -154,6 +154,7 @@ class PredictedForceOfNextStep:
         return PredictedForceOfNextStep(scale_screw(share, self.wrench), scale_matrix(share, self.stiffness_matrix))
 
 
+@with_old_names(axial="from_axial_force")
 @dataclass(frozen=True, slots=True)
 class ToolForce:
     """Force on the tool after a step, with its status, stiffness and error estimate.
@@ -201,8 +202,10 @@ class ToolForce:
     least_tool_mass: float = 0.0
 
     @classmethod
-    def axial(cls, force: float, stiffness: float, status: ForceStatus, iterations: int = 0, residual: float = 0.0,
-              compute_time: float = 0.0, inertial: bool = False, age: float = 0.0, depth: float = 0.0) -> ToolForce:
+    def from_axial_force(cls, force: float, stiffness: float, status: ForceStatus, iterations: int = 0,
+                         residual: float = 0.0,
+                         compute_time: float = 0.0, inertial: bool = False, age: float = 0.0,
+                         depth: float = 0.0) -> ToolForce:
         """Make the result of a scene of axial motion only.
 
         Args:
@@ -300,7 +303,7 @@ class TouchState:
     def __init__(self, has_touched: bool = False, height: float | None = None):
         self.has_touched, self.height = has_touched, height
 
-    def register_height_and_get_contact_time(self, height: float, dt: float) -> float | None:
+    def register_height_and_get_contact_duration(self, height: float, dt: float) -> float | None:
         """Register the height of the tool in a step, and update whether the tool has touched the tissue.
 
         Args:

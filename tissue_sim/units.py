@@ -73,7 +73,7 @@ def get_si_factor_and_offset(unit: str, quantity: str | None = None) -> tuple[fl
         >>> 20.0 * factor + offset
         293.15
     """
-    unit = find_known_unit(unit) or unit.strip()
+    unit = find_known_unit_or_none(unit) or unit.strip()
     if unit not in UNITS:
         raise InputError(f"unknown unit {unit!r}{make_hint_with_similar_or_known_words(unit, UNITS)}")
     found, factor, offset = UNITS[unit]
@@ -83,11 +83,11 @@ def get_si_factor_and_offset(unit: str, quantity: str | None = None) -> tuple[fl
     return factor, offset
 
 
-def find_known_unit(text: str) -> str | None:
+def find_known_unit_or_none(text: str) -> str | None:
     """Return the name in `UNITS` of a unit in another spelling or in brackets; None for an unknown unit.
 
     Examples:
-        >>> find_known_unit("(sec)")
+        >>> find_known_unit_or_none("(sec)")
         's'
     """
     text = text.strip()
@@ -104,7 +104,7 @@ def find_quantity_of_unit_or_none(unit: str | None) -> str | None:
         >>> find_quantity_of_unit_or_none("kPa"), find_quantity_of_unit_or_none("mV")
         ('stress', 'signal')
     """
-    name = None if unit is None else find_known_unit(unit)
+    name = None if unit is None else find_known_unit_or_none(unit)
     return None if name is None else UNITS[name][0]
 
 
@@ -144,9 +144,9 @@ def split_header_and_known_unit(header: str) -> tuple[str, str | None]:
     """
     name, unit = split_header_with_brackets(header)
     if unit is not None:
-        return (name, unit) if find_known_unit(unit) else (header.strip(), None)
+        return (name, unit) if find_known_unit_or_none(unit) else (header.strip(), None)
     for pattern in _LOOSE if len(header) <= _LONGEST_HEADER else ():
         match = pattern.match(name)
-        if match and find_known_unit(match["unit"]) not in (None, "1"):
+        if match and find_known_unit_or_none(match["unit"]) not in (None, "1"):
             return match["name"].strip(), match["unit"]
     return name, None

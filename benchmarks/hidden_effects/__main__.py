@@ -34,7 +34,7 @@ from benchmarks.hidden_effects.sizes import CLASSES, freeze
 from benchmarks.hidden_effects.tables import cases_in_words, draw, figures
 from benchmarks.hidden_effects.truth import CACHE, PROTOCOLS
 from benchmarks.measure import about, show
-from calibration.tasks.executors import Workers, open_tasks
+from calibration.tasks.executors import Workers, open_task_executor
 
 LEDGER = Path(__file__).with_name("ledger.jsonl")
 #: Runs with nothing hidden of which none may alarm, for a rate below 1 % (Wilson).
@@ -121,7 +121,7 @@ def run_all(planned: Sequence[Planned], results: Results, digest: str, workers: 
             said = run.get("failure") or f"{outcome(run)}: {run['verdict']} {', '.join(run['indistinguishable'])}"
             print(f"{index + 1}/{len(left)} {run['name']} -> {said} ({run['wall_s']:.0f} s)", flush=True)
 
-    with open_tasks(workers) as tasks:
+    with open_task_executor(workers) as tasks:
         tasks.run(run_one, [(one, digest) for one in left], keep)
 
 

@@ -25,7 +25,12 @@ import tissue_sim as ts
 from benchmarks import ROOT
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.material.parts import with_changed_or_added_parameters
-from tissue_sim.mesh.axisymmetric import cylinder_mesh, needle_mesh, structured_mesh, with_lines
+from tissue_sim.mesh.axisymmetric import (
+    cylinder_mesh,
+    cylinder_mesh_refined_under_needle,
+    insert_interfaces_and_refine_layers,
+    structured_mesh,
+)
 from tissue_sim.mesh.elements import Q9P1
 
 REFERENCE = ROOT / "tests" / "reference"
@@ -228,12 +233,13 @@ def fine_mesh(model: ts.Model, needle: Mapping[str, float]):
     """A finer mesh than any that a diagnosis uses, or None where every mesh is exact; `needle`: sizes at a needle."""
     experiment, specimen = model.experiment, model.experiment.specimen
     layers = model.material.layers
-    if experiment.homogeneous and not layers and not specimen.gravity:
+    if experiment.has_homogeneous_deformation and not layers and not specimen.gravity:
         return None
     if experiment.tool.face_radius:
         sizes = dict(needle)
         sizes["smallest"] = max(sizes["smallest"], 0.15 * experiment.tool.edge_radius)
-        mesh = needle_mesh(specimen.radius, specimen.height, experiment.tool.face_radius, Q9P1, **sizes)
+        mesh = cylinder_mesh_refined_under_needle(specimen.radius, specimen.height, experiment.tool.face_radius, Q9P1,
+                                                  **sizes)
     else:
         mesh = cylinder_mesh(specimen.radius, specimen.height, _PLATE_MESH["elements"], Q9P1,
                              grading=_PLATE_MESH["grading"])
@@ -242,7 +248,7 @@ def fine_mesh(model: ts.Model, needle: Mapping[str, float]):
     corners = mesh.nodes[mesh.connectivity[:, :4]].reshape(-1, 2)
     r, z = np.unique(corners[:, 0]), np.unique(corners[:, 1])
     interfaces = (-np.cumsum([layer.thickness for layer in layers])).tolist()
-    layered = structured_mesh(r, with_lines(z, interfaces, _LAYER_ELEMENTS), Q9P1)
+    layered = structured_mesh(r, insert_interfaces_and_refine_layers(z, interfaces, _LAYER_ELEMENTS), Q9P1)
     top, old = layered.sets["top"], mesh.sets["top"]
     faces = {name: top[np.isin(old, nodes)] for name, nodes in mesh.sets.items() if name in ("face", "free")}
     return replace(layered, sets={**layered.sets, **faces})

@@ -14,8 +14,8 @@ from benchmarks.inputs import sample_files
 from calibration.campaign.campaign import load_campaign
 from haptics.devices.contracts import DeviceError
 from haptics.devices.settings import (
-    read_settings,
-    read_word_settings_and_remaining_text,
+    parse_number_settings,
+    parse_word_settings_and_remaining_text,
     split_address_and_settings_text,
 )
 from haptics.loop.ring import RingReader, RingWriter
@@ -119,7 +119,7 @@ class _Service:
     def __init__(self) -> None:
         self.tissue, self.owner, self.counters = _Tissue(), None, {}
 
-    def discard_last_step(self) -> None:
+    def clear_last_step_record(self) -> None:
         pass
 
     def log(self, sentence: str) -> None:
@@ -201,8 +201,8 @@ def _of_settings(folder: Path) -> dict[str, tuple[bytes, Reader]]:
 def _of_devices() -> dict[str, tuple[bytes, Reader]]:
     def settings(text: str) -> Any:
         _, rest = split_address_and_settings_text(text, "the port", "/dev/ttyUSB0,baud=9600")
-        words, rest = read_word_settings_and_remaining_text(rest, volts=("",), mode=("ascii", "binary"))
-        return words, read_settings(rest, rate_hz=1000.0, count=3)
+        words, rest = parse_word_settings_and_remaining_text(rest, volts=("",), mode=("ascii", "binary"))
+        return words, parse_number_settings(rest, rate_hz=1000.0, count=3)
 
     def haply_state(text: str) -> Any:
         try:
@@ -212,8 +212,8 @@ def _of_devices() -> dict[str, tuple[bytes, Reader]]:
 
     def grbl_line(text: str) -> Any:
         return _found(grbl.parse_report_or_none(text) or grbl.parse_setting_or_none(text)
-                      or grbl.parse_answer_kind_and_number(text)
-                      or grbl.parse_version_and_date(text) or grbl.parse_banner_version_or_none(text)
+                      or grbl.parse_answer_kind_and_number_or_none(text)
+                      or grbl.parse_version_and_date_or_none(text) or grbl.parse_banner_version_or_none(text)
                       or grbl.parse_jog_or_none(text))
 
     def records(content: bytes) -> Any:
@@ -230,8 +230,8 @@ def _of_devices() -> dict[str, tuple[bytes, Reader]]:
         "grbl line": (b"<Hold:1|MPos:0.000,1.500,-3.250|FS:500,0|Ov:100,100,100|A:S>", _text(grbl_line)),
         "ati record": (ati_serial.encode_ascii_record_without_ending(ati_serial.AtiSerialRecord(0, (1, 2, 3, 4, 5, 6))),
                        serial),
-        "rdt settings": (rdt.write_settings_page(rdt.BoxSettings(1e6, 1e6, rate=7000.0, product="Net")),
-                         rdt.read_settings_page),
+        "rdt settings": (rdt.encode_settings_page(rdt.BoxSettings(1e6, 1e6, rate=7000.0, product="Net")),
+                         rdt.parse_settings_page),
         "rdt records": (struct.pack("!3I6i", 1, 2, 0, 100, -200, 300, 4, 5, 6), records),
     }
 
@@ -259,7 +259,7 @@ def _of_the_wire(folder: Path) -> dict[str, tuple[bytes, Reader]]:
     def read_ring(content: bytes) -> Any:
         path.write_bytes(content)
         with RingReader(path) as reader:
-            return reader.latest(), reader.since(0).records.size, reader.written, reader.ended
+            return reader.latest(), reader.read_ticks_after(0).records.size, reader.written_count, reader.ended
 
     return {
         "request": (wire.encode_request(wire.Request(3, 0.5, (0.0, 0.0, -0.01))),

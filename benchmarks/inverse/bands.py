@@ -30,7 +30,7 @@ from calibration.fit.curves import TestCurves, compute_test_curves
 from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.sensor_noise import SensorNoise
-from calibration.tasks.executors import Workers, open_tasks
+from calibration.tasks.executors import Workers, open_task_executor
 from tissue_sim.material.parts import find_parameter_path_and_declaration
 
 #: Specimen of the reference study.
@@ -129,7 +129,8 @@ def recorder(case: Case, test: Test, rng: np.random.Generator) -> Callable[[int]
     def record(number: int) -> MeasuredCurve:
         depth = np.maximum(np.minimum(SPEED * fine, DEPTH) - CONTACT * rng.standard_normal(), 0.0)
         material = RELAXING if case.holds else YEOH
-        stress = closed.history(material, fine, 1.0 - depth / SPECIMEN.height, SPECIMEN.radius) if case.holds else \
+        stress = closed.stress_history(material, fine, 1.0 - depth / SPECIMEN.height,
+                                       SPECIMEN.radius) if case.holds else \
             closed.stress(material.energy_law, 1.0 - depth / SPECIMEN.height, material.values)
         force = np.interp(time, fine, -SPECIMEN.area * stress) * (1.0 + case.gain * rng.standard_normal())
         force += ZERO * rng.standard_normal() + NOISE * rng.standard_normal(time.size)
@@ -146,7 +147,7 @@ def draw_case(case: Case, rng: np.random.Generator) -> tuple[TestCurves, list[Me
     record = recorder(case, campaign.tests[0], rng)
     measured = {"plates": tuple(record(number) for number in range(case.replicates))}
     estimator = ESTIMATORS[case.method](campaign, measured, SimulationCache())
-    with open_tasks(Workers()) as tasks:
+    with open_task_executor(Workers()) as tasks:
         _, estimate = estimator.fit_laws([case.law], RunContext("bands", tasks))[case.law]
     if isinstance(estimate, str):
         raise RuntimeError(estimate)
@@ -164,7 +165,7 @@ def coverage(case: Case, campaigns: int, seed: int) -> tuple[float, float, float
         curves, new = draw_case(case, np.random.default_rng([seed, number]))
         at = curves.displacement if curves.time is None else curves.time
         for recording in new:
-            place = recording.displacement if curves.time is None else recording.required_sample_times
+            place = recording.displacement if curves.time is None else recording.sample_times
             force, band, all_of_it = (np.interp(place, at, values)
                                       for values in (curves.force, curves.band, curves.whole_band))
             away = np.abs(recording.force - force)

@@ -55,7 +55,7 @@ from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.forms import ACCURATE_MESH_ERRORS
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter
-from calibration.tasks.executors import Workers, open_tasks
+from calibration.tasks.executors import Workers, open_task_executor
 
 #: Jitter of the contact, m.
 CONTACT = 0.03e-3
@@ -159,7 +159,7 @@ def _ordinary(settled: GeneralisedProblem, theta: np.ndarray) -> dict:
     descent = minimise_from_start(problem, theta, corrected=True)
     evaluation = problem.evaluate(descent.theta)
     freedom = problem.samples - theta.size
-    covariance = evaluation.sum_of_squares / freedom * np.linalg.inv(evaluation.rates.T @ evaluation.rates)
+    covariance = evaluation.penalised_sum_of_squares / freedom * np.linalg.inv(evaluation.rates.T @ evaluation.rates)
     return {"theta": descent.theta.tolist(), "errors": np.sqrt(np.diag(covariance)).tolist(),
             "quantile": [float(stats.t.ppf(0.5 + 0.5 * NOMINAL, freedom))] * theta.size, "profile": None,
             "converged": descent.converged}
@@ -203,7 +203,7 @@ def run_study(data: str, campaigns: int, seed: int, workers: int, profile_every:
     truth = true_curves(data)
     tasks_of = [(number, seed, truth, data == "drawn", bool(profile_every) and number % profile_every == 0)
                 for number in range(campaigns)]
-    with open_tasks(Workers(workers)) as tasks, Progress(console=Console(stderr=True)) as progress:
+    with open_task_executor(Workers(workers)) as tasks, Progress(console=Console(stderr=True)) as progress:
         bar = progress.add_task("campaigns", total=campaigns)
         return tasks.run(run_campaign, tasks_of, lambda *_: progress.advance(bar))
 

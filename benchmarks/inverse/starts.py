@@ -36,7 +36,7 @@ from calibration.fit.trust_region import DESCENT, minimise_from_start
 from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.sensor_noise import SensorNoise
-from calibration.tasks.executors import Workers, open_tasks
+from calibration.tasks.executors import Workers, open_task_executor
 
 #: Fitted law.
 LAW = "reduced_polynomial_2"
@@ -213,7 +213,7 @@ def summarise(name: str, runs: Sequence[Mapping], timed: Sequence[Mapping]) -> d
 def run_campaigns(names: Sequence[str], starts: int, repeats: int, workers: int) -> list[dict]:
     """Run every start of every campaign; the joint one to the estimate for all starts, the others for the first."""
     found = []
-    with open_tasks(Workers(workers)) as tasks:
+    with open_task_executor(Workers(workers)) as tasks:
         for name in names:
             scenes = CAMPAIGNS[name]
             run_start(scenes, START, True)  # compiles

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 import tissue_sim as ts
-from benchmarks.realtime.delayed_bulk import DelayedBulk
+from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.linearisation import SolidLinearisation
+from tissue_sim.fem.solid.linearisation import SolidLineariser
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import SolidMesh, create_needle_mesh
+from tissue_sim.mesh.solid import SolidMesh, create_cylinder_mesh_under_needle
 
 #: Version of the cached reduced models; raise it when their scenes or their training change.
 REDUCED_VERSION = 4
@@ -111,16 +111,18 @@ def scaled_parameters(scene: Scene, factor: float) -> dict[str, float]:
 @functools.cache
 def coarse_mesh() -> SolidMesh:
     """Return the coarsest mesh of the spatial scenes on which a ball can slide: 196 nodes."""
-    return create_needle_mesh(*SPATIAL_SPECIMEN, SPATIAL_TOOL_RADIUS, HEX8P0, smallest=0.45 * SPATIAL_TOOL_RADIUS,
-                              growth=2.4, largest=3.0 * SPATIAL_TOOL_RADIUS, around=2)
+    return create_cylinder_mesh_under_needle(*SPATIAL_SPECIMEN, SPATIAL_TOOL_RADIUS, HEX8P0,
+                                             smallest=0.45 * SPATIAL_TOOL_RADIUS,
+                                             growth=2.4, largest=3.0 * SPATIAL_TOOL_RADIUS, around=2)
 
 
 @functools.cache
 def ball_mesh() -> SolidMesh:
     """A mesh that is as fine under a ball at the largest depth as the estimated faceting error of its force requires:
     847 nodes."""
-    return create_needle_mesh(*SPATIAL_SPECIMEN, SPATIAL_TOOL_RADIUS, HEX8P0, smallest=0.25 * SPATIAL_TOOL_RADIUS,
-                              growth=2.4, largest=3.0 * SPATIAL_TOOL_RADIUS, around=4)
+    return create_cylinder_mesh_under_needle(*SPATIAL_SPECIMEN, SPATIAL_TOOL_RADIUS, HEX8P0,
+                                             smallest=0.25 * SPATIAL_TOOL_RADIUS,
+                                             growth=2.4, largest=3.0 * SPATIAL_TOOL_RADIUS, around=4)
 
 
 def solid_mesh(scene: Scene) -> SolidMesh:
@@ -165,8 +167,8 @@ def simulator(scene: Scene, *, bounded: bool = True, mesh: SolidMesh | None = No
 def multirate(scene: Scene) -> MultiRateTissue:
     """Return a new multirate simulator of a scene with a fixed simulated delay of its models."""
     model = scene.model()
-    bulk = SolidLinearisation(make_solver(model, mesh=coarse_mesh()))
-    tissue = MultiRateTissue(model, link=DelayedBulk(bulk, scene.delay, scene.tangent))
+    bulk = SolidLineariser(make_solver(model, mesh=coarse_mesh()))
+    tissue = MultiRateTissue(model, link=DelayedBulkLink(bulk, scene.delay, scene.tangent))
     tissue.warm_up()
     return tissue
 

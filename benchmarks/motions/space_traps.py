@@ -75,7 +75,7 @@ def lean_in_the_air(chance: np.random.Generator, scene: Scene) -> Motion:
     operations = []
     for pose in profile(scene, chance, dt, press_keys(scene, chance, start=3e-4, lifts=False)):
         leaned = pose_with(pose, turn=turn)
-        axis = np.array(leaned.rotation)[:, 2]
+        axis = np.array(leaned.rotation_matrix)[:, 2]
         lowest = np.array(pose.position) + scene.radius * (axis - [0.0, 0.0, 1.0])
         operations.append(Move(leaned, dt, Pose(tuple(lowest.tolist())), may_refuse=scene.solver == "reduced"))
     return Motion("lean in the air", scene, tuple(operations))

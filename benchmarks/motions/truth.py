@@ -22,7 +22,7 @@ import tissue_sim as ts
 from benchmarks.motions.course import NOT_COMPARED, PathTick
 from benchmarks.motions.scenes import Scene, coarse_mesh, reduced_model, simulator
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.pose import Pose, between, motion
+from tissue_sim.pose import Pose, compute_rigid_motion, interpolate_pose
 
 #: Substeps are at most this fraction of the tool's radius.
 LARGEST_SUBSTEP = 1.0 / 48.0
@@ -118,7 +118,7 @@ def _crossing(before: Pose | None, pose: Pose) -> tuple[Pose, float]:
         return replace(pose, position=(x, y, 0.0)), 0.0
     height = before.position[2]
     fraction = height / (height - z) if height != z else 1.0
-    return between(before, pose, fraction), fraction
+    return interpolate_pose(before, pose, fraction), fraction
 
 
 class _Reference:
@@ -179,10 +179,10 @@ class _Reference:
         # The first step has no past: no time passes until the tool is where it is first seen.
         rest = 0.0 if first else (1.0 - fraction) * dt
         for number in range(1, count + 1):
-            self._step(between(start, pose, number / count), rest / count)
+            self._step(interpolate_pose(start, pose, number / count), rest / count)
 
     def _substeps(self, start: Pose, end: Pose) -> int:
-        x, y, z, a, b, c = motion(start, end)
+        x, y, z, a, b, c = compute_rigid_motion(start, end)
         distance = math.hypot(x, y, z) + self._scene.radius * math.hypot(a, b, c)
         fine = math.ceil(distance / (LARGEST_SUBSTEP * self._scene.radius) - 1e-9)
         return max(LEAST_SUBSTEPS[self._scene.solver], fine)

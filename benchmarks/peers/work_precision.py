@@ -23,8 +23,8 @@ from rich.console import Console
 import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, spread, summary, table
 from benchmarks.peers.compression import PARAMETERS
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
-from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
+from tissue_sim.mesh import Mesh, cylinder_mesh, cylinder_mesh_refined_under_needle
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 #: Radius of the specimen, m.
@@ -78,8 +78,9 @@ def needle_meshes() -> Iterator[tuple[str, Mesh]]:
             ("Q9/P-1, graded", Q9P1, 1.5, 12.0, (2.0, 0.65, 0.2, 0.05, 0.02)),
             ("Q4/P0, graded", Q4P0, 1.2, 3.0, (4.0, 1.3, 0.4, 0.1))):
         for smallest in sizes:
-            yield name, needle_mesh(RADIUS, HEIGHT, NEEDLE_RADIUS, element, growth=growth, smallest=smallest * 1e-3,
-                                    largest=largest * 1e-3)
+            yield name, cylinder_mesh_refined_under_needle(RADIUS, HEIGHT, NEEDLE_RADIUS, element, growth=growth,
+                                                           smallest=smallest * 1e-3,
+                                                           largest=largest * 1e-3)
     for name, element, counts in (("Q9/P-1, uniform", Q9P1, ((5, 7), (10, 13), (15, 18), (20, 25))),
                                   ("Q4/P0, uniform", Q4P0, ((10, 13), (20, 25), (40, 50), (60, 75)))):
         for count in counts:
@@ -91,7 +92,7 @@ def measure(test: str, family: str, mesh: Mesh, repeats: int, named: str | None 
     model = MODELS[test]
     forces, error = (np.array(values) for values in REFERENCES[test])
     point = {"test": test, "family": family, "element": mesh.element.name, "elements": len(mesh.connectivity),
-             "freedoms": (equations := build_solver(model, mesh).equations).free,
+             "freedoms": (equations := build_solver_on_mesh(model, mesh).equations).free,
              "half_band": equations.half_band, "named": named}
     spent = []
     try:
@@ -126,8 +127,9 @@ def points(repeats: int) -> Iterator[dict]:
 
 def known_points(found: list[dict], repeats: int) -> list[dict]:
     """Return needle meshes with the numbers of elements of an earlier table, and their known errors, %."""
-    mesh_of_42, mesh_of_120 = (needle_mesh(RADIUS, HEIGHT, NEEDLE_RADIUS, Q9P1, growth=1.8, smallest=smallest,
-                                           largest=0.012) for smallest in (4.0e-3, 0.65e-3))
+    mesh_of_42, mesh_of_120 = (cylinder_mesh_refined_under_needle(RADIUS, HEIGHT, NEEDLE_RADIUS, Q9P1, growth=1.8,
+                                                                  smallest=smallest,
+                                                                  largest=0.012) for smallest in (4.0e-3, 0.65e-3))
     measured = [(0.91, measure("needle indentation", "graded", mesh_of_42, repeats)),
                 (0.27, measure("needle indentation", "graded", mesh_of_120, repeats))]
     needles = [point for point in found if point["test"] == "needle indentation"]

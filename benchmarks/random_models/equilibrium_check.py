@@ -191,7 +191,7 @@ class EquilibriumCheck:
         if mesh.element.name != "Q9/P-1":
             raise ts.InputError(f"the check of equilibria knows Q9/P-1, not {mesh.element.name}")
         self.section, self._datum = Section(mesh.nodes, mesh.connectivity), solver.datum
-        self._tolerance = solver.report().get("penetration_tolerance_mm", 0.0) * 1e-3
+        self._tolerance = solver.get_recording_metadata().get("penetration_tolerance_mm", 0.0) * 1e-3
         depth = -mesh.nodes[mesh.connectivity[:, :4], 1].mean(axis=1)
         depth *= specimen.height / -mesh.nodes[:, 1].min()
         layer = np.searchsorted(np.cumsum([layer.thickness for layer in material.layers]), depth)

@@ -137,8 +137,8 @@ def run_file(seed: int, index: int, *, clean: bool = False, only: str | None = N
 
 
 def _wishes(draft: Draft) -> calibration.ImportOptions:
-    stated = calibration.ColumnHints(columns=draft.columns_stated, units=draft.units_stated,
-                                     kind=draft.stated_kind)
+    stated = calibration.InterpretationOverrides(columns=draft.columns_stated, units=draft.units_stated,
+                                                     kind=draft.stated_kind)
     sizes = draft.specimen_flags() if draft.stated_sizes else {}
     return calibration.ImportOptions(stated, sizes, dict(draft.stated_test), ("neo_hooke",))
 

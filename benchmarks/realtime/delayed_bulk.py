@@ -6,14 +6,14 @@ import math
 import time
 from collections.abc import Callable
 
-from tissue_sim.fem.condensed.model import BulkLinearisation, CondensedBulk, ContactState
-from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLinearisation
+from tissue_sim.fem.condensed.model import BulkLineariser, CondensedBulk, ContactState
+from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLineariser
 from tissue_sim.material.material import Material
 from tissue_sim.realtime.bulk_link import make_untouched_state
 from tissue_sim.snapshot import Snapshot
 
 
-class DelayedBulk:
+class DelayedBulkLink:
     """Bulk in this process whose models arrive after a fixed simulated delay, so that forces are reproducible.
 
     Args:
@@ -28,9 +28,9 @@ class DelayedBulk:
 
     is_alive = True
 
-    def __init__(self, linearisation: BulkLinearisation, delay: float, tangent: float | None = None):
+    def __init__(self, linearisation: BulkLineariser, delay: float, tangent: float | None = None):
         self._bulk, self.contact_surface, self._delay, self._epoch = linearisation, linearisation.surface, delay, 0
-        self._predictive, self._now = PredictiveLinearisation(linearisation), 0.0
+        self._predictive, self._now = PredictiveLineariser(linearisation), 0.0
         self._tangent = tangent
         if tangent is not None:
             linearisation.executor = self._compute_tangent_and_get_finish_check

@@ -7,7 +7,7 @@ from benchmarks.peers.needle import iterations
 from benchmarks.peers.work_precision import uniform_needle_mesh
 from benchmarks.realtime.ticks import DT, NEEDLE, TOLERANCE, WAY, no_garbage_collection, say
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import Mesh
@@ -32,7 +32,7 @@ def brought_to(depth: float, name: str, mesh: Mesh) -> AxisymmetricSolver:
     Raises:
         SystemExit: it did not get there.
     """
-    solver = build_solver(NEEDLE, mesh)
+    solver = build_solver_on_mesh(NEEDLE, mesh)
     for k in range(1, round(depth / WAY) + 1):
         if solver.step(k * WAY, DT, tolerance=TOLERANCE).status is not StepStatus.CONVERGED:
             raise SystemExit(f"{name}: no convergence at {k * WAY * 1e3:g} mm")
@@ -47,7 +47,7 @@ def parts(name: str, mesh: Mesh, repeats: int) -> dict:
     of what was eliminated.
     """
     solver = brought_to(DEPTH, name, mesh)
-    lower, counts = solver.equations.tangent(), solver.equations.counts
+    lower, counts = solver.equations.assemble_committed_tangent(), solver.equations.counts
     contacts = int(counts[newton.StepIntegerIndex.CONTACTS])
     # (passes, linear solves, contact edges); at a tolerance that nothing meets the state stays as it was.
     kinds = {"iteration": (1, 1, contacts), "tangent": (1, 0, contacts), "bare": (1, 0, 0), "launch": (0, 0, contacts)}

@@ -4,9 +4,9 @@
 
 A round tip of 8 mm with mu = 0.3 goes down into the study's cylinder, is dragged aside, lifted off, put down again and
 dragged on round a corner, all at 50 mm/s. The bulk is linearised in this process and its models and tangents come after
-fixed times that are stated (`DelayedBulk`), so that the same run gives the same forces on any computer. It is compared
-with solving the whole solid at every other pose; normal and lateral errors are over the largest force of their kind.
-Times are CPU times with one thread.
+fixed times that are stated (`DelayedBulkLink`), so that the same run gives the same forces on any computer. It is
+compared with solving the whole solid at every other pose; normal and lateral errors are over the largest force of their
+kind. Times are CPU times with one thread.
 """
 
 # One thread each, before the libraries start.
@@ -22,14 +22,14 @@ import numpy as np
 
 import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
-from benchmarks.realtime.delayed_bulk import DelayedBulk
+from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.linear.sparse import SparseSolver, get_pardiso_or_scipy_name
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.linearisation import SolidLinearisation
+from tissue_sim.fem.solid.linearisation import SolidLineariser
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
@@ -52,8 +52,9 @@ DELAYS = ((0.016, None), (0.033, None), (0.066, None), (0.004, 0.020), (0.006, 0
 
 def mesh_of(size: int):
     smallest, around, growth, largest = MESHES[size]
-    return create_needle_mesh(0.04, 0.07, 8e-3, HEX8P0, smallest=smallest, growth=growth, largest=largest,
-                              around=around)
+    return create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, HEX8P0, smallest=smallest, growth=growth,
+                                             largest=largest,
+                                             around=around)
 
 
 def path() -> list[Pose]:
@@ -77,7 +78,7 @@ def cpu(function, repeats: int = 3) -> float:
 
 def condensation(size: int, repeats: int) -> dict:
     """Return the CPU time of the factorisation and of the condensation, s."""
-    bulk = SolidLinearisation(make_solver(MODEL, mesh=mesh_of(size)))
+    bulk = SolidLineariser(make_solver(MODEL, mesh=mesh_of(size)))
     solver, sparse = bulk._solver, SparseSolver()
     solver.step(Pose((0.0, 0.0, -1e-3)), tolerance=1e-6, max_iterations=40)
     assemble = cpu(solver._update_assembled_forces_and_tangent, repeats)
@@ -101,8 +102,8 @@ def condensation(size: int, repeats: int) -> dict:
 
 def iterate(size: int) -> float:
     """Return the median CPU time of a model that reuses the tangent, s, during a drag."""
-    bulk, times = SolidLinearisation(make_solver(MODEL, mesh=mesh_of(size))), []
-    link = DelayedBulk(bulk, 8e-3, math.inf)
+    bulk, times = SolidLineariser(make_solver(MODEL, mesh=mesh_of(size))), []
+    link = DelayedBulkLink(bulk, 8e-3, math.inf)
     tissue = MultiRateTissue(MODEL, link=link)
     tissue.warm_up()
     for pose in path()[:140]:
@@ -125,8 +126,8 @@ def synchronous(size: int, poses: list[Pose]) -> dict[int, np.ndarray]:
 
 def two_rates(size: int, delay: float, tangent: float | None, poses: list[Pose], exact: dict[int, np.ndarray]) -> dict:
     """Compare the multirate simulator with the forces of the whole solid."""
-    bulk = SolidLinearisation(make_solver(MODEL, mesh=mesh_of(size)))
-    tissue = MultiRateTissue(MODEL, link=DelayedBulk(bulk, delay, tangent))
+    bulk = SolidLineariser(make_solver(MODEL, mesh=mesh_of(size)))
+    tissue = MultiRateTissue(MODEL, link=DelayedBulkLink(bulk, delay, tangent))
     tissue.warm_up()
     answers, times, seen = [], [], tissue._link.linearising
     for pose in poses:

@@ -33,7 +33,6 @@ class OscillationCriteria:
 OSCILLATION = OscillationCriteria()
 
 
-
 def simulate_device_depths(tissue: Tissue, device: HapticDevice, rendering: ForceRendering, seconds: float,
                            tick: float = 1e-3) -> np.ndarray:
     """Simulate a loop without delays and return the depth of the device at each tick.
@@ -55,7 +54,7 @@ def simulate_device_depths(tissue: Tissue, device: HapticDevice, rendering: Forc
     depths: list[float] = []
     for number in range(round(seconds / tick)):
         pose = device.pose(number * tick)
-        rendered = rendering.render(tissue.step(rendering.pose_for(pose, tick), tick), tick)
+        rendered = rendering.render(tissue.step(rendering.advance_proxy(pose, tick), tick), tick)
         device.render(rendered.wrench)
         depth = pose.depth if pose is not None else depths[-1] if depths else 0.0
         depths.append(depth)

@@ -99,13 +99,13 @@ def measure(name: str, case: tuple, seconds: float, seeds: range, folder: Path |
     offline = time.process_time() - started
     whole = training.make_full_order_solver(model, reduced.mesh)
     small = ReducedSolver(reduced, MATERIAL)
-    small.ask_for_stiffness()
+    small.enable_stiffness_output()
     start = experiment.tool_pose(0.0)
     times, missed, forces, jumps, lost, solves = [], [], [], [], 0, 0
     for seed in seeds:
         poses = walk(box, start, seconds, seed, holds)
         true = training.simulate_snapshots(whole, poses[::WHOLE_EVERY]).wrenches[:, :3]
-        small.lift_off()
+        small.reset_to_first_touch()
         wrenches = []
         for pose in poses:
             began = time.process_time()

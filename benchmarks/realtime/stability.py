@@ -25,7 +25,7 @@ from benchmarks.realtime.oscillation import measure_sustained_peak_to_peak, simu
 from haptics.devices.contracts import AxialMotion
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.safety.coupling import VirtualCoupling
-from haptics.safety.limits import ForceLimits
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce
@@ -74,8 +74,8 @@ class Polynomial:
     def step(self, pose: Pose, dt: float) -> ToolForce:
         depth = pose.depth
         if depth <= 0:
-            return ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
-        return ToolForce.axial(self.force(depth), self.stiffness(depth), ForceStatus.CONVERGED)
+            return ToolForce.from_axial_force(0.0, 0.0, ForceStatus.CONVERGED)
+        return ToolForce.from_axial_force(self.force(depth), self.stiffness(depth), ForceStatus.CONVERGED)
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def stand_in(name: str) -> tuple[Polynomial, float, float]:
 
 def rendering_of(control: str) -> ForceRendering:
     coupling = VirtualCoupling(1000.0, 1.0) if control.startswith("coupling") else None
-    return ForceRendering(ForceLimits(10.0, 1.0), coupling, controller_damping=None if control == "none" else 2.0)
+    return ForceRendering(ForceLimiter(10.0, 1.0), coupling, controller_damping=None if control == "none" else 2.0)
 
 
 def run(trial: Trial, tissue, rest: float) -> float:

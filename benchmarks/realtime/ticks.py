@@ -16,8 +16,8 @@ import numpy as np
 import tissue_sim as ts
 from benchmarks.peers.friction import EDGE, RELAXING, SPECIMEN
 from benchmarks.peers.work_precision import HEIGHT, MATERIAL, MODELS, NEEDLE_RADIUS, RADIUS, REFERENCES
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
-from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
+from tissue_sim.mesh import Mesh, cylinder_mesh, cylinder_mesh_refined_under_needle
 from tissue_sim.mesh.elements import Q9P1
 from tissue_sim.tool_force import ForceStatus
 
@@ -91,8 +91,9 @@ class Drive:
 
 def graded_needle_mesh(growth: float, smallest: float, largest: float) -> Mesh:
     """Return the needle's mesh of nine-node quadrilaterals; sizes in mm."""
-    return needle_mesh(RADIUS, HEIGHT, NEEDLE_RADIUS, Q9P1, growth=growth, smallest=smallest * 1e-3,
-                       largest=largest * 1e-3)
+    return cylinder_mesh_refined_under_needle(RADIUS, HEIGHT, NEEDLE_RADIUS, Q9P1, growth=growth,
+                                              smallest=smallest * 1e-3,
+                                              largest=largest * 1e-3)
 
 
 def grading_name(growth: float, smallest: float, largest: float) -> str:
@@ -217,7 +218,7 @@ class ConvergedSolutions:
             mesh = fine_mesh(case.model)
             driven = drive(case.simulator(mesh), self._way)
             self._known[case.name] = Converged(compared_forces(driven), len(mesh.connectivity), self._way,
-                                         count_statuses(driven.status))
+                                               count_statuses(driven.status))
         return self._known[case.name]
 
 
@@ -242,7 +243,7 @@ def in_turns(chosen: list[Case], rounds: int) -> list[list[Drive]]:
 
 def rows_of(case: Case, drives: list[Drive], converged: Converged | None) -> list[dict]:
     """Return a row for each direction; see `rows`."""
-    solver = build_solver(case.model, case.mesh)
+    solver = build_solver_on_mesh(case.model, case.mesh)
     forces, count = compared_forces(drives[0]), len(drives[0].force) // 2
     found = []
     for direction, ticks in zip(DIRECTIONS, (slice(0, count), slice(count, None)), strict=True):

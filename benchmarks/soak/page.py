@@ -92,7 +92,8 @@ class _Player:
         model = model_of(played.flags)
         self._session = Session(Scene(NEEDLE, model.experiment, model.material))
         stack.callback(self._session.close)
-        self._page = Page(self._session, self._session.frame(), material.parent, port=0, low_graphics=True)
+        self._page = Page(self._session, self._session.update_and_make_frame(), material.parent, port=0,
+                          low_graphics=True)
         stack.callback(self._page.close)
         self._port = self._page.server.get_port()
         self._reader: subprocess.Popen | None = None
@@ -112,10 +113,10 @@ class _Player:
                 if now >= when:
                     self._next[what] = now + float(self._rng.exponential(BETWEEN[what]))
                     getattr(self, f"_{what}")()
-            self._see(self._session.frame())
+            self._see(self._session.update_and_make_frame())
             due = max(due + 1.0 / FRAMES.rate, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
-        self._session.frame()  # obeys what was asked last
+        self._session.update_and_make_frame()  # obeys what was asked last
         self._played.unanswered = len(self._waiting)
 
     def _see(self, frame: SessionFrame) -> None:
@@ -136,7 +137,8 @@ class _Player:
         """Wait for the first tick of a loop; the time is not part of the session."""
         asked = time.monotonic()
         until = asked + _PATIENCE
-        while (frame := self._session.frame()).phase not in (Phase.RUNNING, Phase.PAUSED) or frame.readouts is None:
+        while ((frame := self._session.update_and_make_frame()).phase not in (Phase.RUNNING, Phase.PAUSED)
+               or frame.readouts is None):
             if time.monotonic() > until or frame.phase is Phase.DIED:
                 raise SystemExit(f"the simulation does not start ({frame.phase.value}): "
                                  f"{self._session.simulation.message}; {frame.scene.model}")
@@ -187,9 +189,9 @@ class _Player:
             if problem is None:
                 self._played.taken.append(f"{command} {values}"[:80])
 
-        self._session.frame()  # what was asked before is obeyed, and nothing comes after
+        self._session.update_and_make_frame()  # what was asked before is obeyed, and nothing comes after
         self._post(command, must_be_refused, **values)
-        self._session.frame()
+        self._session.update_and_make_frame()
 
     def _garbage(self) -> None:
         """Send bytes that are not a request, and open silent connections."""
@@ -205,13 +207,13 @@ class _Player:
         flags, self._deepest = draw(self._rng, self._material)
         experiment = model_of(flags).experiment
         self._post("use_scene", name=NEEDLE.name, tool=experiment.tool, friction=experiment.friction)
-        self._session.frame()
+        self._session.update_and_make_frame()
         if self._session.simulation.phase is not Phase.DIED:
             self._wait_for_ticks()
 
     def _kill(self) -> None:
         if self._session.simulation.phase is Phase.RUNNING and self._killed is None:
-            os.kill(self._session.simulation.process.pid, signal.SIGKILL)
+            os.kill(self._session.simulation.haptic_loop_process.pid, signal.SIGKILL)
             self._killed = time.monotonic()
             self._played.killed += 1
 

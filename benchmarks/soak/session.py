@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.soak.scenes import HIGHEST, LAW, draw
-from haptics.devices.motions import HandMotion
+from haptics.devices.motions import TargetFollowingMotion
 from haptics.server.client import TissueClient
 from haptics.server.wire import REQUEST_SIZE, Reply, ReplyFlags, Request, Status, encode_request
 
@@ -76,7 +76,7 @@ class _Play:
 
     def __init__(self, session: Session, rng: np.random.Generator, ports: dict[str, Any], deepest: float):
         self._session, self._rng, self._events, self._deepest = session, rng, session.events, deepest
-        self._port, self._hand = ports["port"], HandMotion(-HIGHEST, speed=0.12, response=25.0)
+        self._port, self._hand = ports["port"], TargetFollowingMotion(-HIGHEST, speed=0.12, response=25.0)
         self._line = socket.create_connection(("127.0.0.1", ports["configuration_port"]), timeout=30.0)
         self._lines = self._line.makefile("rb")
         self._stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -30,7 +30,7 @@ from tissue_sim.fem.linear.sparse import SparseSolver, factorise_or_none, get_pa
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import SolidMesh, create_needle_mesh
+from tissue_sim.mesh.solid import SolidMesh, create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
 
 MODULI = {"C10": 1404.9, "C20": 699.4}
@@ -217,13 +217,15 @@ def main() -> None:
              "tissue_sim": ts.__version__, "felupe": fem.__version__, "linear_solver": get_pardiso_or_scipy_name()}
     print(json.dumps(about), flush=True)
     # Compile and load everything once.
-    ours(create_needle_mesh(0.04, 0.07, 8e-3, ELEMENTS[asked.element], smallest=6e-3, growth=3.0, largest=40e-3,
-                            around=2))
+    ours(create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, ELEMENTS[asked.element], smallest=6e-3, growth=3.0,
+                                           largest=40e-3,
+                                           around=2))
     for size in asked.sizes:
         around, smallest, growth = SIZES[asked.element, size]
-        mesh = create_needle_mesh(0.04, 0.07, 8e-3, ELEMENTS[asked.element], smallest=smallest, growth=growth,
-                                  largest=15e-3,
-                                  around=around)
+        mesh = create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, ELEMENTS[asked.element], smallest=smallest,
+                                                 growth=growth,
+                                                 largest=15e-3,
+                                                 around=around)
         _, row = ours(mesh)
         if asked.element == "hex8" and row["freedoms"] <= asked.peer_up_to:
             row["felupe"] = peer(mesh, row["force_N"])

@@ -26,9 +26,14 @@ import tissue_sim as ts
 from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.axisymmetric import growing_line
+from tissue_sim.mesh.axisymmetric import divide_into_growing_intervals
 from tissue_sim.mesh.hexahedra import HEX27P1
-from tissue_sim.mesh.solid import SolidMesh, create_block_mesh_from_boundaries, create_cylinder_mesh, create_needle_mesh
+from tissue_sim.mesh.solid import (
+    SolidMesh,
+    create_block_mesh_from_boundaries,
+    create_cylinder_mesh,
+    create_cylinder_mesh_under_needle,
+)
 from tissue_sim.pose import Pose
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
@@ -48,8 +53,8 @@ def banded_mesh(radius: float, height: float, reach: float, size: float) -> Soli
     """Return a cylinder with elements of one size within `reach` of the axis and to half of that depth."""
     around = max(2, round(0.25 * 2.0 * math.pi * 0.5 * reach / size))
     inward = np.linspace(0.5, 1.0, round(0.5 * reach / size) + 1)
-    outward = growing_line(radius - reach, 1.5 * size, 2.0, 20 * size)
-    depth = growing_line(height, size, 1.5, 20 * size)
+    outward = divide_into_growing_intervals(radius - reach, 1.5 * size, 2.0, 20 * size)
+    depth = divide_into_growing_intervals(height, size, 1.5, 20 * size)
     return create_cylinder_mesh(radius, height, HEX27P1, around=around, inward=inward, outward=outward / outward[-1],
                                 z=-depth[::-1], face_radius=reach)
 
@@ -129,10 +134,10 @@ class Mindlin:
         a = self.CONTACT
         size, reach = a / fine, 1.34 * a
         inner = np.linspace(0.0, reach, round(reach / size) + 1)
-        outer = reach + growing_line(far * a - reach, 2.0 * size, 3.0, far * a)[1:]
+        outer = reach + divide_into_growing_intervals(far * a - reach, 2.0 * size, 3.0, far * a)[1:]
         half = np.concatenate([inner, outer])
         line = np.concatenate([-half[:0:-1], half])
-        down = growing_line(far * a, size, 3.0, far * a)
+        down = divide_into_growing_intervals(far * a, size, 3.0, far * a)
         self.mesh = create_block_mesh_from_boundaries(line, half, -down[::-1], HEX27P1)
         self.mesh.sets["mirror"] = np.flatnonzero(np.abs(self.mesh.nodes[:, 1]) < 1e-9 * a)
         self.mu, self.modulus = mu, 2e3
@@ -189,7 +194,7 @@ def main() -> None:
     for name in asked.checks:
         began = time.perf_counter()
         if name == "dragged":
-            answers[name] = dragged(create_needle_mesh(
+            answers[name] = dragged(create_cylinder_mesh_under_needle(
                 0.04, 0.07, 8e-3, HEX27P1, smallest=2.4e-3, growth=2.2, largest=20e-3, around=4 if asked.fine else 2),
                 3e-3, 4e-3)
         elif name == "turned":

@@ -28,7 +28,7 @@ import numpy as np
 
 import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
-from benchmarks.realtime.delayed_bulk import DelayedBulk
+from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from benchmarks.realtime.multirate import MESHES, mesh_of
 from benchmarks.viewer.processes import looked_at, reading
 from haptics.devices.motions import SpatialWalk
@@ -41,11 +41,11 @@ from scenes.viewer.session import Session
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.linearisation import SolidLinearisation
+from tissue_sim.fem.solid.linearisation import SolidLineariser
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.pose import Pose, between
+from tissue_sim.pose import Pose, interpolate_pose
 
 #: Depth of the box, m.
 DEPTH = 4e-3
@@ -121,7 +121,7 @@ class Watched(FrameViewer):
         self.take()
 
     def take(self) -> None:
-        ticks = self.ring.since(self.number)
+        ticks = self.ring.read_ticks_after(self.number)
         self.number, self.lost = ticks.number, self.lost + ticks.lost
         self.records.append(ticks.records[list(_KEPT)].copy())
 
@@ -138,17 +138,17 @@ def walked(case: Case, reduced: ts.ReducedModel | None, seconds: float, seed: in
         first = _running(session)
         page = Page(session, first, Path(__file__).parent, port=0, low_graphics=True)
         try:
-            with session.simulation.process.ring() as ring:
+            with session.simulation.haptic_loop_process.open_ring_reader() as ring:
                 watched = Watched(page, ring)
 
                 def work() -> dict:
                     stop, answers = threading.Event(), []
                     session.run(watched, stop, 1.0)
                     session.post("follow", device=case.motion(seed), reply=answers.append)
-                    page.show(session.frame())
+                    page.show(session.update_and_make_frame())
                     if answers != [None]:
                         raise SystemExit(f"the loop does not follow: {answers}")
-                    watched.number, watched.frames, watched.lost = ring.written, 0, 0
+                    watched.number, watched.frames, watched.lost = ring.written_count, 0, 0
                     watched.records.clear()
                     session.run(watched, stop, seconds)
                     watched.take()
@@ -174,8 +174,8 @@ def stepped(case: Case, seconds: float, seed: int) -> tuple[np.ndarray, SolidMes
     """Ticks without a loop, on the smallest mesh of `multirate`, whose models of the bulk are as late as the case
     says: the same on any computer, however busy it is."""
     mesh, motion = mesh_of(min(MESHES)), case.motion(seed)
-    bulk = SolidLinearisation(make_solver(case.model(), mesh=mesh))
-    tissue = MultiRateTissue(case.model(), link=DelayedBulk(bulk, case.delay or 0.0, case.tangent))
+    bulk = SolidLineariser(make_solver(case.model(), mesh=mesh))
+    tissue = MultiRateTissue(case.model(), link=DelayedBulkLink(bulk, case.delay or 0.0, case.tangent))
     tissue.warm_up()
     ticks = np.zeros(round(seconds / 1e-3), dtype=[(name, TICK[name]) for name in _KEPT])
     for number, tick in enumerate(ticks):
@@ -194,7 +194,8 @@ def stepped(case: Case, seconds: float, seed: int) -> tuple[np.ndarray, SolidMes
 def _running(session: Session) -> SessionFrame:
     """Return the first frame of a running loop that has the curve of the whole test."""
     until = time.monotonic() + PATIENCE
-    while (frame := session.frame()).readouts is None or frame.snapshot is None or session.is_waiting_for_curve:
+    while ((frame := session.update_and_make_frame()).readouts is None or frame.snapshot is None
+           or session.is_waiting_for_curve):
         if frame.phase is Phase.DIED or time.monotonic() > until:
             raise SystemExit(f"the simulation does not start: {frame.message}")
         time.sleep(0.05)
@@ -240,7 +241,7 @@ def solved(case: Case, mesh: SolidMesh | None, ticks: np.ndarray, places: list[n
     solver = make_solver(case.model(), mesh=mesh)
     poses, found = poses_of(ticks), []
     for numbers in places:
-        solver.lift_off()
+        solver.reset_to_first_touch()
         forces, here = np.full((len(numbers), 3), np.nan), poses[numbers[0]]
         for row, number in enumerate(numbers.tolist()):
             step = _step(solver, here, poses[number])
@@ -254,7 +255,8 @@ def solved(case: Case, mesh: SolidMesh | None, ticks: np.ndarray, places: list[n
 def _step(solver: SolidSolver, here: Pose, pose: Pose) -> Step | None:
     """Move the tool to a pose, in several increments if one does not converge."""
     for cut in _CUTS:
-        steps = (solver.step(between(here, pose, (k + 1) / cut), tolerance=1e-6, max_iterations=40) for k in range(cut))
+        steps = (solver.step(interpolate_pose(here, pose, (k + 1) / cut), tolerance=1e-6, max_iterations=40)
+                 for k in range(cut))
         if all((step := each).status is StepStatus.CONVERGED for each in steps):
             return step
     return None

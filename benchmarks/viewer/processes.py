@@ -18,7 +18,7 @@ from benchmarks.viewer.ticks import MOTION, SETTLING, TickCount
 from haptics.devices.motions import ProtocolMotion
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopProcess
-from haptics.safety.limits import ForceLimits
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from scenes.viewer.live_simulation import BUDGET
 
@@ -154,12 +154,12 @@ def loop_alone(model: ts.Model) -> Iterator[tuple[int, Callable[[float], dict]]]
     """The number of a process, and a function that counts the ticks of a number of seconds: the same loop in the same
     motion, with no viewer, and nothing published but its ring."""
     motion = ProtocolMotion(ts.Protocol.parse(MOTION, 21, 5e-3), repeat=True)
-    loop = LoopProcess(partial(ts.Simulator, model, budget=BUDGET), motion, ForceRendering(ForceLimits(1e3, 1e3)),
+    loop = LoopProcess(partial(ts.Simulator, model, budget=BUDGET), motion, ForceRendering(ForceLimiter(1e3, 1e3)),
                        LoopSettings())
     with loop:
         loop.wait_until_ready(120.0)
         loop.pause()
-        with loop.ring() as ring:
+        with loop.open_ring_reader() as ring:
 
             def run(seconds: float) -> dict:
                 loop.resume()

@@ -22,11 +22,11 @@ class TickCount:
     """Counter of ticks, started at its construction."""
 
     def __init__(self, ring: RingReader):
-        self._ring, self._number, self._before = ring, ring.written, ring.latest()
+        self._ring, self._number, self._before = ring, ring.written_count, ring.latest()
 
     def records(self) -> np.ndarray:
         """Return the ticks that the ring still holds, dtype `haptics.loop.ring.TICK`."""
-        return self._ring.since(self._number).records
+        return self._ring.read_ticks_after(self._number).records
 
     def counted(self) -> dict:
         """Return fractions of missed deadlines and late ticks, and quantiles in us."""

@@ -26,7 +26,7 @@ from rich.console import Console
 import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
 from benchmarks.viewer.processes import reading
-from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
+from haptics.loop.snapshot_board import SnapshotReader, SnapshotWriter
 from scenes.viewer.frame import Phase, PlotCurves, SessionFrame
 from scenes.viewer.page import Page
 from scenes.viewer.scene import Scene
@@ -102,7 +102,7 @@ def measure(element: Hexahedron, frames: int) -> dict:
         finally:
             page.close()
         board_path = Path(folder) / "board"
-        board = SnapshotBoard(board_path, states[0])
+        board = SnapshotWriter(board_path, states[0])
         publishing, taking = [], []
         with board, SnapshotReader(board_path, states[0]) as reader:
             for snapshot in states[:20]:

@@ -82,7 +82,8 @@ class Stopwatch:
         TriangulatedHalfSection.compute_band_surfaces = self.timed("bands",
                                                                    TriangulatedHalfSection.compute_band_surfaces)
         page._update_texts_and_controls = self.timed("words", page._update_texts_and_controls)
-        page.show, session.frame = self.timed("show", page.show), self.timed("frame", session.frame)
+        page.show = self.timed("show", page.show)
+        session.update_and_make_frame = self.timed("frame", session.update_and_make_frame)
 
 
 class Watched:
@@ -187,7 +188,7 @@ def shown(watched: Watched, page: Page, zero: float, records: np.ndarray):
 
 def memory(session: Session) -> dict[str, float | None]:
     """Return the peak memory of the three processes, MB."""
-    loop = session.simulation.process.pid
+    loop = session.simulation.haptic_loop_process.pid
     others = [child.pid for child in multiprocessing.active_children() if child.pid != loop]
     return {"viewer": peak_memory(os.getpid()), "loop": peak_memory(loop),
             "curves": peak_memory(others[0]) if others else None}
@@ -198,16 +199,16 @@ def run_process() -> None:
     page = None
     try:
         until = time.monotonic() + PATIENCE
-        while (frame := session.frame()).curves.model is None or frame.snapshot is None:
+        while (frame := session.update_and_make_frame()).curves.model is None or frame.snapshot is None:
             if frame.phase is Phase.DIED or time.monotonic() > until:
                 raise SystemExit(f"the simulation does not start: {frame.message}")
             time.sleep(0.02)
         page, stopwatch = Page(session, frame, Path(__file__).parent, port=0, low_graphics=True), Stopwatch()
         stopwatch.watch(page, session)
         print(json.dumps({"port": page.server.get_port(), "elements": len(frame.snapshot.fields.mesh.connectivity),
-                          "loop": session.simulation.process.pid}),
+                          "loop": session.simulation.haptic_loop_process.pid}),
               flush=True)
-        with session.simulation.process.ring() as ring:
+        with session.simulation.haptic_loop_process.open_ring_reader() as ring:
             for line in sys.stdin:
                 print(json.dumps(run(session, page, stopwatch, ring, json.loads(line))), flush=True)
     finally:

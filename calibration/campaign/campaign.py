@@ -12,13 +12,13 @@ import numpy as np
 
 from calibration.campaign.checks import (
     check_bulk_ratio,
-    check_parameter_numbers,
+    check_stated_parameter_values,
     find_recording_files,
     read_column_map_or_none,
     reject_fit_and_noise_keys_without_effect,
     require_analytical_support_of_fit_table,
     require_analytical_support_of_test_table,
-    require_positive_or_none,
+    require_positive_if_stated,
 )
 from calibration.campaign.experiments import (
     read_experiment_or_none_if_gripped,
@@ -29,7 +29,7 @@ from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameters import (
     PER_SPECIMEN,
     ScopedCampaignParameter,
-    build_neo_hookean_with_stated_effects,
+    build_placeholder_material_with_effects,
     check_stated_bounds_and_completeness,
     get_experiment_and_rig_declarations_by_path,
     resolve_campaign_parameters_by_name,
@@ -150,14 +150,15 @@ class FitSettings:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=_freeze_mapping)
 
     @property
-    def stated_non_law_paths(self) -> tuple[str, ...]:
+    def stated_non_law_parameter_paths(self) -> tuple[str, ...]:
         """Paths of the parameters in `start` or `fixed` that are not parameters of a law."""
-        return tuple(path for path in (*self.start, *self.fixed) if path in self.named and not self.named[path].of_law)
+        return tuple(path for path in (*self.start, *self.fixed) if path in self.named
+                     and not self.named[path].is_law_parameter)
 
     @property
-    def neo_hookean_material_with_effects(self) -> Material:
+    def placeholder_material_with_effects(self) -> Material:
         """Neo-Hookean material with the effects that the campaign names, to query memory and layers; not for forces."""
-        return build_neo_hookean_with_stated_effects({**self.start, **self.fixed}, self.named)
+        return build_placeholder_material_with_effects({**self.start, **self.fixed}, self.named)
 
 
 @dataclass(frozen=True)
@@ -234,12 +235,12 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
             prisms = frozenset(key for key, each in zip(specimens, table.specimen, strict=True) if each.shape == PRISM)
             return Campaign(path, _freeze_mapping(specimens), tests, _read_fit_settings(table.fit, table.noise, tests),
                             _convert_noise_table_to_si(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(),
-                            _find_common_fitted_density_or_none(tests), prisms)
+                            _find_common_density_of_fitted_tests(tests), prisms)
     except InputError as error:
         raise defaults.make_error_with_file_and_field(error, path) from None
 
 
-def _find_common_fitted_density_or_none(tests: tuple[Test, ...]) -> float | None:
+def _find_common_density_of_fitted_tests(tests: tuple[Test, ...]) -> float | None:
     """Return the density of all fitted specimens, kg/m3; None if unknown or if it differs between them."""
     fitted = {None if test.specimen is None else test.specimen.density for test in tests if not test.hold_out}
     return fitted.pop() if len(fitted) == 1 else None
@@ -261,8 +262,8 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], root: P
         elif entry.protocol is not None and not planned:
             raise InputError("protocol must be absent in a test with recordings, which uses the recorded motion. Leave "
                              "out the protocol.", field=f"{field}.protocol")
-        require_positive_or_none(entry.speed_mm_s, f"{field}.speed_mm_s", " mm/s")
-        require_positive_or_none(entry.max_strain, f"{field}.max_strain")
+        require_positive_if_stated(entry.speed_mm_s, f"{field}.speed_mm_s", " mm/s")
+        require_positive_if_stated(entry.max_strain, f"{field}.max_strain")
         kind = KINDS[entry.kind]
         if entry.max_strain is not None and kind.sign < 0 and entry.max_strain >= 1:
             raise InputError(f"max_strain must be below 1 in compression; got {entry.max_strain:g}",
@@ -330,14 +331,14 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
         if name in table.laws[:i]:
             raise InputError(f"{name} is listed twice", field=f"fit.laws[{i}]")
     for key in ("bulk_ratio", "offset_bounds_mm", "offset_prior_mm", "zero_bounds_N", "zero_prior_N"):
-        require_positive_or_none(getattr(table, key), f"fit.{key}")
+        require_positive_if_stated(getattr(table, key), f"fit.{key}")
     check_bulk_ratio(table.bulk_ratio)
     if table.strain_points is not None and table.strain_points < 5:
         raise InputError(f"strain_points must be at least 5; got {table.strain_points}", field="fit.strain_points")
     if table.starts is not None and not 1 <= table.starts <= MAX_STARTS:
         raise InputError(f"starts must be 1 to {MAX_STARTS}; got {table.starts}", field="fit.starts")
     reject_fit_and_noise_keys_without_effect(table, noise)
-    check_parameter_numbers(table)
+    check_stated_parameter_values(table)
     around = {test.name: get_experiment_and_rig_declarations_by_path(
         None if test.specimen is None else test.experiment, test.rig) for test in tests}
     regions = {test.name: () if test.specimen is None else test.specimen.region_names for test in tests}
@@ -375,7 +376,7 @@ def _convert_noise_table_to_si(table: NoiseTable, method: str) -> Noise:
     """Convert the table ``[noise]`` to SI units and check it."""
     for key in ("force_N", "nominal_stress_Pa"):
         value = getattr(table, key)
-        require_positive_or_none(None if value == "estimate" else value, f"noise.{key}")
+        require_positive_if_stated(None if value == "estimate" else value, f"noise.{key}")
     known: dict[str, float | None] = {}
     for key in ("contact_jitter_mm", "zero_jitter_N", "correlation_time_s"):
         value = getattr(table, key)

@@ -20,7 +20,7 @@ from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.recording.formats.column_options import normalize_column_mapping
 
 
-def require_positive_or_none(value: float | None, field: str, unit: str = "") -> None:
+def require_positive_if_stated(value: float | None, field: str, unit: str = "") -> None:
     """Require a positive finite number or None.
 
     Args:
@@ -141,18 +141,18 @@ def require_analytical_support_of_fit_table(table: FitTable, named: Mapping[str,
         table: table ``[fit]`` with ``method = "analytical"``.
         named: parameters by their names in the file.
     """
-    others = [name for name in named if not named[name].of_law]
+    others = [name for name in named if not named[name].is_law_parameter]
     if others and table.strain_points is not None:
         raise InputError(f"strain_points removes the time history that {others[0]} requires; leave strain_points out",
                          field="fit.strain_points")
     for name, parameter in named.items():
-        if not parameter.of_material:
+        if not parameter.is_material_parameter:
             key = next(key for key in ("scope", *BY_PARAMETER) if name in getattr(table, key))
             raise InputError(f"the analytical method fits material parameters only; leave {name} out, or set "
                              "fit.method = 'inverse_fem'", field=f"fit.{key}.{name}")
 
 
-def check_parameter_numbers(table: FitTable) -> None:
+def check_stated_parameter_values(table: FitTable) -> None:
     """Raise an `InputError` for invalid or contradictory numbers in ``start``, ``fixed``, ``prior`` and ``bounds``."""
     for key in BY_PARAMETER:
         for name, value in getattr(table, key).items():

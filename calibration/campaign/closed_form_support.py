@@ -30,7 +30,7 @@ def require_closed_form_support_if_used(test: Test, material: Material, stressed
     if test.specimen is None and material.poroelasticity is not None:
         raise InputError("a poroelastic material requires the size of the specimen; add a [[specimen]]",
                          field="specimen")
-    if test.specimen is not None and test.specimen.specific_weight and material.remembers:
+    if test.specimen is not None and test.specimen.specific_weight and material.is_history_dependent:
         raise InputError("the closed form does not support gravity for a material with memory; set gravity = false, or "
                          "fit.method = 'inverse_fem'", field="specimen")
     if not test.rig.is_ideal:

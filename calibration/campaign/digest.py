@@ -24,6 +24,6 @@ def compute_input_and_version_digest(campaign: Campaign, recordings: Sequence[Me
         if test.experiment is not None:
             outline = test.experiment.tool.profile.vertices.tolist()
             content.append(hashlib.sha256(repr((test.rig, outline)).encode()).hexdigest())
-    content += [digest for specimen in campaign.specimens.values() if (digest := specimen.digest)]
+    content += [digest for specimen in campaign.specimens.values() if (digest := specimen.digest_of_files)]
     content += [f"{name} = {value!r}" for name, value in (changed or {}).items()]
     return hashlib.sha256("\n".join([*content, tissue_sim.__version__]).encode()).hexdigest()

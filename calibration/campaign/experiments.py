@@ -21,11 +21,11 @@ from tissue_sim.experiment.tools.tool import (
     list_shapes_without_file,
 )
 from tissue_sim.fem.solver import SOLVERS
-from tissue_sim.parameters import list_field_declarations, make_from_file_keys
+from tissue_sim.parameters import list_field_declarations, make_from_file_values
 from tissue_sim.rig.file import load_rig
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import Specimen
-from tissue_sim.specimen.specimen import add_article
+from tissue_sim.specimen.specimen import add_indefinite_article
 
 #: Field of an experiment or a tool -> key of the campaign; the sizes of tools are added.
 _KEYS = {"tool": "tool", "tool.profile_file": "tool", "friction": "friction", "friction_base": "friction_base",
@@ -71,8 +71,8 @@ def read_experiment_or_none_if_gripped(entry: TestTable, specimen: Specimen | No
     specimen = Specimen(1.0, 1.0) if specimen is None else specimen
     interfaces = {key: value for key in kind.face_interfaces_by_field
                   if (value := _read_face_friction_or_none(entry, kind, key, place)) is not None}
-    laws = [make_from_file_keys(CONTACT_LAWS.find(name, f"{place}.contact_laws.{name}"), content,
-                                f"{place}.contact_laws.{name}")
+    laws = [make_from_file_values(CONTACT_LAWS.find(name, f"{place}.contact_laws.{name}"), content,
+                                  f"{place}.contact_laws.{name}")
             for name, content in (entry.contact_laws or {}).items()]
     try:
         return kind.experiment(specimen=specimen, protocol=Protocol.ramp(1e-3 * specimen.height, 2),
@@ -97,7 +97,7 @@ def _read_needle_offset_and_tilt_or_none(entry: TestTable, specimen: Specimen, p
         if entry.solver is None and specimen.is_round:
             raise InputError(f"{key} requires solver = 'solid', because the test is not axisymmetric; add solver",
                              field=f"{place}.{key}")
-    return make_from_file_keys(Approach, stated, place) if stated else None
+    return make_from_file_values(Approach, stated, place) if stated else None
 
 
 def read_solver_name(entry: TestTable, specimen: Specimen | None, place: str) -> str:
@@ -113,7 +113,8 @@ def read_solver_name(entry: TestTable, specimen: Specimen | None, place: str) ->
                          field=f"{place}.solver")
     if specimen is not None and not round_ and name == ROUND_SOLVER:
         raise InputError(f"the axisymmetric solver requires a cylinder; {specimen.name!r} is "
-                         f"{add_article(specimen.shape)}. Leave solver out, or set solver = {SPACE_SOLVER!r}",
+                         f"{add_indefinite_article(specimen.shape)}. Leave solver out, or set solver = "
+                         f"{SPACE_SOLVER!r}",
                          field=f"{place}.solver")
     return name
 
@@ -167,6 +168,6 @@ def read_rig_without_noise(entry: TestTable, folder: Path, place: str) -> Rig:
     if entry.rig is None:
         return Rig()
     try:
-        return load_rig(folder / entry.rig).without_noise
+        return load_rig(folder / entry.rig).without_sampling_effects
     except InputError as error:
         raise error.with_location(field=f"{place}.rig") from None

@@ -31,15 +31,15 @@ from calibration.campaign.segmented import (
     segment_recording,
 )
 from calibration.campaign.specimen_check import require_matching_specimen_metadata
-from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_time_stamps
+from calibration.statistics.sensor_noise import SensorNoise, estimate_pooled_sensor_noise, spread_time_stamps
 from calibration.statistics.statistics import estimate_white_noise, find_quantisation_step
 from tissue_sim.errors import InputError
 from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.screening import Screening
-from tissue_sim.recording.segmentation import label_samples_ramp_hold_unload, number_repeated_runs
-from tissue_sim.specimen.specimen import add_article
+from tissue_sim.recording.segmentation import append_numbers_to_repeated_runs, label_samples_ramp_hold_unload
+from tissue_sim.specimen.specimen import add_indefinite_article
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -95,7 +95,7 @@ class MeasuredCurve:
     screening: Screening = field(default_factory=Screening)
 
     @property
-    def required_sample_times(self) -> np.ndarray:
+    def sample_times(self) -> np.ndarray:
         """Time of the samples, s, shape (n,).
 
         Raises:
@@ -106,7 +106,7 @@ class MeasuredCurve:
         return self.time
 
     @property
-    def speed(self) -> float | None:
+    def mean_loading_speed(self) -> float | None:
         """Mean speed of the loading, m/s; None without time."""
         if self.time is None:
             return None
@@ -118,7 +118,7 @@ class MeasuredCurve:
 
 def is_test_force_history_dependent(test: Test, material: Material) -> bool:
     """Return whether the force of a test depends on the previous motion; if so, holds and unloading are fitted too."""
-    return material.remembers or (test.experiment is not None and test.experiment.is_path_dependent)
+    return material.is_history_dependent or (test.experiment is not None and test.experiment.is_path_dependent)
 
 
 def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
@@ -156,9 +156,9 @@ def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, .
             names.add(curve.name)
         if not analytical:
             _require_similar_speeds_and_depths(curves, test, campaign)
-            noise = estimate_shared_noise([(curve.force, curve.time, curve.segment) for curve in curves],
-                                          deviation=_find_stated_force_noise_or_none(curves[0], campaign),
-                                          correlation_time=campaign.noise.correlation_time)
+            noise = estimate_pooled_sensor_noise([(curve.force, curve.time, curve.segment) for curve in curves],
+                                                 deviation=_find_stated_force_noise_or_none(curves[0], campaign),
+                                                 correlation_time=campaign.noise.correlation_time)
             curves = [replace(curve, noise=noise) for curve in curves]
         found[test.name] = tuple(curves)
     fitted = [curve for test in campaign.tests if not test.hold_out for curve in found[test.name]]
@@ -168,7 +168,7 @@ def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, .
     return found
 
 
-def compute_smallest_default_contact_deviation(curves: Sequence[MeasuredCurve]) -> float:
+def compute_default_contact_offset_deviation(curves: Sequence[MeasuredCurve]) -> float:
     """Return the default standard deviation of the contact offsets of all these recordings, m.
 
     The value is `OffsetDefaults.contact_prior` or a fraction of the displacement of the shortest test, whichever is
@@ -186,7 +186,7 @@ def make_campaign_with_scaled_offset_defaults(campaign: Campaign,
     Priors and bounds that the campaign states stay unchanged.
     """
     curves = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
-    contact = compute_smallest_default_contact_deviation(curves)
+    contact = compute_default_contact_offset_deviation(curves)
     # If the displacement was zeroed at a preload, contact occurred before the zero by this distance.
     preloads = [abs(curve.screening.preload.shift) for curve in curves if curve.screening.preload is not None]
     contact = max([contact, *preloads])
@@ -209,7 +209,7 @@ def make_names_of_recordings_in_file(recordings: Sequence[Recording], path: Path
 def _make_curve_from_recording(recording: Recording, screening: Screening, name: str, path: Path, test: Test,
                                campaign: Campaign) -> MeasuredCurve:
     """Return the fitted samples of a cleaned recording: segmented, from contact, and within ``max_strain``."""
-    material, closed = campaign.fit.neo_hookean_material_with_effects, campaign.fit.method == "analytical" \
+    material, closed = campaign.fit.placeholder_material_with_effects, campaign.fit.method == "analytical" \
         or test.experiment is None
     require_matching_specimen_metadata(recording, test, campaign, path)
     displacement, force, stressed = _get_displacement_force_and_stressed_flag(recording, test, path)
@@ -229,7 +229,8 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
     displacement, force, keep = whole.displacement, whole.force, whole.used
     if not whole.segmentation.has_air:
         screening = add_load_at_zero_to_screening(screening, displacement, force, campaign,
-                                                  can_pull=test.kind.can_pull, stressed=stressed)
+                                                  allows_reversed_load=test.kind.allows_reversed_load,
+                                                  stressed=stressed)
     if labels is not None:
         inside = keep & ~np.isin(labels, ("approach",) if remembering else NOT_LOADING)
         keep = inside if inside.any() else keep
@@ -238,7 +239,7 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
     if remembering:
         if time is None:
             raise InputError(f"{path.name} has no time, and the force of this material depends on time; state a time "
-                             "column, or speed_mm_s" if material.ages else
+                             "column, or speed_mm_s" if material.is_time_dependent else
                              f"{path.name} has no time, which is required to distinguish loading from unloading; state "
                              "a time column, or speed_mm_s", field="recordings")
         if not np.ptp(time) > 0:
@@ -276,8 +277,8 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
         if campaign.fit.method != "analytical":
             # Distinct times, if the clock is coarser than the sampling interval.
             time = spread_time_stamps(time, time.size)
-        labels = number_repeated_runs(label_samples_ramp_hold_unload(time, displacement[samples]) if labels is None
-                                      else labels[samples])
+        labels = append_numbers_to_repeated_runs(label_samples_ramp_hold_unload(time, displacement[samples])
+                                                 if labels is None else labels[samples])
     used = np.isin(np.arange(displacement.size), samples)
     curve = MeasuredCurve(name, test, time, displacement[samples], force[samples], labels if remembering else None,
                           path, str(recording.metadata.get("sha256", "")), stressed, later,
@@ -287,16 +288,15 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
                           | make_screening_notes_by_subject(screening, recording, remembering=remembering),
                           screening=screening)
     if campaign.fit.method == "analytical":
-        curve = make_interpolated_curve_with_noise_level(replace(curve, displacement=displacement[loading],
-                                                                 force=force[loading]), campaign,
-                                                         curve)
+        loaded = replace(curve, displacement=displacement[loading], force=force[loading])
+        curve = add_noise_and_requested_interpolation(loaded, campaign, curve)
     for array in (curve.displacement, curve.force):
         array.flags.writeable = False
     return curve
 
 
-def make_interpolated_curve_with_noise_level(loading: MeasuredCurve, campaign: Campaign,
-                                             window: MeasuredCurve | None = None) -> MeasuredCurve:
+def add_noise_and_requested_interpolation(loading: MeasuredCurve, campaign: Campaign,
+                                          window: MeasuredCurve | None = None) -> MeasuredCurve:
     """Return a copy of `window` whose field `noise` is the stated or estimated noise of the sensor.
 
     The forces are unchanged, except for interpolation if the campaign states `strain_points`.
@@ -345,7 +345,6 @@ def _make_even_grid_and_interpolation_matrix(displacement: np.ndarray, curve: Me
     return grid, csr_array((weights, indices), shape=(points, displacement.size))
 
 
-
 def _get_displacement_force_and_stressed_flag(recording: Recording, test: Test,
                                               path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return displacement (m), force (N), both positive under load, and whether strain and stress were recorded."""
@@ -366,7 +365,7 @@ def _get_displacement_force_and_stressed_flag(recording: Recording, test: Test,
     motion, load = stated
     if test.specimen is not None and not test.specimen.is_prism:
         raise InputError(f"{path.name} contains {' and '.join(stated)}, and {test.specimen.name!r} is "
-                         f"{add_article(test.specimen.shape)} without constant cross-section; use "
+                         f"{add_indefinite_article(test.specimen.shape)} without constant cross-section; use "
                          f"{' and '.join(mechanical)}", field="recordings")
     height, area = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
     return (height * test.kind.convert_abscissa_to_nominal_strain(recording.channel(motion)),
@@ -379,7 +378,7 @@ def _require_similar_speeds_and_depths(curves: list[MeasuredCurve], test: Test, 
     first = curves[0]
     for other in curves[1:]:
         depths = [curve.displacement.max() for curve in (first, other)]
-        speeds = [speed for curve in (first, other) if (speed := curve.speed) is not None]
+        speeds = [speed for curve in (first, other) if (speed := curve.mean_loading_speed) is not None]
         for what, unit, pair in (("to", "mm", depths), ("at", "mm/s", speeds)):
             torn = what == "to" and any("failure" in curve.notes for curve in (first, other))
             if torn or len(pair) < 2 or max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair):

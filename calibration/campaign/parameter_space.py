@@ -36,8 +36,8 @@ class FitParameter:
         name: path, followed by ``@`` and the specimen, test or recording if the parameter has several values.
         path: path of the parameter, see `calibration.campaign.parameters.ScopedCampaignParameter`.
         declaration: unit, bounds and symbol of the parameter.
-        of_law: whether it is a parameter of the law.
-        of_material: whether it is a parameter of the material, including its law.
+        is_law_parameter: whether it is a parameter of the law.
+        is_material_parameter: whether it is a parameter of the material, including its law.
         tests: names of the tests to which the number applies; None: all tests.
         recording: name of the recording to which the number applies; None: all recordings.
         specimen: name of the specimen to which the number belongs; None: not specific to a specimen.
@@ -46,8 +46,8 @@ class FitParameter:
     name: str
     path: str
     declaration: Declaration
-    of_law: bool
-    of_material: bool
+    is_law_parameter: bool
+    is_material_parameter: bool
     tests: tuple[str, ...] | None = None
     recording: str | None = None
     specimen: str | None = None
@@ -66,12 +66,12 @@ class FitParameter:
     @property
     def is_modulus(self) -> bool:
         """Whether the parameter is a modulus of the material (unit Pa); forces scale with all moduli together."""
-        return self.of_material and self.declaration.unit == "Pa"
+        return self.is_material_parameter and self.declaration.unit == "Pa"
 
     @property
     def is_dimensionless_law_parameter(self) -> bool:
         """Whether the parameter is a dimensionless parameter of the law, such as an exponent of Ogden's law."""
-        return self.of_law and self.declaration.unit == "1"
+        return self.is_law_parameter and self.declaration.unit == "1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,7 @@ class ParameterSpace:
                       or ScopedCampaignParameter(name, get_law_parameter_declaration(own, name), True, SHARED,
                                                  all_tests)
                       for name in own.parameters]
-        parameters += [settings.named[path] for path in settings.stated_non_law_paths]
+        parameters += [settings.named[path] for path in settings.stated_non_law_parameter_paths]
         unknowns = [unknown for named in parameters
                     for unknown in _make_parameters_of_scope(named, campaign.tests, recordings or {})]
         fixed = {each.name: settings.fixed[each.path] for each in unknowns if each.path in settings.fixed}
@@ -147,14 +147,15 @@ class ParameterSpace:
     @cached_property
     def has_only_shared_material_parameters(self) -> bool:
         """Whether all parameters belong to the material and are the same in all tests."""
-        return all(each.of_material and each.tests is None and each.recording is None for each in self.unknowns)
+        return all(each.is_material_parameter and each.tests is None and each.recording is None
+                   for each in self.unknowns)
 
     def get_recording_if_it_has_own_values(self, test: str, recording: str) -> str | None:
         """Return `recording` if any parameter has a separate value in this recording of the test, otherwise None."""
         return recording if any(each.recording == recording and each.applies_to_recording(test, recording)
                                 for each in self.unknowns) else None
 
-    def shapes_mesh(self, test: str) -> bool:
+    def has_free_mesh_geometry_parameter(self, test: str) -> bool:
         """Return whether any free parameter that acts in a test changes the geometry of its mesh."""
         return any(each.declaration.shapes_mesh and each.applies_to_recording(test, None)
                    for each in self.free_parameters)
@@ -187,7 +188,7 @@ class ParameterSpace:
             specimen: name of the specimen.
             tests: names of the tests of the specimen.
         """
-        per_specimen = [each for each in self.unknowns if each.of_material and each.specimen is not None]
+        per_specimen = [each for each in self.unknowns if each.is_material_parameter and each.specimen is not None]
         if any(each.specimen == specimen for each in per_specimen):
             return self
         added = {each.name: replace(each, name=f"{path}@{specimen}", tests=tuple(tests), specimen=specimen)
@@ -206,7 +207,7 @@ class ParameterSpace:
         """Free parameters in the order of `free`."""
         return tuple(map(self.get_parameter_by_name, self.free))
 
-    def values(self, theta: np.ndarray) -> dict[str, float]:
+    def get_values_by_name(self, theta: np.ndarray) -> dict[str, float]:
         """Return the values of all parameters by name, SI.
 
         Args:
@@ -215,7 +216,7 @@ class ParameterSpace:
         known = self.fixed | dict(zip(self.free, np.asarray(theta).tolist(), strict=True))
         return {name: known[name] for name in self.names}
 
-    def select_law_parameters(self, values: Mapping[str, float], test: str | None = None) -> dict[str, float]:
+    def select_law_parameter_values(self, values: Mapping[str, float], test: str | None = None) -> dict[str, float]:
         """Return the values of the parameters of the law in a test, SI, by their names in the law.
 
         Args:
@@ -223,7 +224,7 @@ class ParameterSpace:
             test: name of the test; None: the first value of each parameter.
         """
         acting = self._map_paths_to_acting_parameters(test, None)
-        return {path: values[each.name] for path, each in acting.items() if each.of_law}
+        return {path: values[each.name] for path, each in acting.items() if each.is_law_parameter}
 
     def build_material(self, values: Mapping[str, float], density: float | None = None, name: str = "", *,
                        test: str | None = None, recording: str | None = None) -> Material:
@@ -240,8 +241,9 @@ class ParameterSpace:
             InputError: the values are invalid for the material.
         """
         acting = self._map_paths_to_acting_parameters(test, recording)
-        others = {path: values[each.name] for path, each in acting.items() if each.of_material and not each.of_law}
-        own = {path: values[each.name] for path, each in acting.items() if each.of_law}
+        others = {path: values[each.name] for path, each in acting.items() if each.is_material_parameter
+                  and not each.is_law_parameter}
+        own = {path: values[each.name] for path, each in acting.items() if each.is_law_parameter}
         if len(own) < len(find_law(self.law).parameters):
             raise InputError("scope of a parameter of the law must give each test a fitted value; got a separate value "
                              f"in {test}, which no fitted test determines. Set the scope to 'shared'.",
@@ -264,7 +266,8 @@ class ParameterSpace:
         """
         model = Model(experiment, self.build_material(values, test=test, recording=recording), rig)
         others = {path: values[each.name] for path,
-                  each in self._map_paths_to_acting_parameters(test, recording).items() if not each.of_material}
+                  each in self._map_paths_to_acting_parameters(test, recording).items()
+                  if not each.is_material_parameter}
         return with_values(model, others) if others else model
 
     def _map_paths_to_acting_parameters(self, test: str | None, recording: str | None) -> dict[str, FitParameter]:
@@ -294,7 +297,7 @@ class ParameterSpace:
         The size is the absolute value, but at least a tenth of the shear modulus for a modulus and a tenth of the file
         unit for other parameters.
         """
-        stiffness = abs(find_law(self.law).mu0(self.select_law_parameters(values)))
+        stiffness = abs(find_law(self.law).mu0(self.select_law_parameter_values(values)))
         floor = [_MIN_SIZE * (stiffness if each.is_modulus else each.declaration.factor)
                  for each in self.free_parameters]
         return np.maximum([abs(values[name]) for name in self.free], floor)
@@ -307,7 +310,8 @@ def _make_parameters_of_scope(named: ScopedCampaignParameter, tests: Sequence[Te
                            specimen: str | None = None) -> FitParameter:
         """Return a parameter with the path of `named`, named ``path@owner`` or without an owner ``path``."""
         name = f"{named.path}@{owner}" if owner else named.path
-        return FitParameter(name, named.path, named.declaration, named.of_law, named.of_material, where, recording,
+        return FitParameter(name, named.path, named.declaration, named.is_law_parameter, named.is_material_parameter,
+                            where, recording,
                             specimen)
 
     own = [test for test in tests if test.name in named.tests and not test.hold_out]
@@ -322,5 +326,5 @@ def _make_parameters_of_scope(named: ScopedCampaignParameter, tests: Sequence[Te
                                     if test.specimen is not None and test.specimen.name == specimen)
                     for specimen in specimens}
         return [make_fit_parameter(specimen, where, specimen=specimen) for specimen, where in tests_of.items()]
-    shared = named.scope if isinstance(named.scope, tuple) else None if named.of_material else named.tests
+    shared = named.scope if isinstance(named.scope, tuple) else None if named.is_material_parameter else named.tests
     return [make_fit_parameter(where=shared)]

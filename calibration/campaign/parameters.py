@@ -42,19 +42,19 @@ class ScopedCampaignParameter:
     Attributes:
         path: path in `tissue_sim.parameters` without ``material.``, or the name of a parameter of the law.
         declaration: unit, bounds and symbol of the parameter.
-        of_law: whether it is a parameter of the law.
+        is_law_parameter: whether it is a parameter of the law.
         scope: one of `SCOPES`, or the names of the tests that share the value.
         tests: names of the tests whose model has the parameter.
     """
 
     path: str
     declaration: Declaration
-    of_law: bool
+    is_law_parameter: bool
     scope: str | tuple[str, ...]
     tests: tuple[str, ...]
 
     @property
-    def of_material(self) -> bool:
+    def is_material_parameter(self) -> bool:
         """Whether the parameter belongs to the material, including its law."""
         return not self.path.startswith(_NOT_MATERIAL)
 
@@ -67,8 +67,8 @@ def get_experiment_and_rig_declarations_by_path(experiment: Experiment | None, r
             for path, each in parameters(whole).items()}
 
 
-def build_neo_hookean_with_stated_effects(values: Mapping[str, float],
-                                          named: Mapping[str, ScopedCampaignParameter]) -> Material:
+def build_placeholder_material_with_effects(values: Mapping[str, float],
+                                            named: Mapping[str, ScopedCampaignParameter]) -> Material:
     """Return a neo-Hookean placeholder material with the effects that these values (SI) define.
 
     The material shows whether the tissue has memory or layers; its modulus has no meaning.
@@ -77,7 +77,7 @@ def build_neo_hookean_with_stated_effects(values: Mapping[str, float],
         InputError: a part is incomplete or its values are invalid.
     """
     others = {name: value for name, value in values.items()
-              if name in named and named[name].of_material and not named[name].of_law}
+              if name in named and named[name].is_material_parameter and not named[name].is_law_parameter}
     return make_material_from_numbers("neo_hooke", {"C10": 1.0}, others)
 
 
@@ -193,13 +193,13 @@ def check_stated_bounds_and_completeness(table: FitTable, named: Mapping[str, Sc
     stated = {**table.start, **table.fixed}
     for key in ("prior", "bounds"):
         for name in getattr(table, key):
-            if not named[name].of_law and named[name].of_material and name not in stated:
+            if not named[name].is_law_parameter and named[name].is_material_parameter and name not in stated:
                 raise InputError(f"{name} requires a value in fit.start or fit.fixed, which defines the part of the "
                                  "material", field=f"fit.{key}.{name}")
     for name, value in stated.items():
         declaration = named[name].declaration
         # The law checks its own parameters.
-        widest = (-np.inf, np.inf) if named[name].of_law \
+        widest = (-np.inf, np.inf) if named[name].is_law_parameter \
             else tuple(end / declaration.factor for end in declaration.bounds)
         low, high = table.bounds.get(name, widest)
         if low < widest[0] - 1e-12 * abs(widest[0]) or high > widest[1] + 1e-12 * abs(widest[1]):
@@ -215,8 +215,8 @@ def check_stated_bounds_and_completeness(table: FitTable, named: Mapping[str, Sc
         raise InputError(f"{bulk[-1]} and {other} both state the bulk response; keep one of them",
                          field=f"fit.{'start' if bulk[-1] in table.start else 'fixed'}.{bulk[-1]}")
     try:
-        build_neo_hookean_with_stated_effects({name: value * named[name].declaration.factor for name,
-                                               value in stated.items()}, named)
+        build_placeholder_material_with_effects({name: value * named[name].declaration.factor for name,
+                                                 value in stated.items()}, named)
     except InputError as error:
         # A missing parameter is reported in fit.start, where the other parameters of the part are.
         field = f"fit.start.{_format_parameter_path_with_file_key(error.field or '')}".replace(".[", "[")

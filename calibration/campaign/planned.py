@@ -13,7 +13,7 @@ from calibration.campaign.measured import MeasuredCurve, read_measured_curves
 from calibration.statistics.sensor_noise import SensorNoise
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
-from tissue_sim.recording.segmentation import label_samples_ramp_hold_unload, number_repeated_runs
+from tissue_sim.recording.segmentation import append_numbers_to_repeated_runs, label_samples_ramp_hold_unload
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,9 @@ class PlannedRecordingCounts:
 PLANNED = PlannedRecordingCounts()
 
 
-def create_planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, replicates: int = PLANNED.replicates,
-                          samples: int = PLANNED.samples) -> tuple[MeasuredCurve, ...]:
+def create_planned_curves_with_placeholder_force(test: Test, protocol: Protocol, noise: SensorNoise,
+                                                 replicates: int = PLANNED.replicates,
+                                                 samples: int = PLANNED.samples) -> tuple[MeasuredCurve, ...]:
     """Return recordings of a planned motion with a placeholder force proportional to the displacement.
 
     Args:
@@ -47,7 +48,7 @@ def create_planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, re
     """
     time = np.linspace(protocol.time[0], protocol.time[-1], samples)
     displacement = np.interp(time, protocol.time, protocol.displacement)
-    labels = number_repeated_runs(label_samples_ramp_hold_unload(time, displacement))
+    labels = append_numbers_to_repeated_runs(label_samples_ramp_hold_unload(time, displacement))
     return tuple(MeasuredCurve(f"{test.name}/planned {number + 1}", test, time, displacement, 1e3 * displacement,
                                labels, Path(), "", noise=noise) for number in range(replicates))
 
@@ -86,7 +87,7 @@ def read_or_plan_curves_of_all_tests(campaign: Campaign, replicates: int = PLANN
         except InputError as error:
             raise InputError(error.problem, file=campaign.path, field=f"{test.place}.protocol") from None
         noise = SensorNoise(float(campaign.noise.force or 0.0), campaign.noise.correlation_time or 0.0)
-        found[test.name] = create_planned_curves(test, protocol, noise, replicates, samples)
+        found[test.name] = create_planned_curves_with_placeholder_force(test, protocol, noise, replicates, samples)
     return {test.name: found[test.name] for test in campaign.tests}
 
 

@@ -45,12 +45,12 @@ class SpecimenTable(_Table, frozen=True, kw_only=True):
     density_kg_m3: float | None = None
 
     @property
-    def sizes(self) -> dict[str, float]:
+    def stated_sizes_in_file_units(self) -> dict[str, float]:
         """Stated sizes by their keys, see `tissue_sim.specimen.specimen_sizes`."""
         return {key: value for key in specimen_sizes() if (value := getattr(self, key)) is not None}
 
     @property
-    def texts(self) -> dict[str, str]:
+    def stated_text_values(self) -> dict[str, str]:
         """Stated texts by their keys, see `tissue_sim.specimen.specimen_texts`."""
         return {key: value for key in specimen_texts() if (value := getattr(self, key)) is not None}
 

@@ -10,7 +10,7 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, Test
 from tissue_sim.errors import InputError
 from tissue_sim.recording.cleaning import remove_outliers_and_saturation
-from tissue_sim.recording.control import analyse_control_and_creep
+from tissue_sim.recording.control import detect_controlled_quantity_and_creep
 from tissue_sim.recording.preload import LoadAtZeroAndContactShift, estimate_load_at_zero_displacement
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.screening import Preload, Screening
@@ -66,7 +66,7 @@ def check_recording_names_of_leave_out(test: Test, names: Sequence[str], campaig
 
 
 def add_controlled_quantity_to_screening(screening: Screening, motion: np.ndarray, load: np.ndarray,
-                                         time: np.ndarray | None, test: Test ) -> Screening:
+                                         time: np.ndarray | None, test: Test) -> Screening:
     """Return the findings with the controlled quantity (displacement or force), detected or stated by the test.
 
     Args:
@@ -76,12 +76,12 @@ def add_controlled_quantity_to_screening(screening: Screening, motion: np.ndarra
         time: time, s, shape (n,), or None.
         test: test that may state the controlled quantity.
     """
-    control = analyse_control_and_creep(motion, load, time)
+    control = detect_controlled_quantity_and_creep(motion, load, time)
     return replace(screening, control=control if test.control == "find" else replace(control, equal_samples=0))
 
 
 def add_load_at_zero_to_screening(screening: Screening, motion: np.ndarray, load: np.ndarray, campaign: Campaign, *,
-                                  can_pull: bool, stressed: bool) -> Screening:
+                                  allows_reversed_load: bool, stressed: bool) -> Screening:
     """Return the findings with a nonzero load at zero displacement, if a recording starts in contact under load.
 
     Args:
@@ -89,7 +89,7 @@ def add_load_at_zero_to_screening(screening: Screening, motion: np.ndarray, load
         motion: displacement, measured from contact if the campaign detects it, positive under load, shape (n,).
         load: force, positive under load, shape (n,).
         campaign: campaign with the prior of the contact offset.
-        can_pull: whether the test can load the specimen in the opposite direction.
+        allows_reversed_load: whether the test can load the specimen in the opposite direction.
         stressed: whether strain and stress were recorded.
     """
     found = estimate_load_at_zero_displacement(motion, load)
@@ -98,7 +98,7 @@ def add_load_at_zero_to_screening(screening: Screening, motion: np.ndarray, load
     fit = campaign.fit
     # A default prior is widened to the preload, see
     # `calibration.campaign.measured.make_campaign_with_scaled_offset_defaults`.
-    covers = fit.offset == "fit" and not stressed and (found.load > 0 or can_pull) and (
+    covers = fit.offset == "fit" and not stressed and (found.load > 0 or allows_reversed_load) and (
         "offset_prior" in fit.offset_usual or fit.offset_prior >= _COVERS * abs(found.shift))
     # An inverse fit has a contact offset in each recording, unless the campaign states a deviation of zero.
     fits_contact = fit.method != "analytical" and campaign.noise.contact_jitter != 0

@@ -85,7 +85,7 @@ def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, t
                                    "0"))
         if contact.has_air_before_contact:
             used, shift = np.arange(displacement.size) >= contact.index, contact.displacement
-            displacement, force = contact.get_motion_and_force_from_contact(displacement, force, time)
+            displacement, force = contact.subtract_contact_zero_and_drift(displacement, force, time)
             # In later cycles the tool may lift off again.
             used &= remembering | (displacement >= 0)
     if not used.any():

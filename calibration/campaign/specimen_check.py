@@ -9,7 +9,7 @@ from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.schema import PRISM
 from tissue_sim.errors import InputError
 from tissue_sim.recording.recording import Recording
-from tissue_sim.specimen.specimen import add_article
+from tissue_sim.specimen.specimen import add_indefinite_article
 
 #: Largest relative difference between the specimen size in a recording and in the campaign.
 SIZE_TOLERANCE = 0.02
@@ -32,8 +32,9 @@ def require_matching_specimen_metadata(recording: Recording, test: Test, campaig
     any_shape = (test.kind.has_gripped_ends or campaign.fit.method == "analytical"
                  or test.specimen.name in campaign.prisms)
     if not any_shape and isinstance(recorded, str) and recorded not in (shape, PRISM):
-        raise InputError(f"shape must agree with the recordings; the campaign states {add_article(shape)} and "
-                         f"{path.name} states {add_article(recorded)}. Correct the wrong statement.",
+        raise InputError(f"shape must agree with the recordings; the campaign states {add_indefinite_article(shape)} "
+                         f"and "
+                         f"{path.name} states {add_indefinite_article(recorded)}. Correct the wrong statement.",
                          file=campaign.path, field=f"{field}.shape")
     for key, size in test.specimen.sizes.items():
         stated = metadata.get(key)

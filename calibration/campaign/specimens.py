@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from calibration.campaign.checks import require_positive_or_none
+from calibration.campaign.checks import require_positive_if_stated
 from calibration.campaign.schema import PRISM, CampaignTable, SpecimenTable, TestTable
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.parameters import list_field_declarations
 from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen
-from tissue_sim.specimen.specimen import add_article, get_required_flags_of_shape_keys, make_specimen_from_keys
+from tissue_sim.specimen.specimen import add_indefinite_article, make_specimen_from_keys, map_shape_keys_to_required
 
 #: Keys of a prism -> whether the key is required.
 _PRISM_KEYS = {"area_mm2": True, "height_mm": True}
@@ -42,28 +42,31 @@ def read_specimens_by_name(table: CampaignTable, folder: Path) -> dict[str, Spec
 
 def _read_specimen(entry: SpecimenTable, name: str, folder: Path, field: str) -> Specimen:
     """Return the specimen of a table ``[[specimen]]``."""
-    for key, value in entry.sizes.items():
-        require_positive_or_none(value, f"{field}.{key}", " mm")
-    require_positive_or_none(entry.density_kg_m3, f"{field}.density_kg_m3", " kg/m3")
+    for key, value in entry.stated_sizes_in_file_units.items():
+        require_positive_if_stated(value, f"{field}.{key}", " mm")
+    require_positive_if_stated(entry.density_kg_m3, f"{field}.density_kg_m3", " kg/m3")
     if entry.gravity and entry.density_kg_m3 is None:
         raise InputError("gravity = true requires the density of the specimen; add density_kg_m3",
                          field=f"{field}.density_kg_m3")
     shape = entry.shape
-    has = _PRISM_KEYS if shape == PRISM else get_required_flags_of_shape_keys(shape)
-    given: dict[str, float | str] = {**entry.sizes, **entry.texts}
+    has = _PRISM_KEYS if shape == PRISM else map_shape_keys_to_required(shape)
+    given: dict[str, float | str] = {**entry.stated_sizes_in_file_units, **entry.stated_text_values}
     if entry.area_mm2 is not None:
         given["area_mm2"] = entry.area_mm2
     if lacks := [key for key, needed in has.items() if needed and key not in given]:
-        raise InputError(f"{add_article(shape)} requires {lacks[0]}, which is missing", field=f"{field}.{lacks[0]}")
+        raise InputError(f"{add_indefinite_article(shape)} requires {lacks[0]}, which is missing",
+                         field=f"{field}.{lacks[0]}")
     if others := [key for key in given if key not in has]:
-        raise InputError(f"{add_article(shape)} has {next(iter(has))}, not {others[0]}; leave {others[0]} out",
+        raise InputError(f"{add_indefinite_article(shape)} has {next(iter(has))}, not {others[0]}; leave {others[0]} "
+                         f"out",
                          field=f"{field}.{others[0]}")
     if shape == PRISM:
         # Homogeneous tests depend on cross-section and height only: a cylinder of the same area is equivalent.
-        require_positive_or_none(area := float(given.pop("area_mm2")), f"{field}.area_mm2", " mm2")
+        require_positive_if_stated(area := float(given.pop("area_mm2")), f"{field}.area_mm2", " mm2")
         shape, given = "cylinder", given | {"radius_mm": 1e3 * math.sqrt(area * 1e-6 / math.pi)}
-    elif entry.texts:
-        given |= {key: str(folder / entry.texts[key]) for key in SPECIMENS[shape].paths if key in entry.texts}
+    elif entry.stated_text_values:
+        given |= {key: str(folder / entry.stated_text_values[key]) for key in SPECIMENS[shape].paths
+                  if key in entry.stated_text_values}
     if not SPECIMENS[shape].is_round:
         # The longest side sets the element size: a wrong unit would create millions of elements.
         for declaration in list_field_declarations(SPECIMENS[shape]).values():
@@ -111,7 +114,7 @@ def find_suitable_specimen_or_none(entry: TestTable, specimens: Mapping[str, Spe
     if found is None:
         return None
     shape = table.specimen[list(specimens).index(found.name)].shape
-    description = f"{found.name!r} is {add_article(shape)}"
+    description = f"{found.name!r} is {add_indefinite_article(shape)}"
     if shape == PRISM and kind.closed_form is None:
         raise InputError(f"{entry.kind} requires the shape of the specimen; {description}, of which only the "
                          "cross-section is known. State the shape, such as 'cylinder' with radius_mm",

@@ -57,13 +57,14 @@ def compare_segment_misfits(before: FitEvidence, after: FitEvidence | None) -> l
         before: fit without effects.
         after: fit with effects; None: no effect was added.
     """
-    later = {(region.test, region.segment): region for region in (after.region_tests if after is not None else ())}
+    later = {(region.test, region.segment): region
+             for region in (after.region_misfit_tests if after is not None else ())}
     answers = []
-    for region in before.region_tests:
+    for region in before.region_misfit_tests:
         other = later.get((region.test, region.segment))
         curves = [(curve, rows) for curve, rows in zip(before.problem.measured, before.problem.rows, strict=True)
                   if curve.test.name == region.test]
-        inside = _make_segment_mask(curves[0][0], region.segment)
+        inside = _make_segment_or_full_mask(curves[0][0], region.segment)
         answers.append(SegmentMisfit(
             test=region.test, segment=region.segment, speed_mm_s=_compute_mean_speed_mm_s_or_none(curves[0][0], inside),
             cycle=_parse_segment_number(region.segment), before_N=region.misfit_N, largest_before_N=-region.largest_N,
@@ -78,8 +79,8 @@ def compare_segment_misfits(before: FitEvidence, after: FitEvidence | None) -> l
 def compute_smooth_misfit_rms_newton(evidence: FitEvidence) -> float:
     """Return the root mean square of the smooth part of the residuals over all samples, N."""
     weights, total = 0.0, 0.0
-    for region in evidence.region_tests:
-        count = sum(int(_make_segment_mask(curve, region.segment).sum()) for curve in evidence.problem.measured
+    for region in evidence.region_misfit_tests:
+        count = sum(int(_make_segment_or_full_mask(curve, region.segment).sum()) for curve in evidence.problem.measured
                     if curve.test.name == region.test)
         weights += count
         total += count * region.misfit_N**2
@@ -92,8 +93,8 @@ def predict_last_recordings_from_others(before: FitEvidence, after: FitEvidence 
     if plain is None:
         return []
     with_effect = None if after is None else _fit_and_split_off_last_recordings_or_none(after)
-    first = _predict_last_recordings(*plain)
-    second = [None] * len(first) if with_effect is None else _predict_last_recordings(*with_effect)
+    first = _compute_last_recording_errors_or_reason(*plain)
+    second = [None] * len(first) if with_effect is None else _compute_last_recording_errors_or_reason(*with_effect)
     return [_build_held_out_record(test.measured[0].name, "replicate", one, two, test.measured)
             for test, one, two in zip(plain[1].tests, first, second, strict=True)]
 
@@ -170,7 +171,7 @@ def _fit_and_split_off_last_recordings_or_none(evidence: FitEvidence) -> tuple[E
     return estimate, last
 
 
-def _predict_last_recordings(estimate: Estimate, last: GeneralisedProblem) -> list[Prediction | str]:
+def _compute_last_recording_errors_or_reason(estimate: Estimate, last: GeneralisedProblem) -> list[Prediction | str]:
     """Return error, N, and adequacy of the prediction of each test of `last`, or the reason if there is none."""
     if not np.isfinite(estimate.error):
         return [f"no fit to the others: {estimate.failure}"] * len(last.tests)
@@ -213,7 +214,7 @@ def _compute_test_rms_errors_and_adequacy(unseen: GeneralisedProblem, theta: np.
     return answers
 
 
-def _make_segment_mask(curve: MeasuredCurve, segment: str) -> np.ndarray:
+def _make_segment_or_full_mask(curve: MeasuredCurve, segment: str) -> np.ndarray:
     """Return the mask of the samples of a segment, shape (n,); all true if the region is a third of a loading."""
     if curve.segment is None or segment not in curve.segment:
         return np.ones(curve.force.size, bool)
@@ -271,7 +272,7 @@ def _compute_mean_hold_change_and_error(region: RegionMisfitTest, curves: Sequen
     force = evidence.problem.data if of == "data" else evidence.evaluation.force
     changes, errors = [], []
     for curve, rows in curves:
-        inside = force[rows][_make_segment_mask(curve, region.segment)]
+        inside = force[rows][_make_segment_or_full_mask(curve, region.segment)]
         end = max(int(_END_FRACTION * inside.size), 1)
         changes.append(inside[-end:].mean() - inside[:end].mean())
         errors.append(curve.noise.deviation * np.sqrt(2.0 / end))

@@ -12,10 +12,10 @@ from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve, make_campaign_with_scaled_offset_defaults
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.campaign.planned import replace_forces_of_curves
-from calibration.diagnosis.diagnosis import CandidateStatement
+from calibration.diagnosis.diagnosis import CandidateResult
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.proposals import score_effects
-from calibration.diagnosis.statements import list_candidate_statements
+from calibration.diagnosis.statements import list_candidate_results
 from calibration.diagnosis.verdict import VerdictWithFits
 from calibration.fit.campaign_problem import build_generalised_problem, make_stated_or_guessed_jitter
 from calibration.fit.estimate import Estimate
@@ -68,7 +68,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
 
     campaign: str
     law: str
-    candidates: list[CandidateStatement]
+    candidates: list[CandidateResult]
     parameters: dict[str, float]
     symbols: dict[str, str]
     units: dict[str, str]
@@ -114,7 +114,7 @@ def simulate_noise_free_evidence(campaign: Campaign, measured: Mapping[str, tupl
                                  jitter, tuple(_compute_expected_relative_mesh_error(test, space, theta, solves)
                                                for test in problem.tests))
     evaluation = problem.evaluate(theta)
-    estimate = Estimate(1, theta, evaluation.sum_of_squares, True, "", (), {}, 0.0, problem=problem)
+    estimate = Estimate(1, theta, evaluation.penalised_sum_of_squares, True, "", (), {}, 0.0, problem=problem)
     return FitEvidence(campaign, {**measured, **known}, estimate)
 
 
@@ -129,8 +129,8 @@ def _compute_expected_relative_mesh_error(test: ForwardTest, space: ParameterSpa
     return compute_mesh_uncertainty(corrected, ACCURATE_MESH_ERRORS)
 
 
-def compute_experiment_design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
-                              context: RunContext, solves: SimulationCache | None = None) -> Design:
+def evaluate_experiment_design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
+                               context: RunContext, solves: SimulationCache | None = None) -> Design:
     """Compute the expected information of planned experiments.
 
     Args:
@@ -146,7 +146,7 @@ def compute_experiment_design(campaign: Campaign, measured: Mapping[str, tuple[M
     proposals = score_effects(evidence, context)
     nothing = VerdictWithFits("NONE", [], (), [], evidence)
     rows = [msgspec.structs.replace(row, score=None, p=None, estimate={})
-            for row in list_candidate_statements(proposals, nothing, evidence)]
+            for row in list_candidate_results(proposals, nothing, evidence)]
     rows.sort(key=lambda row: not row.testable)
     problem = evidence.problem
     spread = compute_marginal_uncertainty(problem, evidence.evaluation)
@@ -164,7 +164,7 @@ def compute_experiment_design(campaign: Campaign, measured: Mapping[str, tuple[M
 
 def _summarise_planned_test(name: str, curves: Sequence[MeasuredCurve]) -> PlannedTestSummary:
     """Summarise the recordings of a planned test."""
-    clocks = [curve.required_sample_times[-1] - curve.required_sample_times[0] for curve in curves
+    clocks = [curve.sample_times[-1] - curve.sample_times[0] for curve in curves
               if curve.time is not None]
     return PlannedTestSummary(
         name=name, recordings=len(curves), samples=max(curve.force.size for curve in curves),

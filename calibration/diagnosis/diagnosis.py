@@ -66,7 +66,7 @@ class FoundEffect(msgspec.Struct, frozen=True, kw_only=True):
     written_to: str = ""
 
 
-class CandidateStatement(msgspec.Struct, frozen=True, kw_only=True):
+class CandidateResult(msgspec.Struct, frozen=True, kw_only=True):
     """Result of a diagnosis for one candidate: detectability, score and fit of an effect of the catalogue.
 
     Attributes:
@@ -237,7 +237,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     message: str
     effects: list[FoundEffect] = []
     indistinguishable: list[str] = []
-    candidates: list[CandidateStatement] = []
+    candidates: list[CandidateResult] = []
     regions: list[SegmentMisfit] = []
     gap_before_N: float
     gap_after_N: float | None = None

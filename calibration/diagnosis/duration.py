@@ -51,7 +51,7 @@ def measure_solid_simulation_cpu_seconds(problem: GeneralisedProblem) -> dict[st
         if isinstance(test, SimulatedTest) and get_solver_fit_resolutions(test.solver).slow:
             experiment = replace(test.experiment, protocol=test.motions[0].tool_protocol)
             try:
-                values = problem.space.values(list_starts_with_varied_exponents(problem.space, 1)[0])
+                values = problem.space.get_values_by_name(list_starts_with_varied_exponents(problem.space, 1)[0])
                 material = problem.space.build_material(values, test=test.name)
                 curve = simulate_force_or_record_failure(Model(experiment, material, Rig()), None, [],
                                                          get_solver_fit_resolutions(test.solver).fast, test.solver)

@@ -14,7 +14,7 @@ from calibration.campaign.campaign import Campaign, Noise
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.diagnosis.refit_settings import REFITS, RefitSettings
-from calibration.effects.effect import Situation
+from calibration.effects.effect import DiagnosisData
 from calibration.fit.estimate import Estimate
 from calibration.fit.fit import RegionMisfitTest
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
@@ -97,12 +97,12 @@ class FitEvidence:
     @cached_property
     def parameter_values(self) -> dict[str, float]:
         """Name -> value of all parameters, SI."""
-        return self.problem.space.values(self.estimate.theta)
+        return self.problem.space.get_values_by_name(self.estimate.theta)
 
     @cached_property
-    def effect_situation(self) -> Situation:
+    def diagnosis_data(self) -> DiagnosisData:
         """Tests and recordings for `calibration.effects.effect.Effect.candidates`."""
-        return Situation(self.campaign, self.measured, self.law_name)
+        return DiagnosisData(self.campaign, self.measured, self.law_name)
 
     @cached_property
     def whitened_residual_with_nuisances_and_priors(self) -> np.ndarray:
@@ -115,7 +115,7 @@ class FitEvidence:
         return compute_orthonormal_basis(self.evaluation.full_residual_and_jacobian[1])
 
     @cached_property
-    def region_tests(self) -> list[RegionMisfitTest]:
+    def region_misfit_tests(self) -> list[RegionMisfitTest]:
         """Residual tests of all regions; a region is adequate if its p value exceeds `DecisionLimits.region_level`."""
         return [msgspec.structs.replace(region, adequate=region.p > self.limits.region_level)
                 for region in compute_smooth_misfit_tests_of_regions(self.problem, self.evaluation)]
@@ -123,7 +123,7 @@ class FitEvidence:
     @property
     def has_adequate_region_residuals(self) -> bool:
         """Whether no region has a significant smooth misfit; common signals of recordings are not tested."""
-        return all(region.adequate for region in self.region_tests)
+        return all(region.adequate for region in self.region_misfit_tests)
 
     @cached_property
     def _first_curve_and_residuals_by_test(self) -> dict[str, tuple[MeasuredCurve, np.ndarray]]:
@@ -178,7 +178,7 @@ class FitEvidence:
             curve = self._first_curve_and_residuals_by_test[name][0]
             inside = slice(each.first, each.last + 1)
             if each.waves and curve.time is not None:
-                words.append(f"{name} (a wave of {np.ptp(curve.required_sample_times[inside]) / each.waves:.2g} s)")
+                words.append(f"{name} (a wave of {np.ptp(curve.sample_times[inside]) / each.waves:.2g} s)")
             elif each.last - each.first + 1 < curve.force.size and not each.waves:
                 place = float(np.mean(curve.displacement[inside]))
                 words.append(f"{name} (most at {f'strain {place:.2g}' if curve.stressed else f'{1e3 * place:.2g} mm'})")
@@ -198,7 +198,7 @@ class FitEvidence:
         for curve in self.problem.measured:
             correlation = 0.0
             if curve.noise.correlation_time:
-                step = float(np.median(np.diff(curve.required_sample_times))) if curve.time is not None else 1.0
+                step = float(np.median(np.diff(curve.sample_times))) if curve.time is not None else 1.0
                 correlation = float(np.exp(-step / curve.noise.correlation_time))
             total += curve.force.size * (1.0 - correlation) / (1.0 + correlation)
         return max(total, 2.0)
@@ -235,17 +235,17 @@ def fit_without_effects(campaign: Campaign, measured: Measured, solves: Simulati
         raise ConvergenceError(f"{campaign.path}: no start of {law} can be simulated over the data ({estimate}); state "
                                "another start in fit.start, or a smaller max_strain")
     problem = estimate.problem
-    problem.jitter = compute_jitter_with_upper_limits(problem, estimate.theta,
-                                                      estimator.get_stated_or_prior_jitter(problem),
-                                                      limits.jitter_exceedance)
+    problem.jitter = compute_upper_limit_of_estimated_jitter(problem, estimate.theta,
+                                                             estimator.get_stated_or_prior_jitter(problem),
+                                                             limits.jitter_exceedance)
     problem.assign_nuisance_columns_and_drop_cache()
     descent = minimise_from_start(problem, estimate.theta, corrected=True)
     estimate = replace(estimate, theta=descent.theta, error=descent.error)
     return FitEvidence(campaign, measured, estimate, limits, refit_settings)
 
 
-def compute_jitter_with_upper_limits(problem: GeneralisedProblem, theta: np.ndarray, stated: Noise,
-                                     exceedance: float = LIMITS.jitter_exceedance) -> ContactAndForceZeroJitter:
+def compute_upper_limit_of_estimated_jitter(problem: GeneralisedProblem, theta: np.ndarray, stated: Noise,
+                                            exceedance: float = LIMITS.jitter_exceedance) -> ContactAndForceZeroJitter:
     """Return an upper confidence limit of an estimated jitter; stated or assumed jitter is returned unchanged.
 
     Few recordings may agree by chance; with too small a jitter, effects that resemble a contact offset or a zero would

@@ -35,7 +35,7 @@ def add_effect_to_problem_and_campaign(problem: GeneralisedProblem, campaign: Ca
     names = {test.name: [curve.name for curve in test.measured] for test in problem.tests}
     space = ParameterSpace.from_campaign(changed.fit.laws[0], changed, names)
     by_name = {test.name: test for test in changed.tests}
-    layered = bool(changed.fit.neo_hookean_material_with_effects.layers)
+    layered = bool(changed.fit.placeholder_material_with_effects.layers)
 
     def extend_test_with_effect(test: ForwardTest) -> ForwardTest:
         """Return a test with experiment and rig of the changed campaign; a closed form is returned unchanged."""
@@ -86,7 +86,7 @@ def simulate_whitened_effect_change_or_reason(problem: GeneralisedProblem, evalu
         if t in touched), *(evaluation.nuisances[first:last] for first, last in dict.fromkeys(
             (problem.shared[t].start, problem.shared[t].stop) for t in touched))])
 
-    def fix_parameters_of_touched_tests(of: GeneralisedProblem) -> GeneralisedProblem:
+    def make_fixed_problem_of_affected_tests(of: GeneralisedProblem) -> GeneralisedProblem:
         """Return the problem of the tests in `touched`, with all parameters of the fit fixed."""
         # Fixed parameters avoid the computation of derivatives.
         space = of.space.with_all_fixed(dict(zip(problem.space.free, evaluation.theta, strict=True)))
@@ -97,13 +97,13 @@ def simulate_whitened_effect_change_or_reason(problem: GeneralisedProblem, evalu
         absent = {path: candidate.find_value_without_effect(campaign, path) for path in candidate.sizes}
         sizes = candidate.scale_trial_values(absent, factor)
         extended, _ = add_effect_to_problem_and_campaign(problem, campaign, candidate, sizes, free=False)
-        with_it = fix_parameters_of_touched_tests(extended)
+        with_it = make_fixed_problem_of_affected_tests(extended)
         # Both forces must be computed on one mesh and by one method, so that their difference is due to the effect.
         if not candidate.has_mesh_changing_shape_parameter(campaign):
-            without = _copy_with_full_motion_of_other_or_none(fix_parameters_of_touched_tests(problem), with_it)
+            without = _match_full_motion_or_none(make_fixed_problem_of_affected_tests(problem), with_it)
         else:
             neutral, _ = add_effect_to_problem_and_campaign(problem, campaign, candidate, absent, free=False)
-            without = fix_parameters_of_touched_tests(neutral)
+            without = make_fixed_problem_of_affected_tests(neutral)
         change = _compute_residual_at_given_nuisances(with_it, nuisances)
         # Without changes of mesh and method the residual without the effect is that of the evaluation.
         change -= np.concatenate([evaluation.residual[rows] for rows, (t, _) in zip(
@@ -119,8 +119,8 @@ def simulate_whitened_effect_change_or_reason(problem: GeneralisedProblem, evalu
     return np.column_stack(list(groups.values()))
 
 
-def _copy_with_full_motion_of_other_or_none(held: GeneralisedProblem,
-                                            other: GeneralisedProblem) -> GeneralisedProblem | None:
+def _match_full_motion_or_none(held: GeneralisedProblem,
+                               other: GeneralisedProblem) -> GeneralisedProblem | None:
     """Return the problem with the whole motion simulated in the tests for which another problem requires it.
 
     Returns:

@@ -10,7 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.planned import create_planned_curves
+from calibration.campaign.planned import create_planned_curves_with_placeholder_force
 from calibration.diagnosis.diagnosis import NextExperiment
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.proposals import CatalogueScores
@@ -106,13 +106,13 @@ def list_variations_of_existing_tests(before: FitEvidence) -> list[PlannedTestVa
     """Return variations of the existing tests: hold, higher speed, larger depth, smaller tool or lower specimen."""
     found = []
     faster, smaller = _SETTINGS.speed_factor, _SETTINGS.size_factor
-    for test in before.effect_situation.simulated_tests():
+    for test in before.diagnosis_data.simulated_tests():
         curve = before.measured[test.name][0]
         experiment = test.experiment
         if curve.time is None or experiment is None:
             continue
         depth = float(curve.displacement.max())
-        speed = curve.speed or 1e-4
+        speed = curve.mean_loading_speed or 1e-4
         held = curve.segment is not None and any(str(name).startswith(("hold", "unload")) for name in curve.segment)
         label = f"{1e3 * depth:.3g} mm"
         if not held:
@@ -169,7 +169,7 @@ def _find_closest_rivals_and_deviation_or_none(plan: PlannedTestVariation, befor
         Names and difference; None if the test cannot be simulated.
     """
     noise = before.measured[plan.test.name.removesuffix(" (planned)")][0].noise
-    curves = create_planned_curves(plan.test, plan.protocol, noise)
+    curves = create_planned_curves_with_placeholder_force(plan.test, plan.protocol, noise)
     try:
         expected = [_predict_whitened_planned_force_and_changes(plan.test, curves, before, each) for each in rivals]
     except (InfeasibleError, InputError):
@@ -204,7 +204,7 @@ def _predict_whitened_planned_force_and_changes(test: Test, curves: tuple[Measur
                                               {**names, asked.name: [c.name for c in curves]})
     error = compute_mesh_uncertainty(forward, ACCURATE_MESH_ERRORS)
     planned = GeneralisedProblem(space, (forward,), problem.solves, problem.jitter, (error,))
-    theta = np.array([problem.space.values(rival.theta)[name] for name in space.free])
+    theta = np.array([problem.space.get_values_by_name(rival.theta)[name] for name in space.free])
     answers = [forward.solve(space, theta, problem.solves)]
     residual, rates, columns, _ = planned._compute_whitened_terms_at_nuisances(answers, np.zeros(planned.nuisances))
     spread = compute_marginal_uncertainty(problem, problem.evaluate(rival.theta))

@@ -47,7 +47,7 @@ def refit_from_far_contacts_and_describe_them(evidence: FitEvidence,
     if scatter.freedom != 0 or not evidence.has_no_misfit_or_common_signal:
         return evidence, []
     for _ in range(_SETTINGS.max_fits):
-        far = {name: contact for name, contact in _read_contact_offsets(found).items()
+        far = {name: contact for name, contact in _get_fitted_contact_offsets(found).items()
                if abs(contact) > INVERSE_WARNINGS.suspect_nuisance * scatter.contact
                or (name in shifts and abs(contact) > _SETTINGS.tolerance * scatter.contact)}
         if not far:
@@ -61,13 +61,13 @@ def refit_from_far_contacts_and_describe_them(evidence: FitEvidence,
             return evidence, []
     if not found.has_no_misfit_or_common_signal:
         return evidence, []
-    rest = _read_contact_offsets(found)
+    rest = _get_fitted_contact_offsets(found)
     stressed = {curve.name: curve.stressed for curve in evidence.problem.measured}
     return found, [_describe_contact_offset(name, shift + rest[name], scatter, stressed[name])
                    for name, shift in shifts.items()]
 
 
-def _read_contact_offsets(evidence: FitEvidence) -> dict[str, float]:
+def _get_fitted_contact_offsets(evidence: FitEvidence) -> dict[str, float]:
     """Return recording -> fitted contact offset, m (strain for recordings of stress)."""
     problem, nuisances = evidence.problem, evidence.evaluation.nuisances
     if "contact" not in problem.kinds:

@@ -14,7 +14,7 @@ from calibration.diagnosis.proposals import (
     recompute_all_scores,
     recompute_candidate_score_in_other_fit,
 )
-from calibration.diagnosis.refits import EffectRefit, compute_odds_against, fit_best_scored_effects
+from calibration.diagnosis.refits import EffectRefit, compute_odds_of_best_over_other, fit_best_scored_effects
 from calibration.fit.run_context import RunContext
 from calibration.statistics.scores import compute_largest_principal_cosine
 
@@ -57,8 +57,8 @@ class EffectPair:
         return self.first.gain + self.second.gain
 
 
-def find_pairs(evidence: FitEvidence, good: Sequence[EffectRefit], proposals: CatalogueScores,
-               context: RunContext) -> list[EffectPair]:
+def find_required_effect_pairs(evidence: FitEvidence, good: Sequence[EffectRefit], proposals: CatalogueScores,
+                               context: RunContext) -> list[EffectPair]:
     """Return pairs of effects that are as likely as the best pair, best first; empty if one effect suffices.
 
     Args:
@@ -70,7 +70,7 @@ def find_pairs(evidence: FitEvidence, good: Sequence[EffectRefit], proposals: Ca
     limits = evidence.limits
     found: list[EffectPair] = []
     firsts = [first for number, first in enumerate(good[:_SETTINGS.max_first_effects])
-              if number < _SETTINGS.first_effects or compute_odds_against(good[0], first) < limits.odds]
+              if number < _SETTINGS.first_effects or compute_odds_of_best_over_other(good[0], first) < limits.odds]
     for first in firsts:
         with_first = first.make_evidence(evidence)
         others = recompute_all_scores(proposals, with_first, [first.candidate_name])

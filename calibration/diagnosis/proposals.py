@@ -76,7 +76,7 @@ class ScoredCandidate:
             return 0.0
         return -0.5 * squares
 
-    def get_parameter_sizes(self, factor: float | None = None) -> dict[str, float]:
+    def compute_effect_parameter_values(self, factor: float | None = None) -> dict[str, float]:
         """Return path -> value, SI, at a multiple of the trial size; None: at the size from the score."""
         return self.candidate.scale_trial_values(self.absent, self.estimated_size_factor if factor is None else factor)
 
@@ -148,7 +148,7 @@ def score_effects(evidence: FitEvidence, context: RunContext, words: str = "effe
             untestable[name] = "forces cannot separate it from the moduli"
             continue
         try:
-            candidates += effect.candidates(evidence.effect_situation)
+            candidates += effect.candidates(evidence.diagnosis_data)
         except NotTestableError as reason:
             untestable[name] = str(reason)
     problem, evaluation = evidence.problem, evidence.evaluation

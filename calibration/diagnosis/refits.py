@@ -63,7 +63,7 @@ class EffectRefit:
         """Name -> value of the parameters of the effect, SI."""
         candidate, space = self.proposal.candidate, self.problem.space
         mine = {**candidate.sizes, **candidate.shape}
-        values = space.values(self.theta)
+        values = space.get_values_by_name(self.theta)
         return {each.name: values[each.name] for each in space.unknowns if each.path in mine}
 
     @property
@@ -142,7 +142,7 @@ def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, c
               and (number < settings.max_effects or squares > settings.similar**2 * ranked[0][1])] \
         if names is None else list(names)
     # An effect may make homogeneous tests inhomogeneous and add a mesh error, so the log determinant is included.
-    error = evidence.estimate.error + evidence.evaluation.log_determinant
+    error = evidence.estimate.error + evidence.evaluation.covariance_log_determinant
     tasks = []
     for name in chosen:
         variants = sorted((each for each in proposals.all if each.candidate.name == name),
@@ -179,7 +179,7 @@ def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, c
     return sorted(best.values(), key=lambda one: -one.gain)
 
 
-def compute_odds_against(best: EffectRefit, other: EffectRefit) -> float:
+def compute_odds_of_best_over_other(best: EffectRefit, other: EffectRefit) -> float:
     """Return the odds of the fit `best` against the fit `other`, exp(difference of their BIC / 2)."""
     return float(np.exp(min(0.5 * (best.gain - other.gain), 700.0)))
 
@@ -238,7 +238,7 @@ def fit_one_effect_or_none(problem: GeneralisedProblem, campaign: Campaign, prop
     candidate = proposal.candidate
     prepared = candidate.make_campaign_with_prepared_tests(campaign)
     start = {}
-    for path, size in proposal.get_parameter_sizes().items():
+    for path, size in proposal.compute_effect_parameter_values().items():
         low, high = candidate.bounds.get(path, candidate.find_parameter_declaration(prepared, path).bounds)
         absent, trial = proposal.absent[path], candidate.sizes[path]
         if proposal.direction.degrees_of_freedom > 1 or not np.isfinite(size):
@@ -308,8 +308,8 @@ def _refit_with_better_jump_or_none(problem: GeneralisedProblem, campaign: Campa
             evaluation = moved.evaluate(descent.theta)
         except InfeasibleError:
             continue
-        if evaluation.sum_of_squares + evaluation.log_determinant < best - settings.gain:
-            best, found = evaluation.sum_of_squares + evaluation.log_determinant, (replace(
+        if evaluation.penalised_sum_of_squares + evaluation.covariance_log_determinant < best - settings.gain:
+            best, found = evaluation.penalised_sum_of_squares + evaluation.covariance_log_determinant, (replace(
                 proposal, candidate=other), moved, changed)
     if found is None:
         return None
@@ -320,7 +320,7 @@ def _refit_with_better_jump_or_none(problem: GeneralisedProblem, campaign: Campa
 
 def _compute_error_plus_log_determinant(problem: GeneralisedProblem, descent: DescentResult) -> float:
     """Return the sum of squares at the end of a descent plus the log determinant of the covariance there."""
-    return descent.error + problem.evaluate(descent.theta).log_determinant
+    return descent.error + problem.evaluate(descent.theta).covariance_log_determinant
 
 
 def _compute_bic_penalty(problem: GeneralisedProblem, plain: GeneralisedProblem, candidate: Candidate,
@@ -341,7 +341,7 @@ def _choose_start_below_error(problem: GeneralisedProblem, starts: Sequence[np.n
     for theta in starts:
         try:
             evaluation = problem.evaluate(theta)
-            errors.append(evaluation.sum_of_squares + evaluation.log_determinant)
+            errors.append(evaluation.penalised_sum_of_squares + evaluation.covariance_log_determinant)
         except InfeasibleError:
             errors.append(np.inf)
         if errors[-1] <= error:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.diagnosis.diagnosis import CandidateStatement, EffectParameter, FoundEffect
+from calibration.diagnosis.diagnosis import CandidateResult, EffectParameter, FoundEffect
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.pairs import find_regions_of_largest_force_change
 from calibration.diagnosis.proposals import CatalogueScores, ScoredCandidate
-from calibration.diagnosis.refits import EffectRefit, compute_odds_against, find_reached_bound_value_or_none
+from calibration.diagnosis.refits import EffectRefit, compute_odds_of_best_over_other, find_reached_bound_value_or_none
 from calibration.diagnosis.verdict import VerdictWithFits, compute_explained_misfit_fraction
 from calibration.effects.effect import Candidate
 from calibration.fit.uncertainty import compute_marginal_uncertainty
@@ -58,43 +58,43 @@ def list_fitted_parameters_of_candidate(candidate: Candidate, evidence: FitEvide
     return numbers
 
 
-def list_candidate_statements(proposals: CatalogueScores, judgement: VerdictWithFits,
-                              before: FitEvidence) -> list[CandidateStatement]:
+def list_candidate_results(proposals: CatalogueScores, judgement: VerdictWithFits,
+                           before: FitEvidence) -> list[CandidateResult]:
     """Return the records of all candidates: fitted by BIC, then testable ones by score, then untestable effects."""
     refits = {each.candidate_name: each for each in judgement.refits}
     best = judgement.refits[0] if judgement.refits else None
-    rows = [_make_testable_statement(name, proposal, proposals, refits.get(name), best, before)
+    rows = [_make_testable_candidate_result(name, proposal, proposals, refits.get(name), best, before)
             for name, proposal in proposals.best_variant_by_candidate_name.items()]
     rows.sort(key=lambda row: (row.delta_BIC is None, -(row.delta_BIC or 0.0)))
     for name, reason in proposals.untestable.items():
         effect = proposals.effects[name.partition("@")[0]]
-        rows.append(CandidateStatement(name=name, effect=effect.name, category=effect.category, title=effect.title,
-                                       testable=False, reason=reason, separated_by=effect.separated_by))
+        rows.append(CandidateResult(name=name, effect=effect.name, category=effect.category, title=effect.title,
+                                    testable=False, reason=reason, separated_by=effect.separated_by))
     return rows
 
 
-def _make_testable_statement(name: str, proposal: ScoredCandidate, proposals: CatalogueScores,
-                             fitted: EffectRefit | None,
-                             best: EffectRefit | None, before: FitEvidence) -> CandidateStatement:
+def _make_testable_candidate_result(name: str, proposal: ScoredCandidate, proposals: CatalogueScores,
+                                    fitted: EffectRefit | None,
+                                    best: EffectRefit | None, before: FitEvidence) -> CandidateResult:
     """Return the record of a testable candidate: detectable size, score and, after a fit, its parameters."""
     effect, finite = proposal.candidate.effect, fitted is not None and np.isfinite(fitted.gain)
     # The detectable size refers to the shape parameters with the highest expected score.
     mine = [each for each in proposals.all if each.candidate.name == name]
     clearest = max(mine, key=lambda each: each.direction.reach)
-    smallest = clearest.get_parameter_sizes(before.limits.detectable_score / clearest.direction.reach)
+    smallest = clearest.compute_effect_parameter_values(before.limits.detectable_score / clearest.direction.reach)
     after = fitted.make_evidence(before) if fitted is not None and finite else None
     prepared = clearest.candidate.make_campaign_with_prepared_tests(before.campaign)
     symbols = clearest.candidate.make_symbols_by_path(before.campaign)
-    return CandidateStatement(
+    return CandidateResult(
         name=name, effect=effect.name, category=effect.category, title=effect.title, testable=True, seen_from=smallest,
         symbols={path: symbols[path] for path in smallest}, absent=clearest.absent,
         units={path: clearest.candidate.find_parameter_declaration(prepared, path).unit for path in smallest},
         twins=proposals.find_names_of_indistinguishable_candidates(name), separated_by=effect.separated_by,
-        score=proposal.signed_score, p=proposal.p, estimate=proposal.get_parameter_sizes(),
+        score=proposal.signed_score, p=proposal.p, estimate=proposal.compute_effect_parameter_values(),
         refitted=fitted is not None, delta_BIC=float(fitted.gain) if fitted is not None and finite else None,
         explained_percent=None if after is None
-        else 100.0 * compute_explained_misfit_fraction(before.region_tests, after.region_tests),
-        evidence_ratio=compute_odds_against(best, fitted)
+        else 100.0 * compute_explained_misfit_fraction(before.region_misfit_tests, after.region_misfit_tests),
+        evidence_ratio=compute_odds_of_best_over_other(best, fitted)
         if fitted is not None and best is not None and finite else None,
         parameters=[] if after is None else list_fitted_parameters_of_candidate(proposal.candidate, after),
         on_bound=[] if fitted is None

@@ -10,9 +10,9 @@ import numpy as np
 from calibration.diagnosis.confirmation import refit_with_updated_corrections
 from calibration.diagnosis.diagnosis import Verdict
 from calibration.diagnosis.evidence import FitEvidence
-from calibration.diagnosis.pairs import find_pairs
+from calibration.diagnosis.pairs import find_required_effect_pairs
 from calibration.diagnosis.proposals import CatalogueScores, recompute_all_scores, score_effects
-from calibration.diagnosis.refits import EffectRefit, compute_odds_against, fit_best_scored_effects
+from calibration.diagnosis.refits import EffectRefit, compute_odds_of_best_over_other, fit_best_scored_effects
 from calibration.fit.fit import RegionMisfitTest
 from calibration.fit.run_context import RunContext
 
@@ -63,7 +63,7 @@ def fit_effects_and_decide_verdict(evidence: FitEvidence, proposals: CatalogueSc
     added, after = _refit_with_further_instances_of_effect(best, evidence, context)
     rest = recompute_all_scores(proposals, after, [best.candidate_name]).significant_candidates
     if rest or not after.has_adequate_region_residuals:
-        pairs = find_pairs(evidence, good, proposals, context)
+        pairs = find_required_effect_pairs(evidence, good, proposals, context)
         if pairs and pairs[0].bic_decrease_of_both_effects > sum(each.gain for each in added) + limits.min_pair_gain:
             together = refit_with_updated_corrections(pairs[0].second.make_evidence(pairs[0].with_first))
             # A pair is accepted only if it explains the whole misfit.
@@ -73,9 +73,9 @@ def fit_effects_and_decide_verdict(evidence: FitEvidence, proposals: CatalogueSc
                 return VerdictWithFits("SET" if len(names) > 2 else "NAMED", refits, (pairs[0].first, pairs[0].second),
                                        names, together)
         # The explained fraction is meaningful only if the remaining misfit is significant.
-        smallest_p = min(region.p for region in after.region_tests)
+        smallest_p = min(region.p for region in after.region_misfit_tests)
         far = smallest_p < limits.clear_misfit_level or after.tests_with_common_signal
-        if far and compute_explained_misfit_fraction(evidence.region_tests, after.region_tests) < needed:
+        if far and compute_explained_misfit_fraction(evidence.region_misfit_tests, after.region_misfit_tests) < needed:
             return VerdictWithFits("UNKNOWN", refits, (), [], evidence)
     # Decrease of BIC that the remaining scores predict.
     gained = sum(each.gain for each in added)
@@ -88,8 +88,9 @@ def fit_effects_and_decide_verdict(evidence: FitEvidence, proposals: CatalogueSc
     if after.tests_with_common_signal and compute_explained_common_signal_fraction(evidence, after) < needed:
         return VerdictWithFits("UNKNOWN", refits, (), [], evidence)
     # Candidates as likely as the best one belong to the set even if their own decrease of BIC is insignificant.
-    possible = [each for each in sound if compute_odds_against(best, each) < limits.odds]
-    names = list(dict.fromkeys([*(each.candidate_name for each in possible), *_list_known_twins(best, proposals)]))
+    possible = [each for each in sound if compute_odds_of_best_over_other(best, each) < limits.odds]
+    names = list(dict.fromkeys([*(each.candidate_name for each in possible),
+                                *_list_known_indistinguishable_candidates(best, proposals)]))
     if len(names) > 1:
         return VerdictWithFits("SET", refits, added, names, after)
     alone = after.has_no_misfit_or_common_signal and left <= (1.0 - limits.explained_fraction) * (gained + left)
@@ -145,7 +146,7 @@ def compute_explained_common_signal_fraction(before: FitEvidence, after: FitEvid
     return 1.0 - sum_excess_of_variance_ratios(after) / first if first > 0 else 0.0
 
 
-def _list_known_twins(best: EffectRefit, proposals: CatalogueScores) -> list[str]:
+def _list_known_indistinguishable_candidates(best: EffectRefit, proposals: CatalogueScores) -> list[str]:
     """Return the known twins of the best effect (`Effect.known_twins`) that are indistinguishable in these tests."""
     known = best.proposal.candidate.effect.known_twins
     return [name for name in proposals.find_names_of_indistinguishable_candidates(best.candidate_name)

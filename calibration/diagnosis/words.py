@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.diagnosis.diagnosis import (
-    CandidateStatement,
+    CandidateResult,
     EffectParameter,
     FoundEffect,
     HeldOutPrediction,
@@ -45,7 +45,7 @@ def describe_parameter_at_its_bound(number: EffectParameter) -> str:
     return f"{describe_parameter(replace(number, standard_error=None))}, the {end} that a fit may take"
 
 
-def _describe_best_rejected_effect(nearest: CandidateStatement) -> str:
+def _describe_best_rejected_effect(nearest: CandidateResult) -> str:
     """Describe the effect that explains most of the misfit and was not added, with the reason."""
     title, share = f"{nearest.title[:1].upper()}{nearest.title[1:]}", f"{nearest.explained_percent:.0f} %"
     beyond = [each for each in nearest.parameters if each.is_effect_size_at_bound]
@@ -60,7 +60,7 @@ def _describe_best_rejected_effect(nearest: CandidateStatement) -> str:
 
 def summarise_diagnosis(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str],
                         regions: Sequence[SegmentMisfit], gaps: tuple[float, float | None, float], untestable: int,
-                        unseen: Sequence[HeldOutPrediction] = (), nearest: CandidateStatement | None = None,
+                        unseen: Sequence[HeldOutPrediction] = (), nearest: CandidateResult | None = None,
                         repeated: Sequence[str] = (), offsets: Sequence[str] = (), scored: Sequence[str] = (), *,
                         stressed: bool = False, limits: DecisionLimits = LIMITS) -> str:
     """Summarise a diagnosis in a few sentences.

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.campaign.campaign import Test
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation, get_experiment
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, get_experiment
 from tissue_sim.experiment.adhesion import Adhesion as Pull
 from tissue_sim.model import Model
 
@@ -37,26 +37,26 @@ class Adhesion(Effect):
     #: Displacement below which the rim of a tip separates, as a fraction of the largest displacement.
     tip_separation = 0.05
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return a candidate per trial range in the tests whose tool lifts off."""
         free = require_tests(situation.simulated_tests(lambda test: get_experiment(test).friction != "bonded"
-                                                 and get_experiment(test).adhesion is None),
+                                                       and get_experiment(test).adhesion is None),
                              "no face can lift off, because all faces are bonded")
         tests = require_tests([test for test in free if self._lifts_off(situation, test)],
                               "no tool returns past the first contact, and adhesion shows only there")
         deepest = max(map(situation.largest_displacement, tests))
         trial_force = self.trial_fraction * min(map(situation.largest_force, tests))
 
-        def make_prepare_function(length: float):
+        def make_function_adding_adhesion(length: float):
             """Return a function that adds to a test an adhesion without force and with this range, m."""
             return lambda test: replace(test, experiment=replace(test.experiment, adhesion=Pull(0.0, length)))
 
         found = []
         for length in (fraction * deepest for fraction in self.trial_ranges):
-            prepare = make_prepare_function(length)
-            found += rig_parameter_candidates(self, situation, _FORCE, [prepare(test) for test in tests],
-                                              lambda _: trial_force, two_sided=False, prepare=prepare,
-                                              shape={_LENGTH: length})
+            prepare = make_function_adding_adhesion(length)
+            found += make_experiment_or_rig_candidates(self, situation, _FORCE, [prepare(test) for test in tests],
+                                                       lambda _: trial_force, two_sided=False, prepare=prepare,
+                                                       shape={_LENGTH: length})
         return found
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
@@ -66,7 +66,7 @@ class Adhesion(Effect):
             return replace(model, experiment=replace(model.experiment, adhesion=pull))
         return super().apply(model, values)
 
-    def _lifts_off(self, situation: Situation, test: Test) -> bool:
+    def _lifts_off(self, situation: DiagnosisData, test: Test) -> bool:
         """Return whether the tool separates from the tissue during unloading in any recording of a test.
 
         A plate separates as a whole, above the undeformed surface. A tip separates from its rim inwards, below the

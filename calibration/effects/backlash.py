@@ -1,7 +1,7 @@
 """Backlash: play between lead screw and nut."""
 
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 
 
 class Backlash(Effect):
@@ -16,10 +16,10 @@ class Backlash(Effect):
     #: Trial backlash as a fraction of the largest displacement.
     trial_fraction = 0.01
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidates in the simulated tests with an unloading, one for each stated backlash."""
         tests = require_tests(situation.simulated_tests(situation.test_has_unloading),
                               "no recording has an unloading, and backlash shows only after a reversal")
-        return rig_parameter_candidates(
+        return make_experiment_or_rig_candidates(
             self, situation, "rig.backlash", tests,
             lambda group: self.trial_fraction * min(map(situation.largest_displacement, group)), two_sided=False)

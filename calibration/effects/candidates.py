@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from calibration.campaign.campaign import Test
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError
 from tissue_sim.parameters import parameters
 
 #: Largest deviation from the stated value that a refit may find, in units of the trial deviation. A trial deviation is
@@ -55,9 +55,10 @@ def read_stated_value(test: Test, path: str) -> float:
     return parameters(getattr(test, part))[inside].value
 
 
-def rig_parameter_candidates(effect: Effect, situation: Situation, path: str, tests: Sequence[Test],
-                             size: Callable[[Sequence[Test]], float], *, each: bool = False, two_sided: bool = True,
-                             **options: Any) -> list[Candidate]:
+def make_experiment_or_rig_candidates(effect: Effect, situation: DiagnosisData, path: str, tests: Sequence[Test],
+                                      size: Callable[[Sequence[Test]], float], *, each: bool = False,
+                                      two_sided: bool = True,
+                                      **options: Any) -> list[Candidate]:
     """Make the candidates of an effect that has one parameter of the experiment or the rig.
 
     Deviations are counted from the stated value, so that a known rig error is kept and its remaining error is tried.
@@ -92,16 +93,22 @@ def rig_parameter_candidates(effect: Effect, situation: Situation, path: str, te
     return found
 
 
-def _call_rig_parameter_candidates_with_both_ways(*args: Any, both_ways: bool = True,
-                                                  **options: Any) -> list[Candidate]:
-    """Call `rig_parameter_candidates` with its former keyword ``both_ways`` for ``two_sided``."""
-    return rig_parameter_candidates(*args, two_sided=both_ways, **options)
+def _call_experiment_or_rig_candidates_with_both_ways(*args: Any, both_ways: bool = True,
+                                                      **options: Any) -> list[Candidate]:
+    """Call `make_experiment_or_rig_candidates` with its former keyword ``both_ways`` for ``two_sided``."""
+    return make_experiment_or_rig_candidates(*args, two_sided=both_ways, **options)
 
 
 def __getattr__(name: str) -> Any:
-    """Provide the former name of `rig_parameter_candidates` for one release."""
+    """Provide the former names of `make_experiment_or_rig_candidates` for one release."""
     if name == "beside_material":
-        warnings.warn("calibration.effects.candidates.beside_material is deprecated; use rig_parameter_candidates, "
-                      "whose both_ways is named two_sided", DeprecationWarning, stacklevel=2)
-        return _call_rig_parameter_candidates_with_both_ways
+        warnings.warn("calibration.effects.candidates.beside_material is deprecated; use "
+                      "make_experiment_or_rig_candidates, whose both_ways is named two_sided", DeprecationWarning,
+                      stacklevel=2)
+        return _call_experiment_or_rig_candidates_with_both_ways
+    if name == "rig_parameter_candidates":
+        warnings.warn("calibration.effects.candidates.rig_parameter_candidates is renamed to "
+                      "calibration.effects.candidates.make_experiment_or_rig_candidates", DeprecationWarning,
+                      stacklevel=2)
+        return make_experiment_or_rig_candidates
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

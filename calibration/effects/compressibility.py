@@ -1,6 +1,6 @@
 """Compressibility of the tissue."""
 
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError
 from tissue_sim.material.material import BULK_RATIOS, Bulk
 
 
@@ -15,7 +15,7 @@ class Compressibility(Effect):
     #: Trial ratio K / mu. It lowers the force of bonded compression of the reference cylinder by 1 %.
     trial_ratio = 100.0
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidate with the trial ratio K / mu, or with a tenth of the stated ratio if this is smaller."""
         fit, mu = situation.campaign.fit, situation.estimated_shear_modulus
         for path in (path for path in fit.named if path.startswith("bulk.")):
@@ -28,11 +28,11 @@ class Compressibility(Effect):
             raise NotTestableError("the stated bulk modulus is already close to the smallest that the solver accepts")
         path, absent = f"bulk.{bulk.kind}", float(bulk.value or 0.0)
 
-        def convert_to_stated_unit(ratio: float) -> float:
+        def convert_ratio_to_stated_parameter(ratio: float) -> float:
             """Return the parameter of the bulk response (K / mu, K or D1) for a ratio K / mu."""
             return {"bulk_ratio": ratio, "K_Pa": ratio * mu, "D1_per_Pa": 2.0 / (ratio * mu)}[bulk.kind]
 
-        low, high = sorted((absent, convert_to_stated_unit(BULK_RATIOS[0])))
-        return [Candidate(self, {path: convert_to_stated_unit(trial_ratio)}, absent={path: absent},
+        low, high = sorted((absent, convert_ratio_to_stated_parameter(BULK_RATIOS[0])))
+        return [Candidate(self, {path: convert_ratio_to_stated_parameter(trial_ratio)}, absent={path: absent},
                           bounds={path: (low, high)},
                           inverse=bulk.kind != "D1_per_Pa")]

@@ -1,7 +1,7 @@
 """Error of the displacement at which the tool first touches the specimen."""
 
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 
 
 class ContactOffset(Effect):
@@ -15,9 +15,9 @@ class ContactOffset(Effect):
     #: Trial offset as a fraction of the largest displacement.
     trial_fraction = 0.005
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return one candidate with a trial shift of the displacement, m, for each simulated test."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
-        return rig_parameter_candidates(
+        return make_experiment_or_rig_candidates(
             self, situation, "rig.contact_offset", tests,
             lambda group: self.trial_fraction * situation.largest_displacement(group[0]), each=True)

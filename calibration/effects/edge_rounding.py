@@ -1,7 +1,7 @@
 """Edge radius of a needle above the stated one."""
 
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation, get_experiment
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, get_experiment
 from tissue_sim.parameters import list_field_declarations
 
 
@@ -16,11 +16,11 @@ class EdgeRounding(Effect):
     #: Trial increase of the edge radius as a fraction of the radius of the needle.
     trial_fraction = 0.1
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidates in the tests whose needle has an edge radius."""
         needles = require_tests(situation.simulated_tests(
             lambda test: "edge_radius" in list_field_declarations(type(get_experiment(test).tool))),
                                 "no test has a tool with an edge")
-        return rig_parameter_candidates(
+        return make_experiment_or_rig_candidates(
             self, situation, "experiment.tool.edge_radius", needles,
             lambda tests: self.trial_fraction * get_experiment(tests[0]).tool.require_radius(), two_sided=False)

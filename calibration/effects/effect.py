@@ -16,8 +16,8 @@ from typing import Any, ClassVar, Literal
 
 from calibration.campaign.campaign import Campaign, FitSettings, Test
 from calibration.campaign.parameters import SHARED, ScopedCampaignParameter, get_experiment_and_rig_declarations_by_path
+from calibration.effects.situation import DiagnosisData as DiagnosisData
 from calibration.effects.situation import NotTestableError as NotTestableError
-from calibration.effects.situation import Situation as Situation
 from calibration.effects.situation import get_experiment as get_experiment
 from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.laws import find_law
@@ -25,7 +25,7 @@ from tissue_sim.material.material import get_law_parameter_declaration
 from tissue_sim.material.parts import find_parameter_path_and_declaration, with_changed_or_added_parameters
 from tissue_sim.model import Model
 from tissue_sim.parameters import Declaration, make_display_symbol_of_parameter, parameters, with_values
-from tissue_sim.public_names import OldName, adopt_old_names, make_getattr_for_old_names
+from tissue_sim.public_names import OldName, make_getattr_for_old_names, rename_old_members_of_subclass
 
 __getattr__ = make_getattr_for_old_names(__name__, {"experiment_of": "get_experiment"})
 
@@ -34,6 +34,7 @@ Category = Literal["tissue", "contact", "geometry", "rig", "population"]
 #: All categories in the order of reports. The category determines the output file of a found effect: tissue -> material
 #: file, contact and geometry -> campaign, rig -> rig file, population -> none.
 CATEGORIES: tuple[Category, ...] = ("tissue", "contact", "geometry", "rig", "population")
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -168,8 +169,7 @@ class Candidate:
         shared = [test.name for test in campaign.tests if test.hold_out and test.name not in self.tests
                   and test.experiment is not None and all(
                       _read_test_value_or_none_if_lacking(test, path)
-                      == _read_test_value_or_none_if_lacking(first, path)
-                                                          for path in self.sizes)]
+                      == _read_test_value_or_none_if_lacking(first, path) for path in self.sizes)]
         return (*self.tests, *shared)
 
     def add_to_campaign(self, campaign: Campaign, values: Mapping[str, float] | None = None, *, free: bool) -> Campaign:
@@ -257,10 +257,10 @@ class Effect(ABC):
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
-        adopt_old_names(cls, {"room": "category"})
+        rename_old_members_of_subclass(cls, {"room": "category"})
 
     @abstractmethod
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidates of the effect in the tests, one for each trial value of the shape parameters.
 
         Args:

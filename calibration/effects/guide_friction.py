@@ -1,7 +1,7 @@
 """Friction of the linear guide."""
 
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 
 
 class GuideFriction(Effect):
@@ -15,9 +15,10 @@ class GuideFriction(Effect):
     #: Trial friction force as a fraction of the smallest of the tests' largest forces.
     trial_fraction = 0.01
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidates with a friction force above the stated one."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
-        return rig_parameter_candidates(self, situation, "rig.guide_friction", tests,
-                                        lambda group: self.trial_fraction * min(map(situation.largest_force, group)),
-                                        two_sided=False)
+        return make_experiment_or_rig_candidates(self, situation, "rig.guide_friction", tests,
+                                                 lambda group: self.trial_fraction
+                                                 * min(map(situation.largest_force, group)),
+                                                 two_sided=False)

@@ -1,7 +1,7 @@
 """Error of the stated height of a specimen."""
 
 from calibration.effects.candidates import require_tests
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 from calibration.effects.specimen_size import make_specimen_size_candidates
 
 
@@ -17,7 +17,7 @@ class HeightError(Effect):
     #: Trial relative error.
     trial_error = 0.01
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return one candidate per specimen with a stated height."""
         tests = require_tests(situation.simulated_tests(lambda test: test.specimen is not None),
                               "no test has a specimen with stated dimensions")

@@ -1,6 +1,6 @@
 """Dependence of the strain energy on the second invariant."""
 
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError
 from calibration.effects.wider_law import WIDER, get_parameters_of_biderman_special_case
 
 
@@ -18,7 +18,7 @@ class I2Term(Effect):
     #: Largest value of C01 that a refit may find, as a fraction of the shear modulus.
     max_fraction = 2.0
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidate that extends the fitted law to Biderman's law by C01."""
         if "C01" in get_parameters_of_biderman_special_case(situation.law):
             raise NotTestableError("the fitted law has a term in I2 - 3 already")

@@ -1,7 +1,7 @@
 """Latency of the force channel relative to the displacement channel."""
 
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 
 
 class Latency(Effect):
@@ -15,9 +15,9 @@ class Latency(Effect):
     #: Trial latency as a fraction of the duration of the fastest loading.
     trial_fraction = 0.01
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidates with a latency above the stated one."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         fastest = situation.find_largest_loading_speed(tests)
         size = self.trial_fraction * min(map(situation.largest_displacement, tests)) / fastest
-        return rig_parameter_candidates(self, situation, "rig.latency", tests, lambda _: size, two_sided=False)
+        return make_experiment_or_rig_candidates(self, situation, "rig.latency", tests, lambda _: size, two_sided=False)

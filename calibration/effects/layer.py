@@ -3,7 +3,7 @@
 import numpy as np
 
 from calibration.effects.candidates import require_tests
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, get_experiment
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError, get_experiment
 
 
 class Layer(Effect):
@@ -24,9 +24,9 @@ class Layer(Effect):
     #: Largest thickness as a fraction of the height of the specimen.
     max_thickness_fraction = 0.4
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return one candidate (ratio of moduli) per trial thickness of the layer; the tests must include a needle."""
-        if situation.campaign.fit.neo_hookean_material_with_effects.layers:
+        if situation.campaign.fit.placeholder_material_with_effects.layers:
             raise NotTestableError("the fitted material includes layers already, so this effect is not tested")
         needles = require_tests(situation.simulated_tests(lambda test: not get_experiment(test).tool.is_plate),
                                 "no test has a needle, and plates show only the mean stiffness of all layers")

@@ -1,7 +1,7 @@
 """Elastic compliance of the load train."""
 
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 
 
 class MachineCompliance(Effect):
@@ -15,9 +15,10 @@ class MachineCompliance(Effect):
     #: Trial deflection of the load train at the largest force, as a fraction of the largest displacement.
     trial_fraction = 0.01
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidates whose trial compliance follows from the stiffest test."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         stiffest = max(tests, key=lambda test: situation.largest_force(test) / situation.largest_displacement(test))
         size = self.trial_fraction * situation.largest_displacement(stiffest) / situation.largest_force(stiffest)
-        return rig_parameter_candidates(self, situation, "rig.compliance", tests, lambda _: size, two_sided=False)
+        return make_experiment_or_rig_candidates(self, situation, "rig.compliance", tests, lambda _: size,
+                                                 two_sided=False)

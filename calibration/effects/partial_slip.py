@@ -1,8 +1,8 @@
 """Partial slip of bonded faces."""
 
 from calibration.campaign.campaign import Test
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation, get_experiment
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, get_experiment
 
 
 class PartialSlip(Effect):
@@ -16,16 +16,17 @@ class PartialSlip(Effect):
     #: Trial slip fraction: 0 is a bonded face, 1 a frictionless face.
     trial_fraction = 0.05
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return one candidate (slip fraction) for each test with bonded faces."""
-        tests = require_tests(situation.simulated_tests(_can_bonded_faces_be_simulated_free),
+        tests = require_tests(situation.simulated_tests(_has_bonded_faces_that_can_slip),
                               "no test has bonded faces that can slip; tissue that slides round the sharp edge of a "
                               "needle cannot be simulated")
-        return rig_parameter_candidates(self, situation, "experiment.slip", tests, lambda _: self.trial_fraction,
-                                        each=True, two_sided=False)
+        return make_experiment_or_rig_candidates(self, situation, "experiment.slip", tests,
+                                                 lambda _: self.trial_fraction,
+                                                 each=True, two_sided=False)
 
 
-def _can_bonded_faces_be_simulated_free(test: Test) -> bool:
+def _has_bonded_faces_that_can_slip(test: Test) -> bool:
     """Return whether a test has bonded faces and the same test with frictionless faces can be simulated."""
     experiment = get_experiment(test)
     return experiment.friction == "bonded" and not experiment.tool.sharp_edge

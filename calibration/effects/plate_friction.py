@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from calibration.campaign.campaign import Test
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation, get_experiment
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, get_experiment
 from tissue_sim.experiment.interfaces import AS_TOOL
 
 
@@ -20,13 +20,14 @@ class PlateFriction(Effect):
     #: Trial coefficient of friction.
     trial_coefficient = 0.02
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidates in the tests between frictionless plates."""
         tests = require_tests(situation.simulated_tests(lambda test: get_experiment(test).tool.is_plate
                                                         and get_experiment(test).friction == "frictionless"),
                               "no test is done between frictionless plates")
-        return rig_parameter_candidates(self, situation, "experiment.friction", tests, lambda _: self.trial_coefficient,
-                                        two_sided=False, prepare=_make_test_with_base_friction_of_tool)
+        return make_experiment_or_rig_candidates(self, situation, "experiment.friction", tests,
+                                                 lambda _: self.trial_coefficient,
+                                                 two_sided=False, prepare=_make_test_with_base_friction_of_tool)
 
 
 def _make_test_with_base_friction_of_tool(test: Test) -> Test:

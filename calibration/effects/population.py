@@ -1,7 +1,7 @@
 """Differences in stiffness between specimens."""
 
 from calibration.campaign.parameters import PER_SPECIMEN
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError
 
 
 class Population(Effect):
@@ -17,7 +17,7 @@ class Population(Effect):
     #: Largest factor of the stiffness, and largest inverse factor, that a refit may find.
     max_factor = 5.0
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidate with one factor for each specimen except the first."""
         path = "effects.stiffness_scale.ratio"
         situation.require_unused_parameter(path)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calibration.effects.candidates import require_tests
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError
 
 
 class Poroelasticity(Effect):
@@ -23,13 +23,13 @@ class Poroelasticity(Effect):
     #: Largest number of trial diffusivities.
     max_diffusivities = 8
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return one candidate (relaxing fraction of the stiffness) per trial diffusivity, m2/s."""
-        if situation.campaign.fit.neo_hookean_material_with_effects.poroelasticity is not None:
+        if situation.campaign.fit.placeholder_material_with_effects.poroelasticity is not None:
             raise NotTestableError("the fitted material includes poroelasticity already, so this effect is not tested")
         radii = [situation.contact_radius(test) for test in require_tests(
             situation.simulated_tests(), "no test has a tool, so no contact size is known")]
-        times = situation.relaxation_times()
+        times = situation.list_resolvable_relaxation_times()
         slow, fast = min(radii) ** 2 / times[-1], max(radii) ** 2 / times[0]
         phi, D = "poroelasticity.phi", "poroelasticity.diffusivity"
         count = min(self.max_diffusivities, 1 + int(np.ceil(self.diffusivities_per_decade * np.log10(fast / slow))))

@@ -1,7 +1,7 @@
 """Puncture of the tissue by a needle."""
 
 from calibration.effects.candidates import require_tests
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation, get_experiment
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError, get_experiment
 
 
 class Puncture(Effect):
@@ -19,9 +19,9 @@ class Puncture(Effect):
     #: Trial depths as fractions of the largest depth of a needle.
     trial_depths = tuple(0.05 * step for step in range(1, 20))
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return one candidate (relative drop of the force) per trial depth of the puncture by a needle."""
-        if situation.campaign.fit.neo_hookean_material_with_effects.puncture is not None:
+        if situation.campaign.fit.placeholder_material_with_effects.puncture is not None:
             raise NotTestableError("the fitted material includes a puncture already, so this effect is not tested")
         needles = require_tests(situation.simulated_tests(lambda test: not get_experiment(test).tool.is_plate),
                                 "no test has a needle")

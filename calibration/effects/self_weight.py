@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from calibration.campaign.campaign import Test
 from calibration.effects.candidates import require_tests
-from calibration.effects.effect import Candidate, Effect, Situation, get_experiment
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, get_experiment
 from tissue_sim.model import Model
 from tissue_sim.specimen import STANDARD_GRAVITY
 
@@ -28,7 +28,7 @@ class SelfWeight(Effect):
     signature = "forces of plates and punch are higher than the stiffness explains, most for soft and high specimens"
     separated_by = "weighing the specimen and measuring its height before and after placing, or a horizontal test axis"
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidate with standard gravity in the tests without gravity."""
         situation.require_unused_parameter(_GRAVITY)
         tests = require_tests(situation.simulated_tests(lambda test: not get_experiment(test).specimen.gravity),

@@ -1,7 +1,7 @@
 """Scale error of the force sensor."""
 
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 
 
 class SensorGain(Effect):
@@ -17,7 +17,7 @@ class SensorGain(Effect):
     #: Trial relative error.
     trial_error = 0.01
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidates with a relative error of the force."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
-        return rig_parameter_candidates(self, situation, "rig.sensor_gain", tests, lambda _: self.trial_error)
+        return make_experiment_or_rig_candidates(self, situation, "rig.sensor_gain", tests, lambda _: self.trial_error)

@@ -1,7 +1,7 @@
 """Change of stiffness between sessions, for example by temperature."""
 
 from calibration.effects.candidates import make_candidate_per_test, require_tests
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 
 
 class SessionScale(Effect):
@@ -18,11 +18,11 @@ class SessionScale(Effect):
     #: Largest factor of the stiffness, and largest inverse factor, that a refit may find.
     max_factor = 5.0
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return one candidate with a stiffness factor for each simulated test except the first."""
         path = "effects.stiffness_scale.ratio"
         situation.require_unused_parameter(path)
         others = require_tests(situation.simulated_tests()[1:],
                                "only one test has a tool, so its stiffness has no reference")
         return make_candidate_per_test(self, others, lambda _: {path: 1.0 + self.trial_change},
-                                        bounds={path: (1.0 / self.max_factor, self.max_factor)})
+                                       bounds={path: (1.0 / self.max_factor, self.max_factor)})

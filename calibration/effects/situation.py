@@ -11,9 +11,9 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.public_names import OldName, make_getattr_for_old_names
+from tissue_sim.public_names import OldName, make_getattr_for_old_names, with_old_names
 
-__getattr__ = make_getattr_for_old_names(__name__, {"experiment_of": "get_experiment"})
+__getattr__ = make_getattr_for_old_names(__name__, {"experiment_of": "get_experiment", "Situation": "DiagnosisData"})
 
 #: Smallest decrease of the displacement that counts as unloading, as a fraction of the largest displacement.
 UNLOADING_FRACTION = 0.05
@@ -23,8 +23,9 @@ class NotTestableError(Exception):
     """No test of a campaign can show an effect; the message gives the reason without a capital letter or full stop."""
 
 
+@with_old_names(fitted_curves="list_recordings", relaxation_times="list_resolvable_relaxation_times")
 @dataclass(frozen=True, eq=False)
-class Situation:
+class DiagnosisData:
     """Tests and recordings in which a diagnosis tests an effect, with estimates for trial values.
 
     Attributes:
@@ -53,7 +54,7 @@ class Situation:
 
     simulated = OldName("simulated_tests")
     fastest_speed = OldName("find_largest_loading_speed")
-    curves = OldName("fitted_curves")
+    curves = OldName("list_recordings")
     step_and_duration = OldName("sampling_interval_and_duration")
     require_new = OldName("require_unused_parameter")
     depth = OldName("largest_displacement")
@@ -63,7 +64,7 @@ class Situation:
     shear_modulus = OldName("estimated_shear_modulus")
     has_unloading = OldName("test_has_unloading")
 
-    def fitted_curves(self, tests: Iterable[Test] | None = None) -> list[MeasuredCurve]:
+    def list_recordings(self, tests: Iterable[Test] | None = None) -> list[MeasuredCurve]:
         """Return the recordings of `tests` in one list; None: of all fitted tests."""
         return [curve for test in (self.tests if tests is None else tests) for curve in self.measured[test.name]]
 
@@ -78,7 +79,7 @@ class Situation:
     @cached_property
     def has_time(self) -> bool:
         """Whether every recording of the fitted tests has a time channel that advances."""
-        return all(curve.time is not None and np.ptp(curve.time) > 0 for curve in self.fitted_curves())
+        return all(curve.time is not None and np.ptp(curve.time) > 0 for curve in self.list_recordings())
 
     @cached_property
     def sampling_interval_and_duration(self) -> tuple[float, float]:
@@ -89,7 +90,7 @@ class Situation:
         """
         if not self.has_time:
             raise NotTestableError("the recordings have no time")
-        clocks = [curve.required_sample_times for curve in self.fitted_curves()]
+        clocks = [curve.sample_times for curve in self.list_recordings()]
         return float(np.median([np.median(np.diff(clock)) for clock in clocks])), \
             max(float(clock[-1] - clock[0]) for clock in clocks)
 
@@ -140,7 +141,8 @@ class Situation:
         Raises:
             NotTestableError: the recordings have no time.
         """
-        speeds = [curve.speed for curve in self.fitted_curves(tests) if self.has_time and curve.speed]
+        speeds = [curve.mean_loading_speed for curve in self.list_recordings(tests) if self.has_time
+                  and curve.mean_loading_speed]
         if not speeds:
             raise NotTestableError("the recordings have no time")
         return max(speeds)
@@ -157,7 +159,7 @@ class Situation:
         if path in self.campaign.fit.start or path in self.campaign.fit.fixed:
             raise NotTestableError("the campaign fits or fixes this parameter already")
 
-    def relaxation_times(self, per_decade: float = 2.0) -> list[float]:
+    def list_resolvable_relaxation_times(self, per_decade: float = 2.0) -> list[float]:
         """Return relaxation times that the recordings can resolve, s, evenly spaced on a logarithmic axis.
 
         The times extend from three sampling intervals to the duration of the longest recording.

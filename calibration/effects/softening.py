@@ -1,7 +1,7 @@
 """Stress softening below the largest previous load (Mullins effect)."""
 
 from calibration.effects.candidates import require_tests
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError
 
 
 class Softening(Effect):
@@ -20,9 +20,9 @@ class Softening(Effect):
     #: another shape of the unloading curve.
     trial_energy_fractions = (0.15, 0.4, 1.0, 3.0)
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return one candidate per trial fraction of the strain energy."""
-        if situation.campaign.fit.neo_hookean_material_with_effects.softening is not None:
+        if situation.campaign.fit.placeholder_material_with_effects.softening is not None:
             raise NotTestableError("the fitted material includes softening already, so this effect is not tested")
         require_tests(situation.simulated_tests(situation.test_has_unloading),
                       "no recording has an unloading, and softening does not change the first loading")

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 from calibration.campaign.campaign import Test
 from calibration.campaign.parameters import get_experiment_and_rig_declarations_by_path
 from calibration.effects.candidates import read_stated_value, require_tests
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 
 #: Largest relative error that a refit may find.
 _MAX_ERROR = 0.2
 
 
-def make_specimen_size_candidates(effect: Effect, situation: Situation, path: str, tests: Sequence[Test],
+def make_specimen_size_candidates(effect: Effect, situation: DiagnosisData, path: str, tests: Sequence[Test],
                                   error: float) -> list[Candidate]:
     """Make one candidate for each specimen: a relative error of one of its dimensions.
 

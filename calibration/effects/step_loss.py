@@ -1,7 +1,7 @@
 """Lost steps of a stepper motor."""
 
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 
 
 class StepLoss(Effect):
@@ -17,7 +17,7 @@ class StepLoss(Effect):
     #: Trial depths of the loss as fractions of the largest displacement.
     trial_depths = tuple(0.05 * step for step in range(2, 20))
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return one candidate per test and trial depth."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         loss, depth, found = "rig.step_loss", "rig.step_loss_depth", []
@@ -28,7 +28,7 @@ class StepLoss(Effect):
 
         for fraction in self.trial_depths:
             for test in tests:
-                found += rig_parameter_candidates(
+                found += make_experiment_or_rig_candidates(
                     self, situation, loss, [test], compute_trial_loss, each=True, two_sided=False,
                     shape={depth: fraction * situation.largest_displacement(test)}, jump=depth)
         return found

@@ -1,6 +1,6 @@
 """Strain stiffening beyond the fitted law."""
 
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 from calibration.effects.wider_law import WIDER, find_lowest_missing_coefficient_and_power
 
 
@@ -19,7 +19,7 @@ class StrainStiffening(Effect):
     #: grows so steeply with strain that it is small in most of the tissue.
     max_trial_coefficients = 500.0
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidate with the lowest power of I1 - 3 that the fitted law lacks."""
         path, order = find_lowest_missing_coefficient_and_power(situation.law)
         largest = max((situation.largest_strain(test) for test in situation.simulated_tests()), default=0.1)

@@ -1,7 +1,7 @@
 """Tilt of the tool's face relative to the specimen."""
 
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 
 
 class Tilt(Effect):
@@ -16,9 +16,9 @@ class Tilt(Effect):
     #: Trial height difference across the face, as a fraction of the largest displacement.
     trial_fraction = 0.03
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return one candidate with a trial tilt (height difference, m) for each simulated test."""
         tests = require_tests(situation.simulated_tests(), "no test has a tool")
-        return rig_parameter_candidates(
+        return make_experiment_or_rig_candidates(
             self, situation, "experiment.tilt", tests,
             lambda group: self.trial_fraction * situation.largest_displacement(group[0]), each=True, two_sided=False)

@@ -1,6 +1,6 @@
 """Viscoelastic relaxation of the tissue."""
 
-from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
+from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError
 
 
 class Viscoelasticity(Effect):
@@ -20,9 +20,9 @@ class Viscoelasticity(Effect):
     #: Largest fraction g that a refit may find.
     max_fraction = 0.95
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return one candidate (one more Prony term) per relaxation time that the recordings resolve."""
-        series = situation.campaign.fit.neo_hookean_material_with_effects.viscoelastic
+        series = situation.campaign.fit.placeholder_material_with_effects.viscoelastic
         number = 0 if series is None else len(series.terms)
         if number >= self.max_instances:
             raise NotTestableError(f"the fitted material includes {number} Prony terms already, so this effect is not "
@@ -31,4 +31,4 @@ class Viscoelasticity(Effect):
         step, longest = situation.sampling_interval_and_duration
         return [Candidate(self, {g: self.trial_fraction}, shape={tau: time},
                           bounds={g: (0.0, self.max_fraction), tau: (0.3 * step, 10.0 * longest)})
-                for time in situation.relaxation_times()]
+                for time in situation.list_resolvable_relaxation_times()]

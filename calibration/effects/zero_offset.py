@@ -1,7 +1,7 @@
 """Zero offset of the force sensor."""
 
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
-from calibration.effects.effect import Candidate, Effect, Situation
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
+from calibration.effects.effect import Candidate, DiagnosisData, Effect
 
 
 class ZeroOffset(Effect):
@@ -15,7 +15,7 @@ class ZeroOffset(Effect):
     #: Trial offset as a fraction of the smallest of the tests' largest forces.
     trial_fraction = 0.01
 
-    def candidates(self, situation: Situation) -> list[Candidate]:
+    def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidates of all tests together and, for two or more tests, of each test."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         path = "rig.zero_offset"
@@ -24,7 +24,8 @@ class ZeroOffset(Effect):
             """Return the trial offset of a group of tests, N."""
             return self.trial_fraction * min(map(situation.largest_force, group))
 
-        shared = rig_parameter_candidates(self, situation, path, tests, compute_trial_offset)
+        shared = make_experiment_or_rig_candidates(self, situation, path, tests, compute_trial_offset)
         if len(tests) < 2:
             return shared
-        return [*shared, *rig_parameter_candidates(self, situation, path, tests, compute_trial_offset, each=True)]
+        return [*shared,
+                *make_experiment_or_rig_candidates(self, situation, path, tests, compute_trial_offset, each=True)]

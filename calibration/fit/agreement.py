@@ -24,11 +24,11 @@ def compare_method_intervals_in_sentences(results: Sequence[Fits]) -> list[str]:
     """
     return [sentence for one, other in combinations(results, 2)
             if one[0].fit.method != other[0].fit.method
-            and _collect_recording_paths(one) == _collect_recording_paths(other)
+            and _collect_fitted_recording_paths(one) == _collect_fitted_recording_paths(other)
             for sentence in _iterate_law_comparison_sentences(one, other)]
 
 
-def _collect_recording_paths(fits: Fits) -> frozenset:
+def _collect_fitted_recording_paths(fits: Fits) -> frozenset:
     """Return the paths of all fitted recordings."""
     return frozenset(path.resolve() for test in fits[0].tests if not test.hold_out for path in test.recordings)
 
@@ -49,7 +49,7 @@ def _iterate_law_comparison_sentences(one: Fits, other: Fits) -> Iterator[str]:
                 apart.append(f"{mine.symbols[name]} {_format_interval(mine, name)} and {_format_interval(fit, name)}")
         names = f"{mine.law}: {_format_campaign_and_method(one[0])} and {_format_campaign_and_method(other[0])}"
         if apart:
-            why = _describe_assumptions(mine, fit, one[0], other[0])
+            why = _explain_interval_disagreement(mine, fit, one[0], other[0])
             yield f"{names} have 95 % intervals that do not overlap: {'; '.join(apart)}. {why}"
         elif compared:
             yield f"{names} agree within their 95 % intervals."
@@ -66,7 +66,7 @@ def _format_interval(fit: Fit, name: str) -> str:
     return f"{low:.4g} to {high:.4g} {fit.get_unit_or_empty_if_dimensionless(name)}".rstrip()
 
 
-def _describe_assumptions(mine: Fit, fit: Fit, one: Campaign, other: Campaign) -> str:
+def _explain_interval_disagreement(mine: Fit, fit: Fit, one: Campaign, other: Campaign) -> str:
     """Describe the different assumptions of two methods, the most likely reason of a disagreement first."""
     reasons = []
     inverse, plain = (mine, fit) if one.fit.method == "inverse_fem" else (fit, mine)

@@ -76,8 +76,8 @@ def list_sign_flipped_starts(space: ParameterSpace, theta: np.ndarray) -> list[n
     return found
 
 
-def find_index_of_best_positive_exponent_minimum(space: ParameterSpace,
-                                                 minima: Sequence[tuple[float, np.ndarray]]) -> int:
+def find_index_of_preferred_minimum(space: ParameterSpace,
+                                    minima: Sequence[tuple[float, np.ndarray]]) -> int:
     """Return the index of the minimum to report first: of equally good ones, that with most positive exponents.
 
     The choice is a convention, so that the same data always give the same first parameters.
@@ -129,8 +129,8 @@ def describe_alternative_minima(alternatives: Sequence[AlternativeMinimum], symb
     return "; ".join(parts)
 
 
-def set_misleading_errors_to_infinity(space: ParameterSpace, spread: ParameterUncertainty, theta: np.ndarray,
-                                      alternatives: Sequence[AlternativeMinimum]) -> ParameterUncertainty:
+def replace_misleading_standard_errors(space: ParameterSpace, spread: ParameterUncertainty, theta: np.ndarray,
+                                       alternatives: Sequence[AlternativeMinimum]) -> ParameterUncertainty:
     """Replace misleading standard errors by infinity.
 
     These are the standard errors of parameters that differ between equally good optima, and of parameters with two

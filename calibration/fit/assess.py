@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
-from calibration.fit.alternatives import find_equally_good_different_materials, set_misleading_errors_to_infinity
+from calibration.fit.alternatives import find_equally_good_different_materials, replace_misleading_standard_errors
 from calibration.fit.determination import ShearModulusPrecision, assess_modulus_error_and_bound_dependence
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, FitFieldInputs
@@ -29,7 +29,7 @@ from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
 from calibration.statistics.statistics import compute_aic_and_bic, compute_correlation_matrix
 from calibration.statistics.uncertainty import ParameterUncertainty
-from tissue_sim.laws import StabilityRange, check_stability, find_law
+from tissue_sim.laws import StabilityRange, find_law, find_stability_range
 from tissue_sim.laws.stability import STRETCH_RANGE
 
 
@@ -50,25 +50,26 @@ def build_fit_record(estimator: Estimator, estimate: Estimate, spread: Parameter
     problem, space = estimate.problem, estimate.problem.space
     law = find_law(space.law)
     theta = estimate.theta[: len(space.free)]
-    values = space.values(theta)
+    values = space.get_values_by_name(theta)
     free = slice(0, len(space.free))
     specimens = determine_population_and_left_out_specimens(space, theta, spread.covariance[free, free],
                                                             spread.standard_errors[free])
-    moduli = space.select_law_parameters(specimens.replace_specimen_values_by_representative(space, values))
+    moduli = space.select_law_parameter_values(specimens.replace_specimen_values_by_representative(space, values))
     reached = {test.name: test.compute_stretch_range(space, theta) for test in problem.tests}
     stretches = (min(one.principal[0] for one in reached.values()), max(one.principal[1] for one in reached.values()))
-    stability = check_stability(law, law.as_array(moduli), (min(STRETCH_RANGE[0], stretches[0]),
-                                                            max(STRETCH_RANGE[1], stretches[1])))
+    stretch_range = min(STRETCH_RANGE[0], stretches[0]), max(STRETCH_RANGE[1], stretches[1])
+    stability = find_stability_range(law, law.convert_parameters_to_array(moduli), stretch_range)
     mu0 = law.mu0(moduli)
     units = {each.name: each.declaration.unit for each in space.unknowns}
-    alternatives = find_equally_good_different_materials(law, space.select_law_parameters(values),
-                                                         [(minimum, space.select_law_parameters(minimum.parameters))
+    alternatives = find_equally_good_different_materials(law, space.select_law_parameter_values(values),
+                                                         [(minimum,
+                                                           space.select_law_parameter_values(minimum.parameters))
                                                           for minimum in estimate.minima], stretches)
     determination = _assess_shear_modulus_precision(estimate, spread, mu0, campaign)
     clauses, status, unusable = evaluate_usability_clauses_and_status(UsabilityEvidence(
         estimate, stability, reached, mu0, specimens, alternatives, determination, space.symbols, units, limits))
     loose = find_undetermined_parameters(space, spread)
-    spread = set_misleading_errors_to_infinity(space, spread, theta, alternatives)
+    spread = replace_misleading_standard_errors(space, spread, theta, alternatives)
     errors: dict[str, float | None] = dict.fromkeys(space.fixed, 0.0)
     errors |= {name: float(e) if np.isfinite(e) else None
                for name, e in zip(space.free, spread.standard_errors, strict=False)}
@@ -112,12 +113,13 @@ def _assess_shear_modulus_precision(estimate: Estimate, spread: ParameterUncerta
     None if the modulus is not positive, or if each specimen has its own moduli, which the clause `population` judges.
     """
     space = estimate.problem.space
-    if not mu0 > 0 or any(each.of_law and each.specimen is not None for each in space.unknowns):
+    if not mu0 > 0 or any(each.is_law_parameter and each.specimen is not None for each in space.unknowns):
         return None
     law = find_law(space.law)
     stated = {each.name for each in space.free_parameters if each.path in campaign.fit.bounds}
     return assess_modulus_error_and_bound_dependence(
-        estimate, spread, lambda theta: law.mu0(space.select_law_parameters(space.values(theta))), stated)
+        estimate, spread,
+        lambda theta: law.mu0(space.select_law_parameter_values(space.get_values_by_name(theta))), stated)
 
 
 def _classify_derivative_methods(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
@@ -141,7 +143,7 @@ def _collect_profiles_intervals_and_notes(estimate: Estimate, spread: ParameterU
                                           sides: Sequence[ProfileSide]):
     """Return profiles, 95 % intervals and notes on the intervals, each by name of the parameter."""
     space, theta = estimate.problem.space, estimate.theta
-    values = space.values(theta[: len(space.free)])
+    values = space.get_values_by_name(theta[: len(space.free)])
     profiles: dict[str, ProfileLikelihood] = {}
     intervals: dict[str, tuple[float, float] | None] = {name: (values[name], values[name]) for name in space.fixed}
     notes: dict[str, str] = {}

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.measured import MeasuredCurve, compute_smallest_default_contact_deviation
+from calibration.campaign.measured import MeasuredCurve, compute_default_contact_offset_deviation
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import GeneralisedProblem
@@ -47,7 +47,7 @@ def make_stated_or_guessed_jitter(campaign: Campaign, curves: Sequence[MeasuredC
         noisiest = max(curve.noise.deviation for curve in curves)
         contact, zero = fit.offset_prior, fit.zero_prior or OFFSET_DEFAULTS.zero_prior * noisiest
     if contact is None:
-        contact, freedom = compute_smallest_default_contact_deviation(curves), 0
+        contact, freedom = compute_default_contact_offset_deviation(curves), 0
     if zero is None:
         zero, freedom = OFFSET_DEFAULTS.first_zero * largest, 0
     return ContactAndForceZeroJitter(contact, zero, freedom)

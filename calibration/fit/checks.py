@@ -9,7 +9,7 @@ from calibration.fit.problem import GeneralisedProblem
 from calibration.fit.starts import list_starts_with_varied_exponents
 from calibration.forward.contract import InfeasibleError
 from tissue_sim.errors import InputError
-from tissue_sim.laws import check_stability, find_law
+from tissue_sim.laws import find_law, find_stability_range
 
 #: Norm of the change of all forces, in units of their noise, below which a change of a parameter by its own size counts
 #: as undetectable.
@@ -34,8 +34,8 @@ def require_fittable_start(problem: GeneralisedProblem, campaign: Campaign, numb
                          f"{law.name}; got {problem.samples}. Increase max_strain, or choose a law with fewer "
                          "parameters", file=campaign.path, field=f"fit.laws[{number}]")
     theta = list_starts_with_varied_exponents(space, 1)[0]
-    values = space.values(theta)
-    stated = [name for name in space.select_law_parameters(values) if name in campaign.fit.start
+    values = space.get_values_by_name(theta)
+    stated = [name for name in space.select_law_parameter_values(values) if name in campaign.fit.start
               or name in campaign.fit.fixed]
     key = "start" if any(name in campaign.fit.start for name in stated) else "fixed"
     try:
@@ -66,13 +66,13 @@ def _require_stable_law_in_homogeneous_tests(problem: GeneralisedProblem, theta:
                                              key: str) -> None:
     """Raise an `InputError` if stated values make the law unstable within the data of a homogeneous test."""
     law, space = find_law(problem.space.law), problem.space
-    own = law.as_array(space.select_law_parameters(space.values(theta)))
+    own = law.convert_parameters_to_array(space.select_law_parameter_values(space.get_values_by_name(theta)))
     for test in problem.tests:
         if not test.is_homogeneous or not test.closed_form.rest:
             continue
         reached = test.compute_stretch_range(space, theta)
         low, high = reached.low, reached.high
-        lower, upper = check_stability(law, own, (min(low, 0.99), max(high, 1.01))).limits[test.closed_form.mode]
+        lower, upper = find_stability_range(law, own, (min(low, 0.99), max(high, 1.01))).limits[test.closed_form.mode]
         if lower > low or upper < high:
             limit, end = (lower, low) if lower > low else (upper, high)
             raise InputError(f"the values must make {law.name} stable up to stretch {end:.3g}, which {test.name} "

@@ -77,8 +77,8 @@ def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     For each combination of exponents, linear least squares gives the moduli.
     """
     space = problem.space
-    of_law = [each.of_law for each in space.free_parameters]
-    moduli = [i for i, each in enumerate(space.free_parameters) if each.of_law and each.is_modulus]
+    of_law = [each.is_law_parameter for each in space.free_parameters]
+    moduli = [i for i, each in enumerate(space.free_parameters) if each.is_law_parameter and each.is_modulus]
     exponents = [i for i, each in enumerate(space.free_parameters) if each.is_dimensionless_law_parameter]
     # The exponents of all specimens have the same starting values.
     paths = [space.free_parameters[i].path for i in exponents]
@@ -112,7 +112,7 @@ def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
         # With unsuitable exponents all moduli are zero, and such a start is omitted.
         evaluations = [(evaluate_or_none_if_infeasible(problem, trial), trial) for trial in tried
                        if not moduli or trial[moduli].any()]
-        candidates += sorted(((e.sum_of_squares, i, trial) for i,
+        candidates += sorted(((e.penalised_sum_of_squares, i, trial) for i,
                               (e, trial) in enumerate(evaluations) if e is not None),
                              key=lambda item: item[:2])[:1]
     candidates.sort(key=lambda item: item[0])
@@ -188,7 +188,7 @@ def _compute_viscoelastic_starts(problem: OrdinaryProblem, variables: LongTermPr
     """Return starts of a law with Prony terms, smallest misfit of a fit on a grid of relaxation times first."""
     model = _RelaxationModel(problem)
     terms = variables.g.size
-    shortest, longest = problem.median_interval_and_longest_duration
+    shortest, longest = problem.median_sampling_interval_and_longest_duration
     count = int(np.clip(_SETTINGS.times_per_decade * np.log10(longest / shortest), terms + 1, 16))
     grid = np.geomspace(shortest, longest, count)
     candidates = []

@@ -14,7 +14,7 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.predictor import PredictionParameters
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.bands import KNOWN_VARIANCE, ScatterComponent, compute_prediction_bands
+from calibration.statistics.bands import KNOWN_VARIANCE, ScatterComponent, compute_prediction_band_half_widths
 from calibration.statistics.jitter import ContactAndForceZeroJitter
 from calibration.statistics.uncertainty import ParameterUncertainty
 
@@ -88,7 +88,7 @@ def compute_test_curves(estimate: Estimate, spread: ParameterUncertainty, tests:
     fitted = {curve.name: along[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
     for test, mesh_error in tests:
         path = _build_model_path_as_forceless_recording(test)
-        time = path.time if test.is_path_dependent else None
+        time = path.time if test.has_reversals_or_holds else None
         try:
             predictor = others.get(test.name, own)
             answer = test.solve(predictor.space, predictor.theta, problem.solves)
@@ -142,7 +142,7 @@ def _predict_force_error_and_bands_along_path(solves: SimulationCache, predictor
         scatters += unsure
     samples = np.mean([curve.force.size for curve in test.measured]) / force.size
     error = np.sqrt(sum(each.variance for each in unsure))
-    return force, error, compute_prediction_bands(bias, scatters, found.noise, float(samples))
+    return force, error, compute_prediction_band_half_widths(bias, scatters, found.noise, float(samples))
 
 
 def _build_model_path_as_forceless_recording(test: ForwardTest) -> MeasuredCurve:
@@ -150,9 +150,9 @@ def _build_model_path_as_forceless_recording(test: ForwardTest) -> MeasuredCurve
     first, segment = test.measured[0], None
     time: np.ndarray | None = None
     reached = np.concatenate([curve.displacement for curve in test.measured])
-    if test.is_path_dependent:
-        even = np.linspace(first.required_sample_times[0], first.required_sample_times[-1], 4 * _SETTINGS.points)
-        time, displacement = even, np.interp(even, first.required_sample_times, first.displacement)
+    if test.has_reversals_or_holds:
+        even = np.linspace(first.sample_times[0], first.sample_times[-1], 4 * _SETTINGS.points)
+        time, displacement = even, np.interp(even, first.sample_times, first.displacement)
         segment = np.full(displacement.size, "")
     else:
         # A gripped specimen may be loaded in both directions.
@@ -160,6 +160,6 @@ def _build_model_path_as_forceless_recording(test: ForwardTest) -> MeasuredCurve
         displacement = np.linspace(start, max(0.0, float(reached.max())), _SETTINGS.points)
         if first.time is not None:
             order = np.argsort(first.displacement, kind="stable")
-            time = np.interp(displacement, first.displacement[order], first.required_sample_times[order])
+            time = np.interp(displacement, first.displacement[order], first.sample_times[order])
     return replace(first, time=time, displacement=displacement, force=np.zeros_like(displacement), segment=segment,
                    interpolation=None)

@@ -75,7 +75,7 @@ def assess_modulus_error_and_bound_dependence(estimate: Estimate, spread: Parame
     space = estimate.problem.space
     count = len(space.free)
     theta = estimate.theta[:count]
-    sizes = space.compute_typical_parameter_sizes(space.values(theta))
+    sizes = space.compute_typical_parameter_sizes(space.get_values_by_name(theta))
     slope = np.zeros(estimate.theta.size)
     slope[:count] = _differentiate_shear_modulus(modulus, theta, sizes) / abs(modulus(theta))
     residual, jacobian = estimate.evaluation.projected_residual_and_jacobian

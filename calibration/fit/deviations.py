@@ -137,8 +137,8 @@ def _get_segment_label_of_each_sample(curve: MeasuredCurve, first: MeasuredCurve
         return np.full(curve.displacement.size, "")
     if first is None:
         return labelled.segment
-    return labelled.segment[np.clip(np.searchsorted(first.required_sample_times, curve.required_sample_times), 0,
-                                    first.required_sample_times.size - 1)]
+    return labelled.segment[np.clip(np.searchsorted(first.sample_times, curve.sample_times), 0,
+                                    first.sample_times.size - 1)]
 
 
 def _evaluate_chebyshev_polynomials(curve: MeasuredCurve, part: np.ndarray, name: str, count: int) -> np.ndarray:
@@ -146,7 +146,7 @@ def _evaluate_chebyshev_polynomials(curve: MeasuredCurve, part: np.ndarray, name
 
     The polynomials have large slopes at the ends of a segment, where models often deviate most.
     """
-    along = curve.displacement[part] if curve.segment is None else curve.required_sample_times[part]
+    along = curve.displacement[part] if curve.segment is None else curve.sample_times[part]
     position = (along - along.min()) / max(float(np.ptp(along)), 1e-300)
     if name.startswith("hold"):
         position = np.log1p(position / SETTINGS.logarithmic_from) / np.log1p(1.0 / SETTINGS.logarithmic_from)

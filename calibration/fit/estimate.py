@@ -98,7 +98,7 @@ def iterate_mesh_correction_and_jitter(problem: GeneralisedProblem, theta: np.nd
         if not np.isfinite(descent.error):
             break
         moved = np.abs(descent.theta
-                       - theta) / problem.space.compute_typical_parameter_sizes(problem.space.values(theta))
+                       - theta) / problem.space.compute_typical_parameter_sizes(problem.space.get_values_by_name(theta))
         theta = descent.theta
         # The correction is nearly proportional to the parameters, so the next change is about this one times the
         # relative difference of the meshes.

@@ -15,7 +15,7 @@ LAW_ERRORS = (ConvergenceError, InfeasibleError, ArithmeticError, ValueError)
 
 
 @dataclass(frozen=True)
-class CalibrationFailureRecord:
+class LawFailureRecord:
     """Failure of the calibration of one law, which does not end the calibration of the other laws.
 
     Attributes:
@@ -26,16 +26,16 @@ class CalibrationFailureRecord:
 
 
 def call_and_catch_law_errors(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function and convert exceptions of `LAW_ERRORS` to a `CalibrationFailureRecord`.
+    """Call a function and convert exceptions of `LAW_ERRORS` to a `LawFailureRecord`.
 
     Args:
         function: function to call.
         arguments: arguments of the function.
 
     Returns:
-        Result of the function, or a `CalibrationFailureRecord`.
+        Result of the function, or a `LawFailureRecord`.
     """
     try:
         return function(*arguments)
     except LAW_ERRORS as error:
-        return CalibrationFailureRecord(str(error) or type(error).__name__)
+        return LawFailureRecord(str(error) or type(error).__name__)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import msgspec
 
-from calibration.fit.population_records import ParameterCovariance, PopulationStatement
+from calibration.fit.population_records import ParameterCovariance, PopulationRecord
 from calibration.fit.usability_records import AlternativeMinimum, UsabilityClauseResult
 from tissue_sim.public_names import OldName
 
@@ -180,7 +180,7 @@ class WindowFit(msgspec.Struct, frozen=True, kw_only=True):
     parameters: dict[str, float]
 
 
-class SensorNoiseStatement(msgspec.Struct, frozen=True, kw_only=True):
+class SensorNoiseRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Noise of the recordings of one test.
 
     Attributes:
@@ -196,7 +196,7 @@ class SensorNoiseStatement(msgspec.Struct, frozen=True, kw_only=True):
     source: str
 
 
-class ReplicateJitterStatement(msgspec.Struct, frozen=True, kw_only=True):
+class ReplicateJitterRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Scatter between recordings.
 
     Attributes:
@@ -362,7 +362,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     odd_recordings: list[str] = []
     windows: list[WindowFit] = []
     material_file: str | None = None
-    population: PopulationStatement | None = None
+    population: PopulationRecord | None = None
     material_of: list[str] = []
     left_out_specimens: dict[str, str] = {}
     interval_notes: dict[str, str] = {}
@@ -372,7 +372,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     condition: float | None = None
     directions: list[WeakDirection] = []
     suggestions: list[SuggestedTest] = []
-    jitter: ReplicateJitterStatement | None = None
+    jitter: ReplicateJitterRecord | None = None
     mesh: list[MeshCorrectionSummary] = []
     left_out: float | None = None
     estimate_cpu_s: float = 0.0

@@ -10,12 +10,12 @@ import numpy as np
 
 from calibration.campaign.campaign import Noise, Test
 from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
-from calibration.fit.alternatives import find_index_of_best_positive_exponent_minimum, list_sign_flipped_starts
+from calibration.fit.alternatives import find_index_of_preferred_minimum, list_sign_flipped_starts
 from calibration.fit.campaign_problem import build_generalised_problem
 from calibration.fit.checks import require_fittable_start
 from calibration.fit.estimate import Estimate, iterate_mesh_correction_and_jitter
 from calibration.fit.estimator import Estimator, FitFieldInputs
-from calibration.fit.fit import MeshCorrectionSummary, Minimum, Nuisance, ReplicateJitterStatement
+from calibration.fit.fit import MeshCorrectionSummary, Minimum, Nuisance, ReplicateJitterRecord
 from calibration.fit.identifiability import (
     compute_information_condition_or_none,
     find_weak_directions,
@@ -195,7 +195,7 @@ def descend_unless_start_exceeds_limit(problem: GeneralisedProblem, number: int,
     """Run a descent from one start; return a failed result if the sum of squares at the start exceeds `limit`."""
     spent = problem.solves.make_effort_since_now_function()
     try:
-        error = problem.evaluate(theta).sum_of_squares
+        error = problem.evaluate(theta).penalised_sum_of_squares
     except InfeasibleError as failure:
         return DescentResult(number, theta, np.inf, False, str(failure), (), *spent())
     if error > limit:
@@ -211,8 +211,8 @@ def _select_best_descent_or_failed_one(descents: Sequence[DescentResult], proble
         return ordered[0]
     finite = [end for end in ordered if np.isfinite(end.error)]
     scale = _compute_variance_ratio_of_at_least_one(finite[0].error, problem)
-    return finite[find_index_of_best_positive_exponent_minimum(problem.space,
-                                                               [(end.error / scale, end.theta) for end in finite])]
+    return finite[find_index_of_preferred_minimum(problem.space,
+                                                  [(end.error / scale, end.theta) for end in finite])]
 
 
 def _compute_variance_ratio_of_at_least_one(error: float, problem: GeneralisedProblem) -> float:
@@ -227,11 +227,11 @@ def compute_estimate_from_minimum(problem: GeneralisedProblem, best: DescentResu
                                               listen=listen)
 
 
-def _build_jitter_record(problem: GeneralisedProblem) -> ReplicateJitterStatement:
+def _build_jitter_record(problem: GeneralisedProblem) -> ReplicateJitterRecord:
     """Return the jitter of a problem as a record of `fit.json`."""
-    return ReplicateJitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
-                                    freedom=problem.jitter.freedom,
-                                    stressed=all(curve.stressed for curve in problem.measured))
+    return ReplicateJitterRecord(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
+                                 freedom=problem.jitter.freedom,
+                                 stressed=all(curve.stressed for curve in problem.measured))
 
 
 def _list_residual_and_nuisance_warnings(problem: GeneralisedProblem, evaluation: ProblemEvaluation,
@@ -295,7 +295,7 @@ def _collect_distinct_minima(descents: Sequence[DescentResult], problem: General
     kept = find_distinct_minima([(d, 1) for d in descents if d.history and np.isfinite(d.error)],
                                 lambda one, other: np.abs(one - other) <= DESCENT.same_minimum
                                 * problem.compute_unknown_scales(one))
-    return [Minimum(parameters=problem.space.values(descent.theta),
+    return [Minimum(parameters=problem.space.get_values_by_name(descent.theta),
                     R2=1.0 - descent.history[-1].RMSE_N**2 * problem.data.size / total, starts=count,
                     rise=(descent.error - kept[0][0].error)
                     / _compute_variance_ratio_of_at_least_one(kept[0][0].error, problem))

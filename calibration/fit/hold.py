@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
-from calibration.campaign.measured import MeasuredCurve, make_interpolated_curve_with_noise_level
+from calibration.campaign.measured import MeasuredCurve, add_noise_and_requested_interpolation
 from calibration.campaign.parameters import SHARED, ScopedCampaignParameter
 from calibration.fit.assess import build_fit_record
 from calibration.fit.estimate import Estimate
@@ -106,7 +106,7 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
              for path in start}
     campaign = Campaign(Path("hold"), {}, (test,), FitSettings((_LAW,), named=named, start=start), Noise(), "")
     curve = MeasuredCurve(test.name, test, time, strain, force, np.full(force.size, "hold"), Path("hold"), "", True)
-    noisy = replace(curve, noise=make_interpolated_curve_with_noise_level(curve, campaign).noise)
+    noisy = replace(curve, noise=add_noise_and_requested_interpolation(curve, campaign).noise)
     estimator = OrdinaryLeastSquaresEstimator(campaign, {test.name: (noisy,)}, SimulationCache())
     descents, estimate = fit_law_to_descents_and_estimate(estimator.build_law_problem(_LAW))
     if not isinstance(estimate, Estimate):

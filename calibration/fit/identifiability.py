@@ -138,7 +138,7 @@ def _build_candidate_tests(problem: GeneralisedProblem, theta: np.ndarray,
     if specimen.is_prism and not (specimen.is_round or isinstance(of, SimulatedTest)):
         # A closed form depends on the cross-section only, so a cylinder with the same area is equivalent.
         specimen = Cylinder(float(np.sqrt(specimen.area / np.pi)), specimen.height)
-    ageing = problem.space.build_material(problem.space.values(theta), test=of.name).remembers
+    ageing = problem.space.build_material(problem.space.get_values_by_name(theta), test=of.name).is_history_dependent
     found = []
     for strain in (_SETTINGS.strain, min(_SETTINGS.depth_factor * _SETTINGS.strain, 0.3)):
         depth = strain * specimen.vertical_thickness()
@@ -184,10 +184,11 @@ def _compute_scaled_test_information_or_none(problem: GeneralisedProblem, theta:
     """
     space = problem.space
     try:
-        own = [i for i, each in enumerate(space.free_parameters) if each.of_material and each.recording is None
+        own = [i for i, each in enumerate(space.free_parameters) if each.is_material_parameter
+               and each.recording is None
                and each.applies_to_recording(test, None)]
         solver = ROUND_SOLVER if experiment.specimen.is_round else SPACE_SOLVER
-        answer = sensitivities(Model(experiment, space.build_material(space.values(theta), test=test)),
+        answer = sensitivities(Model(experiment, space.build_material(space.get_values_by_name(theta), test=test)),
                                [space.free_parameters[i].path for i in own], solver=solver,
                                resolution=get_solver_fit_resolutions(solver).fast)
     except (ConvergenceError, InputError):

@@ -147,7 +147,7 @@ def fit_displacement_windows(problem: LeastSquaresProblem, theta: np.ndarray) ->
         problem: least-squares problem.
         theta: unknowns at the minimum, SI, shape (k,).
     """
-    if any(test.is_path_dependent for test in problem.tests):
+    if any(test.has_reversals_or_holds for test in problem.tests):
         return []
     free = len(problem.space.free)
 
@@ -157,7 +157,7 @@ def fit_displacement_windows(problem: LeastSquaresProblem, theta: np.ndarray) ->
 
     found = []
     for fraction in WINDOWS:
-        narrow = problem.restrict_to_displacement_fraction(fraction)
+        narrow = problem.with_samples_up_to_displacement_fraction(fraction)
         if min(curve.force.size for curve in narrow.measured) < MIN_POINTS or narrow.samples <= theta.size:
             continue
         descent = minimise_from_start(narrow, theta, corrected=True, enough=_SETTINGS.window_gain,

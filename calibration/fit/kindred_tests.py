@@ -44,7 +44,7 @@ class SameKindDisagreement:
                 "the specimens")
 
 
-def find_test_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[SameKindDisagreement]:
+def find_same_kind_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[SameKindDisagreement]:
     """Find kinds of test whose tests fall into two groups of different stiffness.
 
     Args:

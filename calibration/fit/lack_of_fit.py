@@ -57,7 +57,7 @@ def compute_lack_of_fit_r2_and_relative_error(problem: LeastSquaresProblem, gap:
     rows = [(rows, problem.tests[number].measured[r]) for rows, (t, r) in zip(problem.rows, problem.places, strict=True)
             if t == number]
     largest = max(float(np.abs(curve.force).max()) for _, curve in rows)
-    parts = [(curve, gap[place], find_moving_samples(curve)) for place, curve in rows]
+    parts = [(curve, gap[place], make_mask_of_moving_samples(curve)) for place, curve in rows]
     parts = [(curve, mine, moving) for curve, mine, moving in parts if moving.sum() >= _SETTINGS.min_samples]
     if not parts:
         return LackOfFitR2AndRelativeError(None, 0.0)
@@ -66,18 +66,19 @@ def compute_lack_of_fit_r2_and_relative_error(problem: LeastSquaresProblem, gap:
         squares = float(np.mean(mine[moving]**2)) - curve.noise.deviation**2
         variance = float(np.var(curve.force[moving]))
     else:
-        squares, variance = _compute_mean_curve_lack_and_force_variance(parts, problem.tests[number].is_path_dependent)
+        squares, variance = _compute_mean_curve_lack_and_force_variance(parts,
+                                                                        problem.tests[number].has_reversals_or_holds)
     squares = max(squares, 0.0)
     R2 = 1.0 - squares / variance if variance > 0 else None
     return LackOfFitR2AndRelativeError(R2, float(np.sqrt(squares)) / largest)
 
 
-def find_moving_samples(curve: MeasuredCurve) -> np.ndarray:
+def make_mask_of_moving_samples(curve: MeasuredCurve) -> np.ndarray:
     """Return the mask of the samples outside holds, shape (n,); all true without increasing time or motion."""
-    if curve.time is None or np.ptp(curve.required_sample_times) == 0 \
-        or bool(np.any(np.diff(curve.required_sample_times) < 0)):
+    if curve.time is None or np.ptp(curve.sample_times) == 0 \
+        or bool(np.any(np.diff(curve.sample_times) < 0)):
         return np.ones(curve.force.size, bool)
-    moving = label_samples_ramp_hold_unload(curve.required_sample_times, curve.displacement) != "hold"
+    moving = label_samples_ramp_hold_unload(curve.sample_times, curve.displacement) != "hold"
     return moving if moving.any() else np.ones(curve.force.size, bool)
 
 
@@ -85,7 +86,7 @@ def _compute_mean_curve_lack_and_force_variance(parts: list[tuple[MeasuredCurve,
                                                 timed: bool) -> tuple[float, float]:
     """Return the mean square lack of fit of the mean recording, N^2, and the variance of its force, N^2."""
     gaps, forces = [], []
-    courses = [curve.required_sample_times[moving] - curve.required_sample_times[0] if timed
+    courses = [curve.sample_times[moving] - curve.sample_times[0] if timed
                else curve.displacement[moving] for curve, _, moving in parts]
     grid = np.linspace(max(course.min() for course in courses), min(course.max() for course in courses),
                        _SETTINGS.points)

@@ -13,11 +13,11 @@ from calibration.campaign.campaign import Campaign, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
-from calibration.fit.alternatives import find_index_of_best_positive_exponent_minimum, list_sign_flipped_starts
+from calibration.fit.alternatives import find_index_of_preferred_minimum, list_sign_flipped_starts
 from calibration.fit.closed_starts import compute_analytical_starts
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, FitFieldInputs
-from calibration.fit.failure import CalibrationFailureRecord, call_and_catch_law_errors
+from calibration.fit.failure import LawFailureRecord, call_and_catch_law_errors
 from calibration.fit.fit import Minimum, Nuisance
 from calibration.fit.ordinary_problem import OrdinaryProblem, evaluate_or_none_if_infeasible
 from calibration.fit.predictor import PredictionParameters
@@ -113,7 +113,7 @@ class OrdinaryLeastSquaresEstimator(Estimator):
             plural = "s" if len(self.fitted) != 1 else ""
             context.report_progress(f"fitting {law} to {len(self.fitted)} recording{plural}")
             answer = call_and_catch_law_errors(fit_law_to_descents_and_estimate, self.build_law_problem(law))
-            found[law] = ([], answer.reason) if isinstance(answer, CalibrationFailureRecord) else answer
+            found[law] = ([], answer.reason) if isinstance(answer, LawFailureRecord) else answer
         return found
 
     @property
@@ -219,14 +219,14 @@ def fit_law_to_descents_and_estimate(problem: OrdinaryProblem) -> tuple[list[Des
     refined = find_distinct_minima([item for item in refined if np.isfinite(item[0].error)],
                                    compare_minima_by_parameter)
     scale = max(1.0, refined[0][0].error / max(problem.samples - problem.bounds[0].size, 1))
-    best = refined[find_index_of_best_positive_exponent_minimum(problem.space,
-                                                                [(d.error / scale, d.theta) for d, _ in refined])][0]
+    best = refined[find_index_of_preferred_minimum(problem.space,
+                                                   [(d.error / scale, d.theta) for d, _ in refined])][0]
     stress = problem.data / problem.area
     total = float(np.sum((stress - stress.mean())**2))
     minima = []
     for descent, count in sorted(refined, key=lambda item: item[0] is not best):
         residual = problem.evaluate(descent.theta).residual * problem.noise
-        minima.append(Minimum(parameters=problem.space.values(descent.theta[: len(problem.space.free)]),
+        minima.append(Minimum(parameters=problem.space.get_values_by_name(descent.theta[: len(problem.space.free)]),
                               R2=1.0 - float(residual @ residual) / total, starts=count,
                               rise=(descent.error - refined[0][0].error) / scale))
     history = tuple(step for descent, _ in refined for step in descent.history)
@@ -238,7 +238,7 @@ def _is_promising_start(problem: OrdinaryProblem, start: np.ndarray, best: float
     """Return whether the sum of squares at a start is close enough to the best one to follow the start."""
     evaluation = evaluate_or_none_if_infeasible(problem, start)
     limit = ALTERNATIVES.promising_ratio * max(best, problem.samples)
-    return evaluation is not None and evaluation.sum_of_squares < limit
+    return evaluation is not None and evaluation.penalised_sum_of_squares < limit
 
 
 def compute_sandwich_uncertainty(problem: OrdinaryProblem, evaluation: ProblemEvaluation,
@@ -279,7 +279,7 @@ def _list_relaxation_and_residual_remarks(problem: OrdinaryProblem, found: FitFi
     """Return remarks on the relaxation times and the smoothness of the residuals of a material with memory."""
     if not problem.is_history_dependent:
         return []
-    shortest, longest = problem.median_interval_and_longest_duration
+    shortest, longest = problem.median_sampling_interval_and_longest_duration
     times = [] if problem.long_term_variables_or_none is None \
         else found.estimate.theta[problem.long_term_variables_or_none.tau]
     notes = [f"tau {tau:.3g} s is {'shorter than the steps' if tau < shortest else 'longer than the record'} "

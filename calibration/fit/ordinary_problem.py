@@ -16,7 +16,10 @@ from calibration.fit.variables import LongTermPronyVariables, Variables
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.statistics import compute_median_interval_or_zero, compute_sample_weighted_rms_noise
+from calibration.statistics.statistics import (
+    compute_median_sampling_interval_or_zero,
+    compute_sample_weighted_rms_noise,
+)
 from tissue_sim.laws import find_law
 from tissue_sim.material.viscoelasticity import MOST_TERMS
 
@@ -84,10 +87,10 @@ class OrdinaryProblem(LeastSquaresProblem):
         return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
 
     @property
-    def median_interval_and_longest_duration(self) -> tuple[float, float]:
+    def median_sampling_interval_and_longest_duration(self) -> tuple[float, float]:
         """Median sampling interval and duration of the longest recording, s."""
-        times = [curve.required_sample_times for curve in self.measured]
-        return compute_median_interval_or_zero(times), max(float(np.ptp(time)) for time in times)
+        times = [curve.sample_times for curve in self.measured]
+        return compute_median_sampling_interval_or_zero(times), max(float(np.ptp(time)) for time in times)
 
     @property
     def is_history_dependent(self) -> bool:
@@ -110,7 +113,7 @@ class OrdinaryProblem(LeastSquaresProblem):
         return LongTermPronyVariables(own[moduli], own[np.logical_not(moduli)],
                                       np.array([index_of[g] for g, _ in terms]),
                                       np.array([index_of[tau] for _, tau in terms]),
-                                      self.median_interval_and_longest_duration)
+                                      self.median_sampling_interval_and_longest_duration)
 
     def with_thinned_and_merged_recordings(self, stride: int) -> OrdinaryProblem:
         """Return the problem with every `stride`-th sample, for cheaper descents.
@@ -165,7 +168,7 @@ class OrdinaryProblem(LeastSquaresProblem):
         """Return which unknowns are on a bound, bool, shape (k,)."""
         variables = self.long_term_variables_or_none
         low, high = self.bounds if variables is None else variables.bounds
-        u = theta if variables is None else variables.from_unknowns(theta)
+        u = theta if variables is None else variables.convert_from_unknowns(theta)
         reach = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(u), 1.0))
         return (u - low <= _BOUND_DISTANCE * reach) | (high - u <= _BOUND_DISTANCE * reach)
 

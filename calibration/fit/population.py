@@ -10,7 +10,7 @@ from scipy import special
 
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.estimate import Estimate
-from calibration.fit.population_records import ParameterCovariance, PopulationStatement
+from calibration.fit.population_records import ParameterCovariance, PopulationRecord
 from calibration.statistics.adequacy import compute_orthonormal_basis
 from calibration.statistics.population import POPULATION, estimate_population
 
@@ -42,7 +42,7 @@ class PopulationAndLeftOutSpecimens:
         left_out: name of a specimen -> reason why it is not included in the mean.
     """
 
-    population: PopulationStatement | None = None
+    population: PopulationRecord | None = None
     material_of: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
 
@@ -111,7 +111,7 @@ def determine_population_and_left_out_specimens(space: ParameterSpace, theta: np
         that represent the material; and the reason for each specimen that is left out.
     """
     index_of = {(each.path, each.specimen): index for index, each in enumerate(space.free_parameters)
-                if each.specimen is not None and each.of_material}
+                if each.specimen is not None and each.is_material_parameter}
     order = list(dict.fromkeys(path for path, _ in index_of))
     rows = {specimen: [index_of[path, specimen] for path in order] for _, specimen in index_of}
     left_out = {specimen: "; ".join(reasons) for specimen, row in rows.items()
@@ -138,7 +138,7 @@ def determine_population_and_left_out_specimens(space: ParameterSpace, theta: np
     together = np.block([[found.mean_covariance, cross], [cross.T, shared[np.ix_(everywhere, everywhere)]]])
     names = ("mean", "mean_errors", "mean_intervals", "mean_covariance", "between", "spread", "spread_intervals",
              "next_specimen", "estimates", "errors", "shrunken", "shrunken_errors")
-    return PopulationAndLeftOutSpecimens(PopulationStatement(
+    return PopulationAndLeftOutSpecimens(PopulationRecord(
         order=order, specimens=determined, covariance=ParameterCovariance(
             order=[*order, *(space.free[others[k]] for k in everywhere)], matrix=together.tolist()),
         **{name: getattr(found, name).tolist() for name in names}), tuple(determined), left_out)
@@ -178,7 +178,7 @@ def list_warning_if_specimens_differ(estimate: Estimate) -> list[str]:
     squared projection of the residual on the derivatives of each specimen, orthogonal to the fitted space.
     """
     problem, evaluation, space = estimate.problem, estimate.evaluation, estimate.problem.space
-    shared = [index for index, each in enumerate(space.free_parameters) if each.of_law and each.tests is None]
+    shared = [index for index, each in enumerate(space.free_parameters) if each.is_law_parameter and each.tests is None]
     specimens = [None if curve.test.specimen is None else curve.test.specimen.name for curve in problem.measured]
     if not shared or None in specimens or len(set(specimens)) < POPULATION.min_specimens:
         return []

@@ -17,7 +17,7 @@ class ParameterCovariance(msgspec.Struct, frozen=True, kw_only=True):
     matrix: list[list[float]]
 
 
-class PopulationStatement(msgspec.Struct, frozen=True, kw_only=True):
+class PopulationRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Population of specimens with individual parameters, SI.
 
     See `calibration.statistics.population.PopulationEstimate`.

@@ -10,7 +10,7 @@ import numpy as np
 from calibration.campaign.campaign import Test
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.population import determine_population_and_left_out_specimens
-from calibration.fit.population_records import PopulationStatement
+from calibration.fit.population_records import PopulationRecord
 from calibration.statistics.bands import ScatterComponent
 from calibration.statistics.uncertainty import ParameterUncertainty
 
@@ -58,7 +58,7 @@ def _compute_covariance_root(covariance: np.ndarray) -> np.ndarray:
     return vectors * np.sqrt(np.clip(values, 0.0, None))
 
 
-def make_population_mean_predictor(space: ParameterSpace, theta: np.ndarray, population: PopulationStatement,
+def make_population_mean_predictor(space: ParameterSpace, theta: np.ndarray, population: PopulationRecord,
                                    specimen: str) -> PredictionParameters:
     """Return a predictor with the population mean for all parameters of a further specimen.
 
@@ -93,7 +93,7 @@ def _invert_covariance(covariance: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(covariance / np.outer(sizes, sizes), rcond=1e-12, hermitian=True) / np.outer(sizes, sizes)
 
 
-def make_held_out_predictor_or_none(test: Test, predictor: PredictionParameters, population: PopulationStatement | None
+def make_held_out_predictor_or_none(test: Test, predictor: PredictionParameters, population: PopulationRecord | None
                                     ) -> PredictionParameters | None:
     """Return the predictor of a held-out test; None if its specimen has unknown parameters and there is no population.
 
@@ -115,7 +115,7 @@ def make_held_out_predictor_or_none(test: Test, predictor: PredictionParameters,
 
 
 def adapt_predictor_to_left_out_test_or_none(predictor: PredictionParameters, spread: ParameterUncertainty,
-                                             undetermined: Sequence[str] ) -> PredictionParameters | None:
+                                             undetermined: Sequence[str]) -> PredictionParameters | None:
     """Return the predictor of a test from a fit to the other tests.
 
     Args:
@@ -127,7 +127,8 @@ def adapt_predictor_to_left_out_test_or_none(predictor: PredictionParameters, sp
         The predictor, with the population mean if all undetermined parameters belong to one specimen; otherwise None.
     """
     space = predictor.space
-    owners = {space.get_parameter_by_name(name).specimen if space.get_parameter_by_name(name).of_material else None
+    owners = {space.get_parameter_by_name(name).specimen if space.get_parameter_by_name(name).is_material_parameter
+              else None
               for name in undetermined}
     if not owners:
         return predictor

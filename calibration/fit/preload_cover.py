@@ -34,7 +34,7 @@ class PreloadCoverFractions:
 _SETTINGS = PreloadCoverFractions()
 
 
-def read_contact_offsets(estimate: Estimate) -> Mapping[str, float]:
+def get_fitted_contact_offsets(estimate: Estimate) -> Mapping[str, float]:
     """Return recording -> fitted contact offset, m; negative if contact lies before the zero of the displacement."""
     problem: Any = estimate.problem
     if isinstance(problem, OrdinaryProblem):
@@ -47,7 +47,7 @@ def read_contact_offsets(estimate: Estimate) -> Mapping[str, float]:
     return {curve.name: float(contact) for curve, contact in zip(problem.measured, values, strict=True)}
 
 
-def get_notes_with_preload_covered_by_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
+def copy_notes_with_explained_preload(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
     """Return the notes of a recording; the note on a preload is replaced if the fitted contact offset covers it.
 
     Args:

@@ -73,13 +73,13 @@ class ProblemEvaluation:
     force: np.ndarray
 
     @property
-    def sum_of_squares(self) -> float:
+    def penalised_sum_of_squares(self) -> float:
         """Minimised sum of squares: residuals, nuisances and prior residuals."""
         return float(self.residual @ self.residual + self.nuisances @ self.nuisances
                      + self.prior_residual @ self.prior_residual)
 
     @property
-    def log_determinant(self) -> float:
+    def covariance_log_determinant(self) -> float:
         """Log determinant of the covariance of the whitened samples, log det(I + C C') with C = `columns`."""
         m = self.columns.shape[1]
         return float(np.linalg.slogdet(np.eye(m) + self.columns.T @ self.columns)[1])
@@ -153,7 +153,7 @@ class LeastSquaresProblem(ABC):
 
     def compute_unknown_scales(self, theta: np.ndarray) -> np.ndarray:
         """Return the scale of each unknown, SI, shape (k,)."""
-        return self.space.compute_typical_parameter_sizes(self.space.values(theta))
+        return self.space.compute_typical_parameter_sizes(self.space.get_values_by_name(theta))
 
     def make_scaled_or_long_term_variables(self, theta: np.ndarray) -> Variables:
         """Return the variables of a descent from `theta`: the unknowns in units of their scales there."""
@@ -184,7 +184,7 @@ class LeastSquaresProblem(ABC):
     def _compute_residual_rates_columns_and_force(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return residual, rates, columns, nuisances and force of a `ProblemEvaluation`."""
 
-    def restrict_to_displacement_fraction(self, fraction: float) -> LeastSquaresProblem:
+    def with_samples_up_to_displacement_fraction(self, fraction: float) -> LeastSquaresProblem:
         """Return the problem with the samples of each test up to a fraction of its largest displacement."""
         def keep_samples_within_displacement(curve: MeasuredCurve, reach: float) -> MeasuredCurve:
             kept = np.flatnonzero(np.abs(curve.displacement) <= reach)
@@ -236,9 +236,9 @@ class GeneralisedProblem(LeastSquaresProblem):
         self.shared, end = [], count * len(self.kinds)
         meshes: dict[str, slice] = {}
         for test, size in zip(self.tests, self.mesh_error, strict=True):
-            columns = meshes.get(test.mesh) or slice(end, end + MESH_MODES * (size > 0))
-            if size > 0 and test.mesh:
-                meshes[test.mesh] = columns
+            columns = meshes.get(test.mesh_key) or slice(end, end + MESH_MODES * (size > 0))
+            if size > 0 and test.mesh_key:
+                meshes[test.mesh_key] = columns
             end = max(end, columns.stop)
             self.shared.append(columns if size > 0 else slice(end, end))
         self.nuisances = end
@@ -253,7 +253,7 @@ class GeneralisedProblem(LeastSquaresProblem):
     def _compute_residual_rates_columns_and_force(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return whitened residuals (noise, jitter, mesh); see the method of `LeastSquaresProblem`."""
         try:
-            self.space.build_material(self.space.values(theta))
+            self.space.build_material(self.space.get_values_by_name(theta))
         except InputError as error:
             raise InfeasibleError(str(error)) from None
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]

@@ -92,7 +92,7 @@ def compute_profile_side(problem: GeneralisedProblem, theta: np.ndarray, error: 
         """Return the square root of the rise at a distance of the parameter from the estimate."""
         trial = np.clip(theta + side * distance * direction, space.low, space.high)
         trial[index] = theta[index] + side * distance
-        lowest = _find_smallest_error_with_fixed_parameter(problem, trial, index)
+        lowest = _minimise_squares_with_fixed_parameter(problem, trial, index)
         rise = float(np.sqrt(max(lowest - error, 0.0) / spread.inflation))
         points.append((distance, rise))
         if lowest < error - _SETTINGS.lower * spread.inflation:
@@ -154,7 +154,7 @@ def _estimate_crossing_distance(points: list[tuple[float, float]], quantile: flo
     return float(distances[-1] + min(1.05 * step, 2.0 * distances[-1]))
 
 
-def _find_smallest_error_with_fixed_parameter(problem: GeneralisedProblem, trial: np.ndarray, index: int) -> float:
+def _minimise_squares_with_fixed_parameter(problem: GeneralisedProblem, trial: np.ndarray, index: int) -> float:
     """Return the smallest sum of squares with one parameter fixed, by Gauss-Newton.
 
     The decrease of the last step is predicted from the quadratic approximation without a further evaluation.
@@ -169,7 +169,7 @@ def _find_smallest_error_with_fixed_parameter(problem: GeneralisedProblem, trial
     best = np.inf
     for _ in range(_SETTINGS.max_steps):
         evaluation = problem.evaluate(trial)
-        error = evaluation.sum_of_squares
+        error = evaluation.penalised_sum_of_squares
         if not others.size or error > best:
             return min(error, best)
         residual, jacobian = evaluation.projected_residual_and_jacobian

@@ -59,11 +59,11 @@ class ReplicateDisagreement:
             times = ratio if ratio >= 1 else 1.0 / ratio
             what = f"are {times:.3g} times {'stiffer' if ratio > 1 else 'softer'} than"
         odd = ", ".join(self.odd)
-        suspects = odd if len(self.odd) < len(self.others) else f"{odd} and {_join_recording_names(self.others)}"
+        suspects = odd if len(self.odd) < len(self.others) else f"{odd} and {_abbreviate_recording_names(self.others)}"
         unit = " (a factor of 1000 is that of N to mN or of m to mm)" if \
             ratio > 0 and abs(abs(np.log10(ratio)) - 3.0) < SETTINGS.unit else ""
         verb = what if len(self.odd) > 1 else what.replace("have", "has", 1).replace("are", "is", 1)
-        return (f"recordings of {self.test} disagree: {odd} {verb} {_join_recording_names(self.others)}; check "
+        return (f"recordings of {self.test} disagree: {odd} {verb} {_abbreviate_recording_names(self.others)}; check "
                 f"unit{unit}, sign and size of the specimen of {suspects}; recordings of another material belong in "
                 "another campaign")
 
@@ -101,7 +101,8 @@ def find_stiffness_group_disagreement_or_none(test: str, names: Sequence[str], s
     negative = sizes <= 0
     if negative.any() and not negative.all():
         odd, others = (negative, ~negative) if negative.sum() <= (~negative).sum() else (~negative, negative)
-        return ReplicateDisagreement(test, _select_masked_names(names, odd), _select_masked_names(names, others), -1.0)
+        return ReplicateDisagreement(test, _select_names_by_mask(names, odd), _select_names_by_mask(names, others),
+                                     -1.0)
     if negative.all():
         return None
     logs = np.log(sizes)
@@ -116,7 +117,7 @@ def find_stiffness_group_disagreement_or_none(test: str, names: Sequence[str], s
     below = np.isin(np.arange(logs.size), order[:cut])
     odd = below if below.sum() <= (~below).sum() else ~below
     ratio = float(np.exp(logs[odd].mean() - logs[~odd].mean()))
-    return ReplicateDisagreement(test, _select_masked_names(names, odd), _select_masked_names(names, ~odd), ratio)
+    return ReplicateDisagreement(test, _select_names_by_mask(names, odd), _select_names_by_mask(names, ~odd), ratio)
 
 
 def compute_mean_forces_or_none(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
@@ -145,12 +146,12 @@ def find_common_upper_range_or_none(displacements: Sequence[np.ndarray]) -> tupl
     return (low, reach) if 0 < low < reach else None
 
 
-def _select_masked_names(names: Sequence[str], mask: np.ndarray) -> tuple[str, ...]:
+def _select_names_by_mask(names: Sequence[str], mask: np.ndarray) -> tuple[str, ...]:
     """Return the names at which `mask`, bool, shape (n,), is true."""
     return tuple(name for name, inside in zip(names, mask.tolist(), strict=True) if inside)
 
 
-def _join_recording_names(names: Iterable[str]) -> str:
+def _abbreviate_recording_names(names: Iterable[str]) -> str:
     """List up to three names and the number of the others."""
     several = list(names)
     more = f" and {len(several) - 3} more" if len(several) > 3 else ""

@@ -11,10 +11,13 @@ import msgspec
 
 from calibration.campaign.campaign import Campaign
 from calibration.fit.agreement import compare_method_intervals_in_sentences
-from calibration.fit.fit import Fit, Prediction, SensorNoiseStatement
+from calibration.fit.fit import Fit, Prediction, SensorNoiseRecord
 from calibration.fit.self_weight import describe_self_weight
 from calibration.output_folder import FIT_FILE, TABLES
 from tissue_sim.decode import read_json_value
+from tissue_sim.public_names import make_getattr_for_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"to_json": "to_json_dictionary"})
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class CalibrationResult:
     digest: str
     noise_Pa: float | None = None
     noise_source: str = "stated"
-    noise: tuple[SensorNoiseStatement, ...] = ()
+    noise: tuple[SensorNoiseRecord, ...] = ()
     failures: Mapping[str, str] = field(default_factory=dict)
     usability_settings: Mapping[str, float] = field(default_factory=dict)
     resumed: bool = False
@@ -61,14 +64,14 @@ def list_method_agreement_sentences(results: Sequence[CalibrationResult]) -> lis
     return compare_method_intervals_in_sentences([(result.campaign, result.fits) for result in results])
 
 
-def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
+def to_json_dictionary(results: Sequence[CalibrationResult]) -> dict[str, Any]:
     """Return the JSON object of ``calibrate --json`` and ``fit.json``.
 
     Several campaigns are a list under the key ``campaigns``. ``output`` is the output folder as given by the caller.
     Each ``material_file`` is relative to it, so that ``fit.json`` remains valid if the folder moves.
     """
     if len(results) != 1:
-        return {"campaigns": [to_json([result]) for result in results],
+        return {"campaigns": [to_json_dictionary([result]) for result in results],
                 "agreement": list_method_agreement_sentences(results)}
     result = results[0]
     return {
@@ -104,7 +107,7 @@ def read_earlier_result(campaign: Campaign, folder: Path, digest: str) -> Calibr
             campaign, msgspec.convert(tuple(found["fits"]), tuple[Fit, ...]),
             msgspec.convert(tuple(found["predictions"]), tuple[Prediction, ...]), found["message"], folder, digest,
             found["noise_Pa"], found["noise_source"],
-            msgspec.convert(tuple(found["noise"]), tuple[SensorNoiseStatement, ...]),
+            msgspec.convert(tuple(found["noise"]), tuple[SensorNoiseRecord, ...]),
             msgspec.convert(found.get("failures", {}), dict[str, str]),
             msgspec.convert(found.get("usability_settings", {}), dict[str, int | float]), resumed=True)
     except (OSError, ValueError, KeyError, TypeError, msgspec.ValidationError):

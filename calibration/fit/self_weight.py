@@ -90,7 +90,9 @@ def _compute_sag_or_none_without_equilibrium(specimen: Specimen, fit: Fit, campa
     values = {path: _find_specimen_parameter_or_typical(path, specimen, fit, campaign, material.parameters.get(path))
               for path in law.parameters}
     try:
-        return None if None in values.values() else Column(specimen).settle(law, law.as_array(values)).sag
+        if None in values.values():
+            return None
+        return Column(specimen).settle(law, law.convert_parameters_to_array(values)).sag
     except InputError:
         return None
 

@@ -98,7 +98,7 @@ class _NuisanceEliminatedProblem:
         self.errors: list[float] = []
         self.best = theta
         self.variables = problem.make_scaled_or_long_term_variables(theta)
-        self.start = np.clip(self.variables.from_unknowns(theta), *self.variables.bounds)
+        self.start = np.clip(self.variables.convert_from_unknowns(theta), *self.variables.bounds)
         self.first = theta
         self.failure = ""
 
@@ -107,7 +107,7 @@ class _NuisanceEliminatedProblem:
 
         For the start the original values are returned, without rounding errors, so that cached simulations are found.
         """
-        unknowns = self.variables.to_unknowns(u)
+        unknowns = self.variables.convert_to_unknowns(u)
         same = np.array_equal(u, self.start) and np.allclose(unknowns, self.first, rtol=DESCENT.rounding, atol=0.0)
         return self.first if same else unknowns
 
@@ -123,9 +123,9 @@ class _NuisanceEliminatedProblem:
             self.failure = str(error)
             return np.full(self.size, np.inf)
         self.note(evaluation)
-        if evaluation.sum_of_squares < min(self.errors, default=np.inf):
+        if evaluation.penalised_sum_of_squares < min(self.errors, default=np.inf):
             self.best = evaluation.theta
-        self.errors.append(evaluation.sum_of_squares)
+        self.errors.append(evaluation.penalised_sum_of_squares)
         if self.stalled is not None:
             solves, gain = self.stalled
             before, best = self.errors[:-solves], min(self.errors)
@@ -148,7 +148,7 @@ class _NuisanceEliminatedProblem:
             bound = self._find_bounds_about_to_be_crossed(u, jacobian.T @ residual)
             inside = jacobian[:, ~np.isfinite(bound)]
             gain = float(np.sum((inside @ np.linalg.lstsq(inside, residual, rcond=1e-12)[0])**2))
-            if gain < self.enough * max(1.0, evaluation.sum_of_squares / self.problem.samples):
+            if gain < self.enough * max(1.0, evaluation.penalised_sum_of_squares / self.problem.samples):
                 raise self._make_descent_end_on_bounds(np.where(np.isfinite(bound), bound, u), evaluation)
         return jacobian
 
@@ -165,8 +165,8 @@ class _NuisanceEliminatedProblem:
             on_bounds = self.problem.evaluate(np.clip(self.convert_variables_to_unknowns(u), *self.problem.bounds))
         except InfeasibleError:
             on_bounds = evaluation
-        best = on_bounds if on_bounds.sum_of_squares <= evaluation.sum_of_squares else evaluation
-        return _NegligibleDecreaseError(best.theta, best.sum_of_squares)
+        best = on_bounds if on_bounds.penalised_sum_of_squares <= evaluation.penalised_sum_of_squares else evaluation
+        return _NegligibleDecreaseError(best.theta, best.penalised_sum_of_squares)
 
 
 class _NegligibleDecreaseError(Exception):
@@ -222,7 +222,7 @@ def minimise_from_start(problem: LeastSquaresProblem, theta: np.ndarray, *, star
         rmse = float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
         history.append(DescentEvaluation(start=start, run=past + len(history) + 1,
                                          parameters=map_free_parameters_to_values(evaluation),
-                                         error=evaluation.sum_of_squares, RMSE_N=rmse, corrected=corrected))
+                                         error=evaluation.penalised_sum_of_squares, RMSE_N=rmse, corrected=corrected))
         if listen is not None:
             listen(history[-1])
 
@@ -243,7 +243,7 @@ def minimise_from_start(problem: LeastSquaresProblem, theta: np.ndarray, *, star
     except InfeasibleError as error:
         return build_descent_result(theta, np.inf, False, str(error))
     if not theta.size:
-        return build_descent_result(theta, evaluation.sum_of_squares, True, "")
+        return build_descent_result(theta, evaluation.penalised_sum_of_squares, True, "")
     reduced = _NuisanceEliminatedProblem(problem, theta, record_iteration, enough, stalled)
     try:
         # Scaling by the columns of the Jacobian makes the method independent of the units of the unknowns.

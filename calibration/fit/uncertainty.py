@@ -49,7 +49,7 @@ def compute_marginal_uncertainty(problem: GeneralisedProblem, evaluation: Proble
     scaled = jacobian * sizes
     information = scaled.T @ scaled
     freedom = max(problem.samples + evaluation.prior_residual.size - len(space.free), 1)
-    chi_square = evaluation.sum_of_squares
+    chi_square = evaluation.penalised_sum_of_squares
     inflation, basis, quantile = 1.0, "noise", np.full(len(space.free), special.ndtri(0.975))
     if chi_square > COVARIANCE.residual_ratio**2 * freedom:
         inflation, basis = chi_square / freedom, "residuals"
@@ -64,7 +64,7 @@ def compute_marginal_uncertainty(problem: GeneralisedProblem, evaluation: Proble
         quantile[inside] = special.stdtrit(_satterthwaite_degrees_of_freedom(problem, evaluation, sizes, inside), 0.975)
     ratio = float(np.sqrt(np.mean(evaluation.residual**2)))
     # The log determinant is part of the likelihood: it differs between laws with different estimates of the jitter.
-    criteria = evaluation.sum_of_squares + evaluation.log_determinant, float(problem.samples)
+    criteria = evaluation.penalised_sum_of_squares + evaluation.covariance_log_determinant, float(problem.samples)
     return ParameterUncertainty(covariance, errors, on_bound, basis, quantile, float(inflation), ratio, criteria, sizes,
                                 information)
 

@@ -18,16 +18,16 @@ from calibration.fit.contact_cover import describe_worst_uncertain_contact_or_em
 from calibration.fit.determination import SETTINGS as DETERMINATION
 from calibration.fit.determination import ShearModulusPrecision
 from calibration.fit.estimate import Estimate
-from calibration.fit.kindred_tests import find_test_disagreements
+from calibration.fit.kindred_tests import find_same_kind_disagreements
 from calibration.fit.lack_of_fit import compute_lack_of_fit_r2_and_relative_error
 from calibration.fit.own_stiffness import describe_stiffness_disagreement_or_empty
 from calibration.fit.population import PopulationAndLeftOutSpecimens
-from calibration.fit.preload_cover import is_preload_absent_or_explained, read_contact_offsets
+from calibration.fit.preload_cover import get_fitted_contact_offsets, is_preload_absent_or_explained
 from calibration.fit.replicates import find_replicate_disagreements
 from calibration.fit.usability_records import AlternativeMinimum, UsabilityClauseResult
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
-from calibration.statistics.statistics import compute_median_interval_or_zero
+from calibration.statistics.statistics import compute_median_sampling_interval_or_zero
 from tissue_sim.laws import StabilityRange
 
 #: Status of a usable fit.
@@ -42,7 +42,7 @@ class UsabilityEvidence:
 
     Attributes:
         estimate: minimum of the sum of squares.
-        stability: stability of the law at the minimum, see `tissue_sim.laws.check_stability`.
+        stability: stability of the law at the minimum, see `tissue_sim.laws.find_stability_range`.
         reached: test -> range of stretches that its recordings reach.
         mu0: shear modulus at rest, Pa.
         specimens: specimens with individual parameters.
@@ -148,15 +148,15 @@ def _evaluate_screening_clause(evidence: UsabilityEvidence) -> UsabilityClauseRe
     """Return the clause that the screening of the recordings found nothing that makes the moduli wrong."""
     problem = evidence.estimate.problem
     space = problem.space
-    remembers = space.build_material(space.values(evidence.estimate.theta[: len(space.free)])).remembers \
-        if evidence.mu0 > 0 else False
+    is_history_dependent = evidence.mu0 > 0 and space.build_material(
+        space.get_values_by_name(evidence.estimate.theta[: len(space.free)])).is_history_dependent
     found: dict[str, list[str]] = {}
-    contacts = read_contact_offsets(evidence.estimate)
+    contacts = get_fitted_contact_offsets(evidence.estimate)
     for curve in problem.measured:
         preload = curve.screening.preload
         is_explained = preload is not None and is_preload_absent_or_explained(curve, contacts[curve.name])
         covered = preload.sentence if is_explained else None
-        for sentence in list_screening_contradictions(curve, remembers):
+        for sentence in list_findings_contradicting_fit(curve, is_history_dependent):
             if sentence == covered:
                 continue
             found.setdefault(sentence, []).append(curve.name)
@@ -175,7 +175,7 @@ def _evaluate_contact_clause(evidence: UsabilityEvidence) -> UsabilityClauseResu
                                "noise")
 
 
-def list_screening_contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
+def list_findings_contradicting_fit(curve: MeasuredCurve, remembers: bool) -> list[str]:
     """Return the sentences of the screening that make the moduli of a fit wrong.
 
     Relaxation, creep and dissipation contradict a law without memory only.
@@ -197,8 +197,9 @@ def _evaluate_replicate_and_same_kind_clause(evidence: UsabilityEvidence) -> Usa
     measured = {test.name: test.measured for test in problem.tests}
     found = [each.describe() for each in find_replicate_disagreements(measured)]
     # A memory, another effect of the material, or parameters of single tests explain different stiffnesses.
-    if all(each.of_law and each.tests is None for each in problem.space.unknowns if each.of_material):
-        found += [each.describe() for each in find_test_disagreements(measured)]
+    if all(each.is_law_parameter and each.tests is None for each in problem.space.unknowns
+           if each.is_material_parameter):
+        found += [each.describe() for each in find_same_kind_disagreements(measured)]
     return _clause_from_reason("replicates", "misfit", "; ".join(found))
 
 
@@ -227,7 +228,7 @@ def _evaluate_residual_clause(evidence: UsabilityEvidence) -> UsabilityClauseRes
               and ratios[test.name] > evidence.limits.noise_ratio]
     return _clause_from_reason("residuals", "misfit",
                                f"does not describe the data: {' and '.join(missed)}" if missed else "",
-                               _describe_zero_stiffness_or_law_remedy(evidence) if missed else "")
+                               _describe_misfit_remedy(evidence) if missed else "")
 
 
 def _evaluate_explained_variance_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
@@ -240,10 +241,10 @@ def _evaluate_explained_variance_clause(evidence: UsabilityEvidence) -> Usabilit
             missed.append(f"R2 in {test.name} is {R2:.3f} over the part in which the displacement moves (noise and "
                           f"scatter taken out), and the limit is {evidence.limits.smallest_R2:g}")
     return _clause_from_reason("explained", "misfit", " and ".join(missed),
-                               _describe_zero_stiffness_or_law_remedy(evidence) if missed else "")
+                               _describe_misfit_remedy(evidence) if missed else "")
 
 
-def _describe_zero_stiffness_or_law_remedy(evidence: UsabilityEvidence) -> str:
+def _describe_misfit_remedy(evidence: UsabilityEvidence) -> str:
     """Return the remedy of a misfit.
 
     The remedy is the zero of the load cell if a recording begins with a force against the load, separate materials if
@@ -339,10 +340,10 @@ def _describe_fast_relaxation(evidence: UsabilityEvidence) -> str:
     where the relaxation time is on its bound, because parameters on bounds count as fixed.
     """
     space, measured = evidence.estimate.problem.space, evidence.estimate.problem.measured
-    material = space.build_material(space.values(evidence.estimate.theta[: len(space.free)]))
+    material = space.build_material(space.get_values_by_name(evidence.estimate.theta[: len(space.free)]))
     if material.viscoelastic is None:
         return ""
-    interval = compute_median_interval_or_zero([curve.time for curve in measured if curve.time is not None])
+    interval = compute_median_sampling_interval_or_zero([curve.time for curve in measured if curve.time is not None])
     found = [f"{evidence.symbols[name]} = {term.tau:.3g} s (g = {term.g:.2g})"
              for index, term in enumerate(material.viscoelastic.terms)
              if (name := f"viscoelastic.terms[{index}].tau") in space.free

@@ -38,11 +38,11 @@ class SizeScaledVariables:
     sizes: np.ndarray
     bounds: tuple[np.ndarray, np.ndarray]
 
-    def from_unknowns(self, unknowns: np.ndarray) -> np.ndarray:
+    def convert_from_unknowns(self, unknowns: np.ndarray) -> np.ndarray:
         """Convert unknowns (SI units) to variables of the optimiser; both have shape (k,)."""
         return unknowns / self.sizes
 
-    def to_unknowns(self, variables: np.ndarray) -> np.ndarray:
+    def convert_to_unknowns(self, variables: np.ndarray) -> np.ndarray:
         """Convert variables of the optimiser to unknowns (SI units); both have shape (k,)."""
         return variables * self.sizes
 
@@ -87,7 +87,7 @@ class LongTermPronyVariables:
         low[self.tau], high[self.tau] = np.log([shortest / _BOUNDS.time_margin, longest * _BOUNDS.time_margin])
         return low, high
 
-    def from_unknowns(self, unknowns: np.ndarray) -> np.ndarray:
+    def convert_from_unknowns(self, unknowns: np.ndarray) -> np.ndarray:
         """Convert unknowns (SI units) to variables of the optimiser; both have shape (k,)."""
         rest, variables = max(1.0 - unknowns[self.g].sum(), 1.0 / _BOUNDS.max_ratio), unknowns.copy()
         variables[self.moduli] *= rest
@@ -95,7 +95,7 @@ class LongTermPronyVariables:
         variables[self.tau] = np.log(unknowns[self.tau])
         return variables
 
-    def to_unknowns(self, variables: np.ndarray) -> np.ndarray:
+    def convert_to_unknowns(self, variables: np.ndarray) -> np.ndarray:
         """Convert variables of the optimiser to unknowns (SI units); both have shape (k,)."""
         factor, unknowns = 1.0 + variables[self.g].sum(), variables.copy()
         unknowns[self.moduli] *= factor

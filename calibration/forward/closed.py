@@ -70,10 +70,10 @@ class ClosedFormTest:
 
     is_force_proportional_to_moduli: ClassVar[bool] = True
     is_homogeneous: ClassVar[bool] = True
-    mesh: ClassVar[str] = ""
+    mesh_key: ClassVar[str] = ""
 
     @property
-    def is_path_dependent(self) -> bool:
+    def has_reversals_or_holds(self) -> bool:
         """Whether any recording has several segments, such as a ramp and a hold; the material does not matter."""
         return any(curve.segment is not None and np.unique(curve.segment).size > 1 for curve in self.measured)
 
@@ -94,7 +94,7 @@ class ClosedFormTest:
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> list[ClosedFormParameters]:
         """Return the parameter values of each recording for `evaluate_force_and_derivatives`; computes no force yet."""
-        values, solutions = space.values(theta), {}
+        values, solutions = space.get_values_by_name(theta), {}
         marks = [space.get_recording_if_it_has_own_values(self.name, curve.name) for curve in self.measured]
         for mark in marks:
             if mark not in solutions:
@@ -109,7 +109,7 @@ class ClosedFormTest:
         """
         law = find_law(space.law)
         free = [(law.parameters.index(each.path), column) for column, each in enumerate(space.free_parameters)
-                if each.of_law and each.applies_to_recording(self.name, recording)]
+                if each.is_law_parameter and each.applies_to_recording(self.name, recording)]
         material = None
         if set(space.names) != set(law.parameters):
             try:
@@ -118,7 +118,8 @@ class ClosedFormTest:
                 raise InfeasibleError(f"{self.name}: {error}") from None
         numbers = values if material is None else material.parameters
         return ClosedFormParameters(space, law, np.array([numbers[name] for name in law.parameters]), free, values,
-                                    recording, material if material is not None and material.remembers else None)
+                                    recording,
+                                    material if material is not None and material.is_history_dependent else None)
 
     def evaluate_force_and_derivatives(self, answers: list[ClosedFormParameters], recording: int, offset: float,
                                        contact: bool = True):
@@ -162,7 +163,7 @@ class ClosedFormTest:
         # Trial values of the optimiser may overflow; the optimiser rejects forces that are not finite.
         with np.errstate(all="ignore"):
             stress = closed_form.stress(law, strain, values)
-            derivatives = closed_form.derivatives(law, strain, values)
+            derivatives = closed_form.stress_parameter_derivatives(law, strain, values)
             slope = -self.kind.sign * closed_form.slope(law, strain, values) / self.height if contact else None
         if not self.kind.has_gripped_ends:
             separated = self.kind.convert_abscissa_to_nominal_strain(strain) < 0.0
@@ -219,7 +220,7 @@ class ClosedFormTest:
             Name of the parameter -> derivative, shape (n,).
         """
         prony = material.viscoelastic
-        if prony is None or not self._has_homogeneous_closed_form or (
+        if prony is None or not self._supports_homogeneous_history or (
                 not answer.space.has_only_shared_material_parameters) or (
                 material.effects or material.softening is not None or material.poroelasticity is not None) or (
                 material.instantaneous_over_law_modulus_ratio != 1.0):
@@ -233,7 +234,7 @@ class ClosedFormTest:
             elastic, relaxing = history.compute_elastic_and_relaxing_stress(law, answer.values, times)
             for unknown in answer.space.free_parameters:
                 name, path = unknown.name, split_path_into_names_and_indices(unknown.path)
-                if unknown.of_law and law.units[unknown.path] != "1":
+                if unknown.is_law_parameter and law.units[unknown.path] != "1":
                     alone = [float(other == unknown.path) if law.units[other] != "1" else value
                              for other, value in zip(law.parameters, answer.values.tolist(), strict=True)]
                     rates[name] = factor * history.nominal_stress(law, np.array(alone), prony)
@@ -266,16 +267,16 @@ class ClosedFormTest:
         """Return the force of a material with memory at the samples of a recording, N, shape (n,)."""
         measured, factor = self.measured[recording], self.kind.sign * self.area
         with np.errstate(all="ignore"):
-            if not self._has_homogeneous_closed_form or material.effects:
+            if not self._supports_homogeneous_history or material.effects:
                 strain = self.convert_displacement_to_stretch_or_shear(measured.displacement - offset)
-                return factor * self.closed_form.history(material, measured.required_sample_times, strain,
-                                                         self.equivalent_radius)
+                return factor * self.closed_form.stress_history(material, measured.sample_times, strain,
+                                                                self.equivalent_radius)
             return factor * self.get_homogeneous_history(recording, offset).nominal_stress(
-                material.energy_law, material.values, material.relaxation(self.equivalent_radius), material.softening,
-                material.instantaneous_over_law_modulus_ratio)
+                material.energy_law, material.values, material.make_prony_series(self.equivalent_radius),
+                material.softening, material.instantaneous_over_law_modulus_ratio)
 
     @property
-    def _has_homogeneous_closed_form(self) -> bool:
+    def _supports_homogeneous_history(self) -> bool:
         """Whether `HomogeneousHistory` can compute the stress: uniaxial loading or simple shear."""
         return type(self.closed_form) is ClosedForm and self.closed_form.law_mode in ("uniaxial", "simple_shear")
 
@@ -285,7 +286,7 @@ class ClosedFormTest:
             return self._histories[recording]
         measured = self.measured[recording]
         mode: Literal["uniaxial", "simple_shear"] = "uniaxial" if self.closed_form.rest else "simple_shear"
-        found = HomogeneousHistory(mode, measured.required_sample_times,
+        found = HomogeneousHistory(mode, measured.sample_times,
                                    self.convert_displacement_to_stretch_or_shear(measured.displacement - offset),
                                    self.largest_step)
         if offset == 0.0:

@@ -46,7 +46,7 @@ class ColumnTest(ClosedFormTest):
         moved = np.append(displacement, deepest)
         stress = column.nominal_stress(law, moved, values)[:-1]
         slope = -column.nominal_stress_slope(law, moved, values)[:-1] if contact else None
-        derivatives = column.nominal_stress_derivatives(law, moved, values)[:-1]
+        derivatives = column.nominal_stress_parameter_derivatives(law, moved, values)[:-1]
         if not np.isfinite(stress).all():
             raise InfeasibleError(f"{self.name}: {law.name} has no equilibrium of the specimen under its weight at the "
                                   "largest displacement")
@@ -54,8 +54,9 @@ class ColumnTest(ClosedFormTest):
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the range of stretches, from that of the base in the deepest state to 1 at the unloaded top."""
-        law, values = find_law(space.law), space.select_law_parameters(space.values(theta), self.name)
+        law, values = find_law(space.law), space.select_law_parameter_values(space.get_values_by_name(theta), self.name)
         displacement = np.concatenate([curve.displacement for curve in self.measured])
-        base = Column(self.specimen).base_stretch_at_displacement(law, displacement, law.as_array(values))
+        base = Column(self.specimen).base_stretch_at_displacement(law, displacement,
+                                                                  law.convert_parameters_to_array(values))
         low = float(np.nanmin(base))
         return StretchRange(self.closed_form.mode, low, 1.0, self.closed_form.find_extreme_stretches(low, 1.0))

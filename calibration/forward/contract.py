@@ -62,11 +62,11 @@ class ForwardTest(Protocol):
         """Whether the deformation is homogeneous, so that every mesh is exact."""
 
     @property
-    def mesh(self) -> str:
+    def mesh_key(self) -> str:
         """Key of the mesh: tests with the same key have the same mesh error; empty: no other test shares the mesh."""
 
     @property
-    def is_path_dependent(self) -> bool:
+    def has_reversals_or_holds(self) -> bool:
         """Whether the force may depend on the loading path, so that it is no function of displacement alone."""
 
     @property

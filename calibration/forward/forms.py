@@ -15,7 +15,7 @@ from calibration.forward.contract import ForwardTest
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS, MESH_ERROR, get_solver_fit_resolutions
 from calibration.forward.motion import MonotonicLoading, TimedMotion
 from calibration.forward.simulated import SimulatedTest
-from calibration.forward.simulation_cache import hash_content
+from calibration.forward.simulation_cache import hash_content_and_source_code
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 
 #: Largest strain step of histories in an analytical fit, coarser than in a prediction. Its error of 1e-4 of the largest
@@ -51,35 +51,36 @@ def build_forward_test_of_inverse_fit(test: Test, curves: Sequence[MeasuredCurve
         settings: settings of the fit.
         contact: standard deviation of the contact offset, m.
     """
-    material = settings.neo_hookean_material_with_effects
+    material = settings.placeholder_material_with_effects
     curves = tuple(curves)
     if test.experiment is None or curves[0].stressed:
         return build_weightless_closed_form_test(test, curves)
     layered = bool(material.layers)
-    mesh = hash_content(replace(test.experiment, protocol=_ANY_MOTION), test.solver)
+    mesh_key = hash_content_and_source_code(replace(test.experiment, protocol=_ANY_MOTION), test.solver)
     ramps_only = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
     timed = settings.whole and all(curve.time is not None for curve in curves)
-    if timed or material.ages or (is_test_force_history_dependent(test, material) and not ramps_only):
+    if timed or material.is_time_dependent or (is_test_force_history_dependent(test, material) and not ramps_only):
         motions: list[TimedMotion] = []
         motion_of = []
         for curve in curves:
-            motion = TimedMotion.from_recording(curve.required_sample_times, curve.displacement)
+            motion = TimedMotion.from_recording(curve.sample_times, curve.displacement)
             same = [i for i, other in enumerate(motions) if other.has_equal_knots_within_tolerance(motion)]
             if not same:
                 motions.append(motion)
             motion_of.append(same[0] if same else len(motions) - 1)
         return SimulatedTest(test.name, test.experiment, test.rig, tuple(motions), tuple(motion_of), curves, layered,
-                             mesh=mesh, solver=test.solver)
+                             mesh_key=mesh_key, solver=test.solver)
     deepest = max(curve.displacement.max() for curve in curves)
     height = test.experiment.specimen.height
     margin = max(_MARGINS.offset_deviations * contact, _MARGINS.min_fraction * deepest)
     depth = min(deepest + margin, 0.999 * test.experiment.thickness)
-    speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
+    speed = float(np.median([curve.mean_loading_speed or STUDY_SPEED for curve in curves]))
     tool = test.experiment.tool
     smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.is_path_dependent)
     ramp = MonotonicLoading.make_loading_to_depth(float(depth), max(speed, 1e-9), smooth=smooth,
                                                   strain=float(depth / height))
-    return SimulatedTest(test.name, test.experiment, test.rig, (ramp,), (0,) * len(curves), curves, layered, mesh=mesh,
+    return SimulatedTest(test.name, test.experiment, test.rig, (ramp,), (0,) * len(curves), curves, layered,
+                         mesh_key=mesh_key,
                          solver=test.solver)
 
 

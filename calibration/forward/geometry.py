@@ -20,7 +20,7 @@ def check_solvers_accept_test_geometries(campaign: Campaign) -> None:
         if test.experiment is None or test.solver == ROUND_SOLVER:
             continue
         try:
-            SOLVERS.find(test.solver, "solver")(Model(test.experiment, campaign.fit.neo_hookean_material_with_effects),
+            SOLVERS.find(test.solver, "solver")(Model(test.experiment, campaign.fit.placeholder_material_with_effects),
                                                 resolution=get_solver_fit_resolutions(test.solver).fast)
         except InputError as error:
             raise InputError(error.problem, file=campaign.path, field=f"test[{number}]") from None

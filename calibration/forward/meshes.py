@@ -86,7 +86,7 @@ class SolverFitResolutions(NamedTuple):
 MESHES = {"axisymmetric": SolverFitResolutions("fast", "accurate", "finest"),
           "solid": SolverFitResolutions("realtime", "fast", "accurate", error_factor=3.0, finest_under=("plate",),
                                         elements="finite elements in space of first order, corrected by ones of second "
-                                                  "order",
+                                        "order",
                                         slow=True)}
 
 
@@ -101,7 +101,7 @@ def make_exact_block_mesh_or_none(model: Model, solver: str) -> SolidMesh | None
     Every mesh is exact if the deformation is homogeneous.
     """
     experiment = model.experiment
-    if (solver != "solid" or not isinstance(experiment.specimen, Block) or not experiment.homogeneous
+    if (solver != "solid" or not isinstance(experiment.specimen, Block) or not experiment.has_homogeneous_deformation
             or experiment.acting_laws or experiment.tilt or experiment.slip or model.material.layers):
         return None
     return experiment.specimen.solid_mesh(Grading(HEX8P0, _SPECIMEN_SIZE, 1.0, _SPECIMEN_SIZE, 1))

@@ -107,7 +107,7 @@ class MonotonicLoading:
         # The rounded corner makes the force at rest slightly positive; the difference removes this value.
         return curve(None, self.depth, 0.0)[0] - curve(None, self.depth[:1], 0.0)[0]
 
-    def make_curve(self, columns: np.ndarray) -> ForceCurve:
+    def make_force_curve(self, columns: np.ndarray) -> ForceCurve:
         """Return the curve that interpolates values at the knots.
 
         Args:
@@ -244,7 +244,10 @@ class TimedMotion:
         return curve(self.time, self.displacement, 0.0)[0]
 
     def has_equal_knots_within_tolerance(self, other: TimedMotion) -> bool:
-        """Return whether times and displacements of two motions agree, relative to `MotionSettings.straightness`."""
+        """Return whether times and displacements of two motions agree.
+
+        The tolerance is relative, see `MotionSegmentationSettings.straightness`.
+        """
         if self.legs != other.legs:
             return False
         tolerance = MOTION_SETTINGS.straightness * np.ptp(self.displacement)
@@ -252,8 +255,8 @@ class TimedMotion:
         return bool(np.abs(self.displacement - other.displacement).max() <= tolerance
                     and np.abs(self.time - self.time[0] - other.time + other.time[0]).max() <= tolerance / speed)
 
-    def make_curve(self, columns: np.ndarray, *, position: np.ndarray | None = None,
-                   separates: bool = False) -> ForceCurve:
+    def make_force_curve(self, columns: np.ndarray, *, position: np.ndarray | None = None,
+                         separates: bool = False) -> ForceCurve:
         """Return the curve that interpolates values at the knots, as a function of the recording's time.
 
         Args:
@@ -281,7 +284,7 @@ class _TimedCurve:
         columns: force, its derivatives, and the derivative of the force by the contact offset as the last column,
             shape (k, m + 1).
         position: true position of the tool at the knots, m, shape (k,).
-        separates: see `TimedMotion.make_curve`.
+        separates: see `TimedMotion.make_force_curve`.
     """
 
     def __init__(self, motion: TimedMotion, columns: np.ndarray, position: np.ndarray, separates: bool):
@@ -353,7 +356,7 @@ def compute_force_derivative_by_offset(recording: Recording) -> np.ndarray:
     the force outside may be zero.
     """
     step = DIFFERENCES.contact_offset * np.ptp(recording.displacement)
-    near, far = (Rig(contact_offset=-offset).apply(recording).force for offset in (step, 2 * step))
+    near, far = (Rig(contact_offset=-offset).apply_motion_effects(recording).force for offset in (step, 2 * step))
     return (3 * recording.force - 4 * near + far) / (2 * step)
 
 

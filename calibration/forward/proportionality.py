@@ -35,7 +35,7 @@ def keeps_force_proportional_to_moduli(unknown: FitParameter, *, rigid: bool) ->
     if unknown.is_modulus:
         # A modulus of some tests or recordings does not scale all forces.
         return unknown.tests is None and unknown.recording is None
-    if unknown.of_material:
+    if unknown.is_material_parameter:
         return True
     if unknown.path.startswith("rig."):
         return rigid or unknown.path in _MOTION_PARAMETERS

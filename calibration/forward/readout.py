@@ -12,8 +12,8 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.difference_steps import DIFFERENCES
 from calibration.forward.motion import ForceCurve
-from calibration.forward.rig_motion import AlignedCurve
-from tissue_sim.material.effect import ReducedEffect
+from calibration.forward.rig_motion import RigForceCurve
+from tissue_sim.material.effect import ForceScalingEffect
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.recording.recording import Recording
@@ -37,7 +37,7 @@ def parameter_affects_readings_only(rig: Rig, path: str, value: float) -> bool:
         value: value near which the motion is compared.
     """
     changed = with_values(rig, {path: value + compute_difference_step(value)})
-    return changed.motion_only == with_values(rig, {path: value}).motion_only
+    return changed.with_motion_effects_only == with_values(rig, {path: value}).with_motion_effects_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class RigReadout:
     @cached_property
     def reading_only_rig_or_none(self) -> Rig | None:
         """Rig that has only the faults that change readings; None if no fault changes readings."""
-        reading = self.rig.reading_only
+        reading = self.rig.with_reading_effects_only
         return None if reading.is_ideal else reading
 
     def convert_to_readings(self, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
@@ -102,7 +102,7 @@ class ForceFactorEffects:
         effects: acting effects.
     """
 
-    effects: tuple[ReducedEffect, ...]
+    effects: tuple[ForceScalingEffect, ...]
 
     @classmethod
     def from_model(cls, model: Model) -> ForceFactorEffects:
@@ -111,8 +111,9 @@ class ForceFactorEffects:
         With a tilted tool or a rig that changes the motion, the simulation applies the effects and this object is
         empty.
         """
-        ideal = not model.experiment.tilt and model.rig.motion_only.is_ideal
-        return cls(model.material.list_acting_reduced_effects(plate=model.experiment.tool.is_plate) if ideal else ())
+        ideal = not model.experiment.tilt and model.rig.with_motion_effects_only.is_ideal
+        return cls(model.material.list_acting_force_scaling_effects(plate=model.experiment.tool.is_plate) if ideal
+                   else ())
 
     def has_effect_parameter(self, path: str) -> bool:
         """Return whether a parameter of the material belongs to one of these effects."""
@@ -143,11 +144,11 @@ class ForceFactorEffects:
         time = np.broadcast_to(clock.reshape(-1, *[1] * (depth.ndim - 1)), depth.shape)
         factor = np.ones(depth.shape)
         for effect in self.effects:
-            factor = factor * effect.shares(depth, deepest, time)
+            factor = factor * effect.compute_force_factors(depth, deepest, time)
         return factor
 
 
-def compute_depth_in_tissue(curve: ForceCurve | AlignedCurve, measured: MeasuredCurve,
+def compute_depth_in_tissue(curve: ForceCurve | RigForceCurve, measured: MeasuredCurve,
                             offset: float | np.ndarray) -> np.ndarray:
     """Return the true depth of the tool at the samples of a recording; negative before contact.
 
@@ -159,7 +160,7 @@ def compute_depth_in_tissue(curve: ForceCurve | AlignedCurve, measured: Measured
     Returns:
         Depth, m, shape (n,) or (n, offsets).
     """
-    if isinstance(curve, AlignedCurve):
+    if isinstance(curve, RigForceCurve):
         return curve.compute_tool_positions(offset)
     return measured.displacement - offset if np.ndim(offset) == 0 else measured.displacement[:, None] - offset
 
@@ -177,7 +178,7 @@ class SimulatedTestForceCurves:
         differences: names of parameters whose derivatives are finite differences.
     """
 
-    curves: Sequence[ForceCurve | AlignedCurve]
+    curves: Sequence[ForceCurve | RigForceCurve]
     readouts: list[RigReadout]
     effects: list[ForceFactorEffects]
     space: ParameterSpace

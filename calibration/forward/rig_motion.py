@@ -46,7 +46,7 @@ class ToolPositionSolverSettings:
 _SETTINGS = ToolPositionSolverSettings()
 
 
-def build_rig_loading(depth: float, deepest: float, limit: float) -> MonotonicLoading:
+def build_loading_to_true_depth(depth: float, deepest: float, limit: float) -> MonotonicLoading:
     """Return a monotonic loading from zero depth to the deepest true position of the tool, at most `limit`.
 
     Args:
@@ -155,7 +155,7 @@ def _compute_strip_depth_and_derivative(position: np.ndarray, lag: float) -> tup
 
 
 @dataclass(frozen=True, eq=False)
-class AlignedCurve:
+class RigForceCurve:
     """Force at the samples of a recording, from the true tool positions behind the compliant load train.
 
     Attributes:
@@ -169,7 +169,7 @@ class AlignedCurve:
     curve: ForcePositionCurve
     motion: np.ndarray
     compliance: float
-    neighbours: Mapping[int, tuple[AlignedCurve, float]] = field(default_factory=dict)
+    neighbours: Mapping[int, tuple[RigForceCurve, float]] = field(default_factory=dict)
 
     def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
                  offset: float) -> tuple[np.ndarray, np.ndarray]:
@@ -238,12 +238,12 @@ class AlignedCurve:
         raise InfeasibleError("no equilibrium position of the tool behind the compliant load train was found")
 
 
-def is_path_dependent(model: Model) -> bool:
+def is_path_dependent_with_rig(model: Model) -> bool:
     """Return whether the force of a model depends on the path of the tool and not on the tool position alone.
 
     Effects in reduced form are path-dependent too if the true depth of the tool differs from the reported one.
     """
-    reduced = model.material.list_acting_reduced_effects(plate=model.experiment.tool.is_plate)
+    reduced = model.material.list_acting_force_scaling_effects(plate=model.experiment.tool.is_plate)
     return model.is_path_dependent or bool(reduced and (model.rig.compliance or model.experiment.tilt))
 
 
@@ -252,7 +252,7 @@ def tool_separates_on_retraction(experiment: Experiment) -> bool:
     return experiment.friction != "bonded" and experiment.adhesion is None and not experiment.contact_laws
 
 
-def is_rig_motion_parameter(path: str) -> bool:
+def is_rig_or_tilt_parameter(path: str) -> bool:
     """Return whether a parameter belongs to the rig or is the tilt, so that the tissue's response does not change.
 
     Args:
@@ -261,6 +261,6 @@ def is_rig_motion_parameter(path: str) -> bool:
     return path.startswith("rig.") or path == "experiment.tilt"
 
 
-def replace_rig_by_ideal_rig(model: Model) -> Model:
+def make_model_without_rig_and_tilt(model: Model) -> Model:
     """Return a copy of the model with an ideal rig and without tilt: the tool is at the position of the stage."""
     return replace(model, experiment=replace(model.experiment, tilt=0.0), rig=Rig())

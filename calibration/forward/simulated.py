@@ -22,16 +22,16 @@ from calibration.forward.readout import (
     compute_difference_step,
 )
 from calibration.forward.rig_motion import (
-    AlignedCurve,
     ForcePositionCurve,
-    build_rig_loading,
-    is_path_dependent,
-    is_rig_motion_parameter,
+    RigForceCurve,
+    build_loading_to_true_depth,
+    is_path_dependent_with_rig,
+    is_rig_or_tilt_parameter,
     tool_separates_on_retraction,
 )
 from calibration.forward.simulated_motions import SimulatedMotions
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.forward.stretch_range import compute_homogeneous_compression_range, compute_simulated_range
+from calibration.forward.stretch_range import compute_compression_stretch_range, compute_simulated_stretch_range
 from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
@@ -55,7 +55,7 @@ class SimulatedTest(SimulatedMotions):
     area: ClassVar[float | None] = None
 
     @property
-    def is_path_dependent(self) -> bool:
+    def has_reversals_or_holds(self) -> bool:
         """Whether the motions have reversals or holds, so that the force may depend on the loading path."""
         return isinstance(self.motions[0], TimedMotion)
 
@@ -72,7 +72,7 @@ class SimulatedTest(SimulatedMotions):
     @property
     def is_homogeneous(self) -> bool:
         """Whether the deformation is homogeneous, so that every mesh is exact."""
-        return not self.layered and self._build_experiment(self.motions[0]).homogeneous
+        return not self.layered and self._build_experiment(self.motions[0]).has_homogeneous_deformation
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> SimulatedTestForceCurves:
         """Simulate force curves and derivatives for each recording, with the mesh correction; see `ForwardTest.solve`.
@@ -80,17 +80,17 @@ class SimulatedTest(SimulatedMotions):
         If the force depends on the tool position alone, one simulated loading gives the force at all positions, and the
         positions follow from the rig without further simulations.
         """
-        values = space.values(theta)
+        values = space.get_values_by_name(theta)
         models = [self._build_model(space, values, self.motions[number], measured.name)
                   for measured, number in zip(self.measured, self.motion_of, strict=False)]
-        curves: Sequence[ForceCurve | AlignedCurve]
+        curves: Sequence[ForceCurve | RigForceCurve]
         if self._needs_full_motion(models):
-            curves, differences = self._get_motion_curves_and_differenced_names(space, values, solves, models)
+            curves, differences = self._simulate_motion_curves_and_differenced_names(space, values, solves, models)
             effects = [ForceFactorEffects.from_model(model) for model in models]
         else:
-            curves, differences = self._get_aligned_curves_and_differenced_names(space, values, solves, models)
+            curves, differences = self._simulate_rig_curves_and_differenced_names(space, values, solves, models)
             effects = [
-                ForceFactorEffects(model.material.list_acting_reduced_effects(plate=model.experiment.tool.is_plate))
+                ForceFactorEffects(model.material.list_acting_force_scaling_effects(plate=model.experiment.tool.is_plate))
                 for model in models]
         differences |= {each.name for each in space.free_parameters
                         if self._parameter_affects_readings_only(each, values)
@@ -104,23 +104,25 @@ class SimulatedTest(SimulatedMotions):
         Raises:
             InfeasibleError: the model is invalid at these parameters.
         """
-        values = space.values(theta)
+        values = space.get_values_by_name(theta)
         return not self._needs_full_motion([self._build_model(space, values, self.motions[number], measured.name)
                                             for measured, number in zip(self.measured, self.motion_of, strict=False)])
 
     def _needs_full_motion(self, models: Sequence[Model]) -> bool:
         """Return whether the forces of these models require a simulation of the whole motion."""
-        if self.full_motion or not self.is_path_dependent or (self.correction and self.position_correction is None):
+        if self.full_motion or not self.has_reversals_or_holds or (self.correction
+                                                                   and self.position_correction is None):
             return True
         # The tensile response of a bonded face cannot be extrapolated from compression.
         paths = [motion.displacement[int(np.argmax(motion.displacement >= 0)):]
                  for motion in self._distinct_timed_motions]
         pulls = min(float(path.min()) for path in paths) < -_PULL_FRACTION * max(float(path.max()) for path in paths)
-        return (pulls and not tool_separates_on_retraction(self.experiment)) or any(map(is_path_dependent, models))
+        return (pulls
+                and not tool_separates_on_retraction(self.experiment)) or any(map(is_path_dependent_with_rig, models))
 
-    def _get_motion_curves_and_differenced_names(self, space: ParameterSpace, values: dict[str, float],
-                                                 solves: SimulationCache,
-                                                 models: Sequence[Model]) -> tuple[list[ForceCurve], set[str]]:
+    def _simulate_motion_curves_and_differenced_names(self, space: ParameterSpace, values: dict[str, float],
+                                                      solves: SimulationCache,
+                                                      models: Sequence[Model]) -> tuple[list[ForceCurve], set[str]]:
         """Simulate the whole motion of each recording.
 
         Returns:
@@ -138,15 +140,16 @@ class SimulatedTest(SimulatedMotions):
                 if self.correction:
                     force = force + self.correction[number]
                 columns = np.column_stack([force, rates])
-                curves[key] = motion.make_curve(columns, position=model.rig.tool_motion(motion.displacement),
-                                                separates=tool_separates_on_retraction(self.experiment)) \
-                    if isinstance(motion, TimedMotion) else motion.make_curve(columns)
+                curves[key] = motion.make_force_curve(columns,
+                                                      position=model.rig.compute_unloaded_tool_displacement(motion.displacement),
+                                                      separates=tool_separates_on_retraction(self.experiment)) \
+                    if isinstance(motion, TimedMotion) else motion.make_force_curve(columns)
             chosen.append(curves[key])
         return chosen, differences
 
-    def _get_aligned_curves_and_differenced_names(self, space: ParameterSpace, values: dict[str, float],
-                                                  solves: SimulationCache,
-                                                  models: Sequence[Model]) -> tuple[list[AlignedCurve], set[str]]:
+    def _simulate_rig_curves_and_differenced_names(self, space: ParameterSpace, values: dict[str, float],
+                                                   solves: SimulationCache,
+                                                   models: Sequence[Model]) -> tuple[list[RigForceCurve], set[str]]:
         """Simulate one loading with an ideal rig, and align its force with the samples of each recording.
 
         Returns:
@@ -156,7 +159,7 @@ class SimulatedTest(SimulatedMotions):
         curves, differences = [], set()
         for recording, (measured, number, model) in enumerate(zip(self.measured, self.motion_of, models, strict=False)):
             mark = space.get_recording_if_it_has_own_values(self.name, measured.name)
-            align = partial(self._make_aligned_curve, recording)
+            align = partial(self._make_rig_force_curve, recording)
             if mark not in by_mark:
                 loading = self._build_loading_to_deepest_tool_position(model.rig)
                 force, rates, inexact = self._simulate_or_load_force_and_derivatives(
@@ -168,7 +171,7 @@ class SimulatedTest(SimulatedMotions):
                     holds=not tool_separates_on_retraction(model.experiment))
             neighbours = {}
             for column, each in enumerate(space.free_parameters, start=1):
-                if is_rig_motion_parameter(each.path) and each.applies_to_recording(self.name, measured.name) \
+                if is_rig_or_tilt_parameter(each.path) and each.applies_to_recording(self.name, measured.name) \
                         and not self._parameter_affects_readings_only(each, values):
                     step = compute_difference_step(values[each.name])
                     changed = self._build_model(space, values | {each.name: values[each.name] + step},
@@ -178,16 +181,16 @@ class SimulatedTest(SimulatedMotions):
             curves.append(replace(align(by_mark[mark], model), neighbours=neighbours))
         return curves, differences
 
-    def _make_aligned_curve(self, recording: int, curve: ForcePositionCurve, model: Model) -> AlignedCurve:
+    def _make_rig_force_curve(self, recording: int, curve: ForcePositionCurve, model: Model) -> RigForceCurve:
         """Return the curve of the force at the samples of a recording, for the rig and the tilt of a model."""
         motion, measured = self._distinct_timed_motions[self.motion_of[recording]], self.measured[recording]
-        tilt, time = model.experiment.tilt, measured.required_sample_times - measured.required_sample_times[
+        tilt, time = model.experiment.tilt, measured.sample_times - measured.sample_times[
             0] + motion.sampled_from
         # Path-dependent faults (backlash, lost steps) act on the straight parts of the motion: noise of the
         # displacement would appear as many reversals.
         straight = np.interp(time, motion.time, motion.displacement)
-        position = model.rig.tool_motion(straight) + measured.displacement - straight
-        return AlignedCurve(curve.with_tilt(tilt) if tilt else curve, position, model.rig.compliance)
+        position = model.rig.compute_unloaded_tool_displacement(straight) + measured.displacement - straight
+        return RigForceCurve(curve.with_tilt(tilt) if tilt else curve, position, model.rig.compliance)
 
     def _build_loading_to_deepest_tool_position(self, rig: Rig) -> MonotonicLoading:
         """Return a monotonic loading to the largest true tool depth that a rig produces in any of the motions.
@@ -199,11 +202,11 @@ class SimulatedTest(SimulatedMotions):
         # Deflection of the stated load train, reduced by 10 % so that the depth is not underestimated.
         deflection = 0.9 * self.rig.compliance * max(0.0, *(float(curve.force.max()) for curve in self.measured))
         depth = max(float(path.max()) for path in paths) - deflection
-        deepest = max(float(rig.tool_motion(path).max()) for path in paths) - deflection
+        deepest = max(float(rig.compute_unloaded_tool_displacement(path).max()) for path in paths) - deflection
         if not depth > 0:
             raise InfeasibleError(f"{self.name}: the tool never reaches the tissue; check the contact of its "
                                   "recordings and the compliance of the rig")
-        return build_rig_loading(depth, deepest, 0.999 * self.experiment.thickness)
+        return build_loading_to_true_depth(depth, deepest, 0.999 * self.experiment.thickness)
 
     def _interpolate_force_correction_at_knots(self, loading: MonotonicLoading) -> np.ndarray:
         """Return the mesh correction (force difference) at the knots of a loading, N, shape (k,); 0 if not computed."""
@@ -222,7 +225,7 @@ class SimulatedTest(SimulatedMotions):
         Raises:
             InfeasibleError: the accurate mesh does not converge.
         """
-        values, found, largest = space.values(theta), [], 0.0
+        values, found, largest = space.get_values_by_name(theta), [], 0.0
         if self.is_homogeneous:
             self.discard_mesh_correction()
             return 0.0
@@ -289,7 +292,7 @@ class SimulatedTest(SimulatedMotions):
         if rig.latency:
             columns = np.column_stack([values, rate])
             late = np.column_stack(
-                [np.interp(measured.required_sample_times - rig.latency, measured.required_sample_times, column)
+                [np.interp(measured.sample_times - rig.latency, measured.sample_times, column)
                  for column in columns.T])
             values, rate = late[:, :-1], late[:, -1]
         force = readout.convert_to_readings(measured, simulated)
@@ -328,9 +331,8 @@ class SimulatedTest(SimulatedMotions):
                 step = compute_difference_step(answer.values[each.name])
                 changed = self._build_model(space, answer.values | {each.name: answer.values[each.name] + step},
                                             self.motions[self.motion_of[recording]], measured.name)
-                material, plate = changed.material, changed.experiment.tool.is_plate
-                other = ForceFactorEffects(material.list_acting_reduced_effects(plate=plate)).compute_force_factor(
-                    measured, depth)
+                acting = changed.material.list_acting_force_scaling_effects(plate=changed.experiment.tool.is_plate)
+                other = ForceFactorEffects(acting).compute_force_factor(measured, depth)
                 scaled[:, column] = (other - factor) / step * values[:, 0]
         return scaled, factor * rate
 
@@ -359,18 +361,19 @@ class SimulatedTest(SimulatedMotions):
         """
         motion, measured = self.motions[self.motion_of[recording]], self.measured[recording]
         if isinstance(motion, TimedMotion):
-            return measured.required_sample_times - measured.required_sample_times[0] + motion.sampled_from
+            return measured.sample_times - measured.sample_times[0] + motion.sampled_from
         return measured.time
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the range of principal stretches over the volume at the largest depth, without the outer 1 % each."""
         deepest = max(float(curve.displacement.max()) for curve in self.measured)
         if self.is_homogeneous:
-            return compute_homogeneous_compression_range(self.closed_form, 1 - deepest / self.specimen.height)
+            return compute_compression_stretch_range(self.closed_form, 1 - deepest / self.specimen.height)
         points = max(3, self.motions[0].tool_protocol.time.size // 2)
         experiment = replace(self.experiment, protocol=Protocol.ramp(deepest, points))
         try:
-            model = replace(space.build_model(space.values(theta), experiment, self.rig, test=self.name), rig=Rig())
+            model = replace(space.build_model(space.get_values_by_name(theta), experiment, self.rig, test=self.name),
+                            rig=Rig())
         except InputError:
             model = None
-        return compute_simulated_range(model, self.solver, deepest / self.specimen.height)
+        return compute_simulated_stretch_range(model, self.solver, deepest / self.specimen.height)

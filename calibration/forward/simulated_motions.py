@@ -17,10 +17,14 @@ from calibration.forward.readout import (
     parameter_affects_readings_only,
 )
 from calibration.forward.rig_motion import (
-    is_rig_motion_parameter,
-    replace_rig_by_ideal_rig,
+    is_rig_or_tilt_parameter,
+    make_model_without_rig_and_tilt,
 )
-from calibration.forward.simulation_cache import SimulationCache, hash_content, simulate_force_or_record_failure
+from calibration.forward.simulation_cache import (
+    SimulationCache,
+    hash_content_and_source_code,
+    simulate_force_or_record_failure,
+)
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.model import Model
@@ -43,7 +47,8 @@ class SimulatedMotions:
         correction: force of the accurate mesh minus that of the fast mesh at the knots of each motion, N, shape (k,);
             empty before `update_mesh_force_difference_and_get_ratio`.
         position_correction: depth, m, and the same difference of forces, N, at the knots of one loading, shapes (k,).
-        mesh: key of the mesh; tests with the same key have the same mesh error. Empty: no other test shares the mesh.
+        mesh_key: key of the mesh_key; tests with the same key have the same mesh_key error. Empty: no other test shares
+            the mesh_key.
         full_motion: whether the whole motion is simulated even if the force depends on the tool position alone.
         solver: name of the solver.
         mesh_error: relative error of the accurate mesh; None: not computed.
@@ -58,7 +63,7 @@ class SimulatedMotions:
     layered: bool = False
     correction: list[np.ndarray] = field(default_factory=list)
     position_correction: tuple[np.ndarray, np.ndarray] | None = None
-    mesh: str = ""
+    mesh_key: str = ""
     full_motion: bool = False
     solver: str = "axisymmetric"
     mesh_error: AccurateMeshErrorOverDepth | None = None
@@ -131,11 +136,13 @@ class SimulatedMotions:
             """Return the model at parameter values `of`, whose rig moves the tool but does not change readings."""
             # The readout is applied to the samples later, so only the motion of the rig is simulated.
             model = self._build_model(space, of, motion, recording)
-            return replace_rig_by_ideal_rig(model) if rigid else replace(model, rig=model.rig.motion_only)
+            if rigid:
+                return make_model_without_rig_and_tilt(model)
+            return replace(model, rig=model.rig.with_motion_effects_only)
 
         model = build_model_without_readout(values)
         topology = build_model_without_readout(space.replace_geometry_by_start_values(values)) \
-            if space.shapes_mesh(self.name) else None
+            if space.has_free_mesh_geometry_parameter(self.name) else None
         effects = ForceFactorEffects.from_model(model)
         model = effects.remove_effects_from_model(model)
         topology = topology and effects.remove_effects_from_model(topology)
@@ -143,10 +150,10 @@ class SimulatedMotions:
             column: each.path for column, each in enumerate(space.free_parameters)
             if each.applies_to_recording(self.name, recording)
             and not self._parameter_affects_readings_only(each, values)
-            and not effects.has_effect_parameter(each.path) and not (rigid and is_rig_motion_parameter(each.path))}
+            and not effects.has_effect_parameter(each.path) and not (rigid and is_rig_or_tilt_parameter(each.path))}
         meshes, paths = get_solver_fit_resolutions(self.solver), list(acting.values())
         mesh = getattr(meshes, resolution)
-        key = hash_content(model, topology, paths, mesh, self.solver)
+        key = hash_content_and_source_code(model, topology, paths, mesh, self.solver)
         curve = solves.find_curve(key)
         if curve is None:
             curve = simulate_force_or_record_failure(model, topology, paths, mesh, self.solver, one_sided=meshes.slow)
@@ -178,4 +185,4 @@ class SimulatedMotions:
         except InfeasibleError:
             used, (force, *_) = second, self._simulate_or_load_force_and_derivatives(
                 space, values, solves, second, "accurate", rigid=rigid)
-        return force if used is motion else motion.evaluate_curve_at_knots(used.make_curve(force[:, None]))[:, 0]
+        return force if used is motion else motion.evaluate_curve_at_knots(used.make_force_curve(force[:, None]))[:, 0]

@@ -136,14 +136,14 @@ def simulate_force_or_record_failure(model: Model, topology: Model | None, names
     return SimulatedForceOrFailure(force.tolist(), rates.tolist(), "", time.process_time() - began, exact)
 
 
-def hash_content(*parts: Any) -> str:
+def hash_content_and_source_code(*parts: Any) -> str:
     """Return a hash of immutable data and of the source code that computes a curve.
 
     The hash (SHA-256, 40 hexadecimal digits) covers all numbers to the last digit, the source of the package
     `tissue_sim`, and the source of registered additions (laws, effects, ...).
     """
     added = [[name, _hash_module_file_or_empty(module)] for name, module in get_modules_of_additions_by_name().items()]
-    content = msgspec.json.encode([_hash_solver_source(), added, _convert_to_plain_data(parts)])
+    content = msgspec.json.encode([_hash_package_source(), added, _convert_to_plain_data(parts)])
     return hashlib.sha256(content).hexdigest()[:40]
 
 
@@ -154,7 +154,7 @@ def _hash_module_file_or_empty(module: ModuleType) -> str:
 
 
 @cache
-def _hash_solver_source() -> str:
+def _hash_package_source() -> str:
     """Return the SHA-256 of version and source of the package `tissue_sim`, which determine the curve of a model."""
     digest = hashlib.sha256(tissue_sim.__version__.encode())
     for path in sorted(Path(tissue_sim.__file__).parent.rglob("*.py")):
@@ -172,8 +172,9 @@ def _convert_to_plain_data(value: Any) -> Any:
     if isinstance(value, Specimen) and value.paths:
         # The same holds for a specimen from a file: the digest of the file replaces its path.
         named = {value.texts[key] for key in value.paths}
-        return [type(value).__name__, value.digest, {entry.name: _convert_to_plain_data(getattr(value, entry.name))
-                                                     for entry in fields(value) if entry.name not in named}]
+        return [type(value).__name__, value.digest_of_files,
+                {entry.name: _convert_to_plain_data(getattr(value, entry.name))
+                 for entry in fields(value) if entry.name not in named}]
     if is_dataclass(value):
         return [type(value).__name__,
                 {entry.name: _convert_to_plain_data(getattr(value, entry.name)) for entry in fields(value)}]

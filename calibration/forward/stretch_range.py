@@ -10,7 +10,7 @@ from tissue_sim.model import Model
 from tissue_sim.simulation import simulate
 
 
-def compute_homogeneous_compression_range(closed_form: ClosedForm, low: float) -> StretchRange:
+def compute_compression_stretch_range(closed_form: ClosedForm, low: float) -> StretchRange:
     """Return the range of the principal stretches in a homogeneous compression, from `low` to 1 along the load.
 
     Args:
@@ -20,7 +20,7 @@ def compute_homogeneous_compression_range(closed_form: ClosedForm, low: float) -
     return StretchRange(closed_form.mode, low, 1.0, closed_form.find_extreme_stretches(low, 1.0))
 
 
-def compute_simulated_range(model: Model | None, solver: str, strain: float) -> StretchRange:
+def compute_simulated_stretch_range(model: Model | None, solver: str, strain: float) -> StretchRange:
     """Simulate a model, and return the range of its principal stretches without the lowest and highest 1 % of volume.
 
     Without a converged simulation the range is 1 - `strain` to 1.

@@ -96,7 +96,7 @@ def make_test_lines_and_missing(parts: Sequence[ReplicateFile],
         missing.append("the kind of test (--kind)")
     missing += [f"{what} (--{'scale' if what.startswith('the scale') else 'unit'} "
                 f"{_get_channel_name_in_flag(column.channel)}=...)" for column in reading.columns
-                if (what := column.missing_unit_or_scale_or_none)]
+                if (what := column.missing_information_text_or_none)]
     lines += [CampaignLine(key, value, explain_why_campaign_states_decimal_mark(parts) if key == "decimal" else "")
               for key, value in reading.options.items() if key != "columns"]
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None

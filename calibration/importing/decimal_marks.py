@@ -10,7 +10,7 @@ from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.recording.formats.guesses import FileInterpretation, TableGroup
 
 
-def add_common_decimal_option_to_files(understood: Sequence[FileInterpretation]) -> list[FileInterpretation]:
+def copy_interpretations_with_common_decimal_mark(understood: Sequence[FileInterpretation]) -> list[FileInterpretation]:
     """Copy the option ``decimal`` of some files to the options of all other files that have the same decimal mark.
 
     A file with thousands separators states its decimal mark in the campaign. Replicates with smaller numbers have no

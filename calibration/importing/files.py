@@ -18,7 +18,7 @@ from calibration.importing.campaign_lines import (
     make_test_lines_and_missing,
 )
 from calibration.importing.campaign_text import FILL_IN, format_campaign
-from calibration.importing.decimal_marks import add_common_decimal_option_to_files
+from calibration.importing.decimal_marks import copy_interpretations_with_common_decimal_mark
 from calibration.importing.flags import reject_contradicting_options, reject_unused_options
 from calibration.importing.grouping import group_into_tests, have_same_speed_and_travel
 from calibration.importing.imported import (
@@ -26,8 +26,8 @@ from calibration.importing.imported import (
     ImportedTest,
     ImportOptions,
     ImportResult,
+    LoadAtZeroInterpretation,
     ReplicateFile,
-    ZeroLoadInterpretation,
     list_questions_of_tests,
 )
 from calibration.importing.motion import analyse_recorded_motion
@@ -39,7 +39,7 @@ from calibration.importing.sidecar import (
 )
 from calibration.importing.size_assumptions import copy_interpretation_with_size_assumptions
 from calibration.importing.sizes_of_tables import copy_with_question_on_contradicting_sizes
-from calibration.importing.zero import get_corrected_replicates_and_zero_load, select_linear_laws_or_neo_hooke
+from calibration.importing.zero import interpret_and_correct_load_at_zero, select_linear_laws_or_neo_hooke
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import run_in_sandbox
 from tissue_sim.errors import InputError, located_and_converted_errors, shorten_text_in_middle
@@ -77,14 +77,14 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     output = None if output is None else Path(output)
     _check_inputs_differ_and_output_is_new(paths, output, overwrite)
     reject_contradicting_options(wishes)
-    understood = add_common_decimal_option_to_files(
+    understood = copy_interpretations_with_common_decimal_mark(
         [copy_with_question_on_contradicting_sizes(copy_interpretation_with_size_assumptions(each, wishes), wishes)
-         for each in _get_interpretation_of_each_file(paths, wishes)])
+         for each in _interpret_files(paths, wishes)])
     controlled = wishes.test.get("control")
     parts = [ReplicateFile(each, reading, tuple(analyse_recorded_motion(recording, reading.kind.kind, controlled)
                                                 for recording in reading.recordings))
              for each in understood for reading in each.readings]
-    groups = [(name, *_get_corrected_replicates_and_zero_load(alike, wishes), reason) for name, alike,
+    groups = [(name, *_interpret_and_correct_load_at_zero(alike, wishes), reason) for name, alike,
               reason in group_into_tests(parts)]
     parts = [part for _, alike, *_ in groups for part in alike]
     tests, specimens, missing = _build_tests_specimens_and_missing(groups, wishes)
@@ -137,7 +137,7 @@ def _check_inputs_differ_and_output_is_new(paths: Sequence[Path], output: Path |
                              "file with --overwrite.", file=each)
 
 
-def _get_interpretation_of_each_file(paths: Sequence[Path], wishes: ImportOptions) -> list[FileInterpretation]:
+def _interpret_files(paths: Sequence[Path], wishes: ImportOptions) -> list[FileInterpretation]:
     """Interpret all files; return one interpretation for each file, in the order of `paths`.
 
     Raises:
@@ -146,7 +146,7 @@ def _get_interpretation_of_each_file(paths: Sequence[Path], wishes: ImportOption
     understood, faults = [], []
     for path in paths:
         try:
-            understood.append(_get_file_interpretation_with_sidecar(path, wishes))
+            understood.append(_interpret_file_with_sidecar(path, wishes))
         except InputError as error:
             faults.append(error)
     if len(faults) == 1:
@@ -159,7 +159,7 @@ def _get_interpretation_of_each_file(paths: Sequence[Path], wishes: ImportOption
     return understood
 
 
-def _get_file_interpretation_with_sidecar(path: Path, wishes: ImportOptions) -> FileInterpretation:
+def _interpret_file_with_sidecar(path: Path, wishes: ImportOptions) -> FileInterpretation:
     """Interpret one file with its sidecar ``NAME.json``.
 
     Stress and strain of the file are read instead of force and displacement if the file has both and the size of the
@@ -195,19 +195,19 @@ def _has_height_and_cross_section(sizes: Mapping[str, SizeOrSpeedInMillimetres])
     return not sizes.keys() <= _OWN_SIZES or ("height_mm" in sizes and ("radius_mm" in sizes or "area_mm2" in sizes))
 
 
-def _get_corrected_replicates_and_zero_load(parts: Sequence[ReplicateFile], wishes: ImportOptions
-                                            ) -> tuple[tuple[ReplicateFile, ...], ZeroLoadInterpretation | None]:
+def _interpret_and_correct_load_at_zero(parts: Sequence[ReplicateFile], wishes: ImportOptions
+                                        ) -> tuple[tuple[ReplicateFile, ...], LoadAtZeroInterpretation | None]:
     """Return the replicates, extended by the assumption about their load at zero displacement, and this assumption.
 
     The second value is None if the load is zero at zero displacement.
     """
     sizes = {key: size.value for key, size in get_specimen_sizes_by_priority(parts[0].reading, wishes).items()}
     laws = select_linear_laws_or_neo_hooke(wishes.laws or DEFAULT_LAWS["analytical"])
-    return get_corrected_replicates_and_zero_load(parts, sizes, laws, wishes.zero)
+    return interpret_and_correct_load_at_zero(parts, sizes, laws, wishes.zero)
 
 
 def _build_tests_specimens_and_missing(
-    groups: Sequence[tuple[str, tuple[ReplicateFile, ...], ZeroLoadInterpretation | None, str]],
+    groups: Sequence[tuple[str, tuple[ReplicateFile, ...], LoadAtZeroInterpretation | None, str]],
     wishes: ImportOptions
     ) -> tuple[tuple[ImportedTest, ...], dict[str, tuple[CampaignLine, ...]], tuple[str, ...]]:
     """Return the tests of the campaign, its specimens, and the missing information.
@@ -244,7 +244,7 @@ def _build_tests_specimens_and_missing(
         columns = tuple(
             CampaignLine(column.channel, column.to_campaign_entry(), column.reason if lack is None
                          else f"{FILL_IN}: {lack}; {column.reason}")
-            for column in reading.columns for lack in [column.missing_unit_or_scale_or_none])
+            for column in reading.columns for lack in [column.missing_information_text_or_none])
         tests.append(ImportedTest(name, reading.kind.kind, tuple(parts), specimen, tuple(keys), columns, reason,
                                   zero))
     if len(specimens) > 1 and "specimen" in specimens:

@@ -12,7 +12,7 @@ from calibration.importing.motion import RecordedMotion
 from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.public_names import OldName, make_getattr_for_old_names
 from tissue_sim.recording.formats.assumption import Assumption
-from tissue_sim.recording.formats.guesses import ColumnHints, FileInterpretation, TableGroup
+from tissue_sim.recording.formats.guesses import FileInterpretation, InterpretationOverrides, TableGroup
 
 __getattr__ = make_getattr_for_old_names(__name__, {"Wishes": "ImportOptions", "Imported": "ImportResult"})
 
@@ -30,7 +30,7 @@ class ImportOptions:
         zero: meaning of a load at zero displacement: ``"preload"`` or ``"sensor"``; None: the curve decides.
     """
 
-    stated: ColumnHints = field(default_factory=ColumnHints)
+    stated: InterpretationOverrides = field(default_factory=InterpretationOverrides)
     specimen: Mapping[str, float | str] = field(default_factory=lambda: make_shallow_read_only_copy({}))
     test: Mapping[str, Any] = field(default_factory=lambda: make_shallow_read_only_copy({}))
     laws: tuple[str, ...] | None = None
@@ -58,7 +58,7 @@ class ReplicateFile:
 
 
 @dataclass(frozen=True)
-class ZeroLoadInterpretation:
+class LoadAtZeroInterpretation:
     """Interpretation of a recorded load that is not zero at zero displacement.
 
     Attributes:
@@ -106,7 +106,7 @@ class ImportedTest:
     lines: tuple[CampaignLine, ...]
     columns: tuple[CampaignLine, ...]
     reason: str = ""
-    zero: ZeroLoadInterpretation | None = None
+    zero: LoadAtZeroInterpretation | None = None
 
 
 @dataclass(frozen=True, eq=False)

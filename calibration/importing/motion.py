@@ -12,7 +12,7 @@ from calibration.importing.findings import list_signal_based_assumptions
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.cleaning import remove_outliers_and_saturation
 from tissue_sim.recording.contact import Contact
-from tissue_sim.recording.control import analyse_control_and_creep
+from tissue_sim.recording.control import detect_controlled_quantity_and_creep
 from tissue_sim.recording.failure import Failure
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.recording import Recording
@@ -144,8 +144,8 @@ def analyse_recorded_motion(recording: Recording, kind: str | None, controlled: 
 def _get_control_findings(recording: Recording, kind: str | None) -> ControlledQuantityFindings:
     """Return the findings about control: which quantity the machine controls, holds, creep and relaxation."""
     motion, load, _ = get_positive_motion_load_and_stress_flag(recording, KINDS.get(kind) if kind else None)
-    return analyse_control_and_creep(motion, load, recording.time if "time" in recording
-                                     and np.ptp(recording.time) > 0 else None)
+    return detect_controlled_quantity_and_creep(motion, load, recording.time if "time" in recording
+                                                and np.ptp(recording.time) > 0 else None)
 
 
 def _iterate_motion_warnings(recording: Recording, motion: RecordedMotion) -> Iterator[str]:

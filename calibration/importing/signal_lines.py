@@ -110,7 +110,7 @@ def _iterate_offset_priors_of_unclear_contacts(
                 kind = KINDS.get(test.kind) if test.kind else None
                 displacement, load, _ = get_positive_motion_load_and_stress_flag(kept, kind)
                 time = kept.time if "time" in kept else None
-                displacement, load = contact.get_motion_and_force_from_contact(displacement, load, time)
+                displacement, load = contact.subtract_contact_zero_and_drift(displacement, load, time)
                 pressed = displacement >= 0
                 error = relative_modulus_error_from_contact(displacement[pressed], load[pressed],
                                                             None if time is None else time[pressed], contact)

@@ -51,7 +51,7 @@ def copy_with_question_on_contradicting_sizes(found: FileInterpretation, wishes:
 def _compute_area_over_height_mm_or_none(reading: TableGroup) -> float | None:
     """Return cross-section divided by height, mm; None if a size is unknown, or force or displacement is missing."""
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
-    read = {column.channel for column in reading.columns if not column.missing_unit_or_scale_or_none}
+    read = {column.channel for column in reading.columns if not column.missing_information_text_or_none}
     if kind is None or kind.closed_form is None or "force" not in read or any(
             not {"displacement", "force"} <= each.channels.keys() for each in reading.recordings):
         return None

@@ -3,9 +3,9 @@
 Each explanation has one unknown: the distance between contact and zero displacement, or the reading of the unloaded
 load cell. Laws that are linear in their parameters are fitted with each explanation by linear least squares. The
 explanation with the smaller Bayesian information criterion is used if the difference exceeds
-`ZeroExplanationSettings.decisive_difference` and the residuals are comparable to the noise. Otherwise, the explanation
-is a question to the user.
-A force against the direction of loading can be a preload only if the specimen is gripped or glued.
+`LoadAtZeroExplanationSettings.decisive_difference` and the residuals are comparable to the noise. Otherwise, the
+explanation is a question to the user. A force against the direction of loading can be a preload only if the specimen is
+gripped or glued.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.importing.imported import ReplicateFile, ZeroLoadInterpretation
+from calibration.importing.imported import LoadAtZeroInterpretation, ReplicateFile
 from calibration.importing.motion import RecordedMotion
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
@@ -29,7 +29,7 @@ from tissue_sim.units import find_quantity_of_unit_or_none, get_si_factor_and_of
 
 
 @dataclass(frozen=True)
-class ZeroExplanationSettings:
+class LoadAtZeroExplanationSettings:
     """Limits for the choice between the two explanations of a load at zero displacement.
 
     Attributes:
@@ -50,7 +50,7 @@ class ZeroExplanationSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = ZeroExplanationSettings()
+_SETTINGS = LoadAtZeroExplanationSettings()
 #: Trial values of the shift of contact, relative to the first estimate.
 _SHIFTS = np.linspace(0.0, 3.0, 121)
 #: Explanation: the displacement was zeroed at a preload.
@@ -82,9 +82,9 @@ class _ExplanationFit:
     shift: float
 
 
-def get_corrected_replicates_and_zero_load(parts: Sequence[ReplicateFile], sizes: Mapping[str, float],
-                                           laws: Sequence[str], stated: str | None
-                                           ) -> tuple[tuple[ReplicateFile, ...], ZeroLoadInterpretation | None]:
+def interpret_and_correct_load_at_zero(parts: Sequence[ReplicateFile], sizes: Mapping[str, float],
+                                       laws: Sequence[str], stated: str | None
+                                       ) -> tuple[tuple[ReplicateFile, ...], LoadAtZeroInterpretation | None]:
     """Return the replicates of a test with the assumption about their load at zero displacement; also interpret it.
 
     If the load cell was not zeroed, its offset is also subtracted from the recorded forces.
@@ -104,17 +104,17 @@ def get_corrected_replicates_and_zero_load(parts: Sequence[ReplicateFile], sizes
                                                                            strict=True)
              if (curve := _get_first_loading_curve_or_none(recording, motion, kind)) is not None
              and (start := estimate_load_at_zero_displacement(*curve)) is not None]
-    if not found or any(column.missing_unit_or_scale_or_none for column in reading.columns):
+    if not found or any(column.missing_information_text_or_none for column in reading.columns):
         return tuple(parts), None
     shift, load = (float(np.mean([getattr(start, name) for _, start in found])) for name in ("shift", "load"))
     explanations = [_find_best_fits_and_noise_or_none(curve, start, kind, sizes, laws) for curve, start in found]
     jump = _describe_load_jump_or_none(parts, load)
-    assumption, value, best = _get_zero_assumption_value_and_shift([each for each in explanations if each], found[0][1],
-                                                                   kind, stated, jump)
-    zero = ZeroLoadInterpretation(value, best or shift, load)
+    assumption, value, best = _choose_load_at_zero_explanation([each for each in explanations if each], found[0][1],
+                                                               kind, stated, jump)
+    zero = LoadAtZeroInterpretation(value, best or shift, load)
     loads = [start.load for _, start in found]
     has_common_offset = bool(np.ptp(loads) <= _SETTINGS.largest_scatter * abs(load))
-    return tuple(_apply_zero_load_to_replicate_file(part, assumption, zero, is_constant=has_common_offset)
+    return tuple(_apply_load_at_zero_interpretation(part, assumption, zero, is_constant=has_common_offset)
                  for part in parts), zero
 
 
@@ -213,7 +213,7 @@ def _fit_explanation_or_none(value: str, displacement: np.ndarray, load: np.ndar
     def get_squares_and_coefficients_at_shift(trial_shift: float) -> tuple[float, np.ndarray]:
         """Return the sum of squared residuals, N2, and the fitted coefficients for a shift of contact, m."""
         strain = kind.convert_nominal_strain_to_stretch_or_shear_strain((displacement + trial_shift) / height)
-        design = kind.sign * area * form.derivatives(law, strain, ones)
+        design = kind.sign * area * form.stress_parameter_derivatives(law, strain, ones)
         if value == SENSOR:
             design = np.column_stack([design, np.ones(displacement.size)])
         coefficients = np.linalg.lstsq(design, load, rcond=None)[0]
@@ -240,16 +240,17 @@ def select_linear_laws_or_neo_hooke(names: Sequence[str]) -> tuple[str, ...]:
     def is_linear(name: str) -> bool:
         """Return whether the derivatives of the stress with respect to the parameters are constant."""
         law = find_law(name)
-        one, two = (law.nominal_stress_derivatives(strain, np.full(len(law.parameters), value)) for value in (1.0, 2.0))
+        one, two = (law.nominal_stress_parameter_derivatives(strain, np.full(len(law.parameters), value))
+                    for value in (1.0, 2.0))
         return bool(np.allclose(one, two))
 
     return tuple(name for name in names if name in LAWS and is_linear(name)) or ("neo_hooke",)
 
 
-def _get_zero_assumption_value_and_shift(explanations: Sequence[tuple[dict[str, _ExplanationFit], float]],
-                                         start: LoadAtZeroAndContactShift,
-                                         kind: TestKind | None, stated: str | None, jump: str | None
-                                         ) -> tuple[Assumption, str, float | None]:
+def _choose_load_at_zero_explanation(explanations: Sequence[tuple[dict[str, _ExplanationFit], float]],
+                                     start: LoadAtZeroAndContactShift,
+                                     kind: TestKind | None, stated: str | None, jump: str | None
+                                     ) -> tuple[Assumption, str, float | None]:
     """Return the assumption about the load at zero displacement that fits all replicates of a test better.
 
     If the curves do not decide, the assumption is a question: it states the other explanation as an alternative.
@@ -264,8 +265,8 @@ def _get_zero_assumption_value_and_shift(explanations: Sequence[tuple[dict[str, 
     Returns:
         Assumption, its value (`PRELOAD` or `SENSOR`), and fitted shift of contact, m; None: no fit.
     """
-    if start.load < 0 and kind is not None and not kind.can_pull:
-        return _make_unzeroed_assumption(start, stated), SENSOR, None
+    if start.load < 0 and kind is not None and not kind.allows_reversed_load:
+        return _make_unzeroed_load_cell_assumption(start, stated), SENSOR, None
     words = {**_EXPLANATIONS, PRELOAD: _PRELOAD_AGAINST_LOADING} if start.load < 0 else _EXPLANATIONS
     evidence = [f"the force at zero displacement is {start.load:.3g} N, {100 * start.fraction:.0f} % of its range"]
     against = [jump] if jump else []
@@ -291,7 +292,7 @@ def _get_zero_assumption_value_and_shift(explanations: Sequence[tuple[dict[str, 
     return assumption, value, shift
 
 
-def _make_unzeroed_assumption(start: LoadAtZeroAndContactShift, stated: str | None) -> Assumption:
+def _make_unzeroed_load_cell_assumption(start: LoadAtZeroAndContactShift, stated: str | None) -> Assumption:
     """Return the assumption that the load cell was not zeroed, for a tensile force of a tool without adhesion.
 
     Raises:
@@ -307,7 +308,7 @@ def _make_unzeroed_assumption(start: LoadAtZeroAndContactShift, stated: str | No
                       stated is not None)
 
 
-def _apply_zero_load_to_replicate_file(part: ReplicateFile, assumption: Assumption, zero: ZeroLoadInterpretation, *,
+def _apply_load_at_zero_interpretation(part: ReplicateFile, assumption: Assumption, zero: LoadAtZeroInterpretation, *,
                                        is_constant: bool) -> ReplicateFile:
     """Return a copy of a file's replicates with the assumption and a warning.
 

@@ -23,7 +23,7 @@ def _list_analytical_assumptions(result: CalibrationResult, units: ReportUnits) 
     """Return the assumptions of a fit with closed forms, one sentence each."""
     fit, noise = result.campaign.fit, result.campaign.noise
     lines = ["The material is incompressible; its viscoelastic parameters are fitted to ramps, holds and unloading."]
-    if not fit.stated_non_law_paths:
+    if not fit.stated_non_law_parameter_paths:
         lines = ["The material is incompressible and elastic: only the loading is fitted, and the speed has no "
                  "influence."]
     if any(test.kind.has_closed_form_with_weight for test in result.campaign.tests):

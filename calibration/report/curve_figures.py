@@ -149,7 +149,7 @@ class ResidualAxis:
 
     def compute_sample_positions(self, measured: MeasuredCurve) -> np.ndarray:
         """Return the coordinate of each sample on this axis, in the unit of the axis, shape (n,)."""
-        return measured.required_sample_times if self.timed else measured.displacement / self.travel.size
+        return measured.sample_times if self.timed else measured.displacement / self.travel.size
 
     def compute_bin_edges(self, recordings: Sequence[MeasuredCurve]) -> np.ndarray:
         """Return the edges of equal bins over all recordings, in the unit of the axis, shape (bins + 1,)."""
@@ -172,7 +172,7 @@ class ResidualAxis:
         edges = np.flatnonzero(np.diff(np.concatenate(([0], inside.astype(int), [0]))))
         for first, after in edges.reshape(-1, 2):
             if after - first > 1:
-                yield float(measured.required_sample_times[first]), float(measured.required_sample_times[after - 1])
+                yield float(measured.sample_times[first]), float(measured.sample_times[after - 1])
 
 
 def _draw_raw_residuals_in_prediction_band(axes, best: TestCurves, colour: str, x: ResidualAxis) -> None:
@@ -263,10 +263,10 @@ def iterate_binned_residuals_of_runs(measured: MeasuredCurve, residual: np.ndarr
         sums = np.stack([np.bincount(bins, values[part], edges.size - 1) for values in (at, residual)])
         with np.errstate(invalid="ignore"):
             means = sums / count
-        yield means, noise.deviation * compute_unit_variance_mean_deviations(count, step, noise.correlation_time)
+        yield means, noise.deviation * compute_standard_errors_at_unit_variance(count, step, noise.correlation_time)
 
 
-def compute_unit_variance_mean_deviations(count: np.ndarray, step: float, correlation_time: float) -> np.ndarray:
+def compute_standard_errors_at_unit_variance(count: np.ndarray, step: float, correlation_time: float) -> np.ndarray:
     """Return the standard deviations of means of correlated samples of unit variance, shape of `count`.
 
     The samples have the autocorrelation exp(-lag / correlation_time). The variance of the mean of n samples is

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.diagnosis.diagnosis import CandidateStatement, SegmentMisfit
+from calibration.diagnosis.diagnosis import CandidateResult, SegmentMisfit
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import RegionMisfitTest
@@ -174,7 +174,7 @@ def _format_misfits(region: SegmentMisfit, units: ReportUnits) -> str:
     return " → ".join(sizes)
 
 
-def draw_candidate_scores(candidates: Sequence[CandidateStatement], names: Sequence[str], chosen: Sequence[str]):
+def draw_candidate_scores(candidates: Sequence[CandidateResult], names: Sequence[str], chosen: Sequence[str]):
     """Draw the score of each effect before a fit with the effect, and the gain of the fits with the likeliest effects.
 
     Args:
@@ -214,7 +214,7 @@ def draw_candidate_scores(candidates: Sequence[CandidateStatement], names: Seque
     return figure
 
 
-def _format_odds_against_best(each: CandidateStatement) -> str:
+def _format_odds_against_best(each: CandidateResult) -> str:
     """Return text with the odds against the best candidate, such as ``, 1 : 45``; empty for the best candidate."""
     ratio = each.evidence_ratio
     return "" if ratio is None or ratio <= 1.0 else f", 1 : {format_odds_number(ratio)}"

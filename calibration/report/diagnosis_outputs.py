@@ -15,22 +15,22 @@ from calibration.diagnosis.diagnosis import DiagnosisStage
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.result import DiagnosisResult, diagnosis_to_json
 from calibration.effects.effect import Effect
-from calibration.output_folder import DIAGNOSIS_FILE, list_diagnosis_result_file_paths
+from calibration.output_folder import DIAGNOSIS_FILE, list_possible_diagnosis_result_paths
 from calibration.report.diagnosis_page import build_diagnosis_page
 from calibration.report.drawing import FigureEmbedder
-from calibration.report.effect_files import list_effect_file_paths, write_effect_files_and_get_diagnosis
+from calibration.report.effect_files import list_possible_effect_file_paths, write_effect_files_and_get_diagnosis
 from calibration.report.outputs import format_csv_table
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import LAWS
 
 
-def list_all_diagnosis_file_paths(campaign: Campaign, folder: Path) -> list[Path]:
+def list_all_possible_diagnosis_paths(campaign: Campaign, folder: Path) -> list[Path]:
     """Return the paths of all files that the diagnosis of a campaign may write.
 
     Material files of all laws are included, because an effect may require a more general law than the campaign states.
     """
-    return [*list_diagnosis_result_file_paths(campaign, folder),
-            *list_effect_file_paths(campaign, sorted(LAWS), folder)]
+    return [*list_possible_diagnosis_result_paths(campaign, folder),
+            *list_possible_effect_file_paths(campaign, sorted(LAWS), folder)]
 
 
 def write_diagnosis_and_get_result(result: DiagnosisResult, before: FitEvidence, after: FitEvidence | None,

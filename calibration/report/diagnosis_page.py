@@ -8,7 +8,7 @@ from html import escape
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.decision_limits import DecisionLimits
-from calibration.diagnosis.diagnosis import VERDICTS, CandidateStatement, Diagnosis, Verdict
+from calibration.diagnosis.diagnosis import VERDICTS, CandidateResult, Diagnosis, Verdict
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.words import join_as_enumeration
 from calibration.effects.effect import Effect
@@ -194,7 +194,7 @@ def _iterate_misfit_section_html(diagnosis: Diagnosis, before: FitEvidence, afte
             continue
         count = format_count(len(before.measured[test.name]), "recording")
         yield f"<h3>{escape(test.name)} <small>{escape(test.kind.name.replace('_', ' '))}; {count}</small></h3>"
-        regions = [region for region in before.region_tests if region.test == test.name]
+        regions = [region for region in before.region_misfit_tests if region.test == test.name]
         later = None if after is None else build_fitted_curves_of_test(after, test.name)
         yield pictures.embed_figure(make_numbered_test_figure_name(before.campaign, number), partial(
             draw_test_misfit, build_fitted_curves_of_test(before, test.name), later, regions, gaps, label, units),
@@ -234,7 +234,7 @@ def _iterate_effect_catalogue_html(diagnosis: Diagnosis, units: ReportUnits,
     yield make_undetectable_effects_table(diagnosis.candidates)
 
 
-def _get_names_of_added_candidates(diagnosis: Diagnosis, seen: Sequence[CandidateStatement]) -> list[str]:
+def _get_names_of_added_candidates(diagnosis: Diagnosis, seen: Sequence[CandidateResult]) -> list[str]:
     """Return those names of the candidates `seen` whose effect was added to the model.
 
     An effect that acts in one test matches only the candidate of this test.

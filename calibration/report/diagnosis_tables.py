@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 from calibration.diagnosis.diagnosis import (
-    CandidateStatement,
+    CandidateResult,
     Diagnosis,
     EffectParameter,
     HeldOutPrediction,
@@ -33,13 +33,13 @@ _MIN_WRONG_SIGN_SCORE = 3.0
 _LARGE_CHANGE = 0.5
 
 
-def format_effect_title_with_test(candidate: CandidateStatement) -> str:
+def format_effect_title_with_test(candidate: CandidateResult) -> str:
     """Return the display name of a candidate, such as ``plate friction`` or ``tilt in needle``."""
     test = candidate.name.partition("@")[2]
     return f"{candidate.title} in {test}" if test else candidate.title
 
 
-def map_candidate_names_to_labels(candidates: Iterable[CandidateStatement]) -> dict[str, str]:
+def map_candidate_names_to_labels(candidates: Iterable[CandidateResult]) -> dict[str, str]:
     """Return a dictionary: name of each candidate -> display name."""
     return {each.name: format_effect_title_with_test(each) for each in candidates}
 
@@ -50,7 +50,7 @@ def choose_effect_parameter_unit(path: str, unit: str, units: ReportUnits) -> Di
         else units.choose_display_unit_of_si_unit(unit)
 
 
-def format_detectable_sizes(candidate: CandidateStatement, units: ReportUnits) -> str:
+def format_detectable_sizes(candidate: CandidateResult, units: ReportUnits) -> str:
     """Return the smallest detectable size of an effect as text, such as ``c 0.01 mm/N``.
 
     A size is the difference from the parameter value at which the effect is absent.
@@ -76,7 +76,7 @@ def format_fitted_parameter_as_html(number: EffectParameter, units: ReportUnits)
     return f"{format_html_symbol(number.symbol)} = {use_minus_signs(text)}".replace(" ", "\u00a0")
 
 
-def make_fitted_effects_table(candidates: Sequence[CandidateStatement], units: ReportUnits) -> str:
+def make_fitted_effects_table(candidates: Sequence[CandidateResult], units: ReportUnits) -> str:
     """Return the HTML table of the effects that were fitted, best first."""
     rows = []
     for each in (each for each in candidates if each.refitted):
@@ -93,7 +93,7 @@ def make_fitted_effects_table(candidates: Sequence[CandidateStatement], units: R
                            text=(1,), narrow=True) if rows else ""
 
 
-def make_detectable_effects_table(candidates: Sequence[CandidateStatement], units: ReportUnits) -> str:
+def make_detectable_effects_table(candidates: Sequence[CandidateResult], units: ReportUnits) -> str:
     """Return the HTML table of the effects that these tests can detect, by category.
 
     Columns: smallest detectable size, score, probability and effects that these tests cannot distinguish.
@@ -102,7 +102,7 @@ def make_detectable_effects_table(candidates: Sequence[CandidateStatement], unit
     seen = sorted((each for each in candidates if each.testable),
                   key=lambda each: (CATEGORIES.index(each.category), each.title))
     rows: list[list[str | None]] = []
-    last = CandidateStatement(name="", effect="", category="", title="", testable=True)
+    last = CandidateResult(name="", effect="", category="", title="", testable=True)
     for each in seen:
         test = each.name.partition("@")[2]
         rows.append([None if each.category == last.category else escape(each.category),
@@ -118,16 +118,16 @@ def make_detectable_effects_table(candidates: Sequence[CandidateStatement], unit
                            text=[kept.index(j) for j in (1, 2, 3, 6) if j in kept])
 
 
-def _format_p_value_or_wrong_sign(each: CandidateStatement) -> str:
+def _format_p_value_or_wrong_sign(each: CandidateResult) -> str:
     """Return the p value of the score, or ``wrong sign`` if no size of the effect gives a score of this sign."""
     if each.score is not None and each.p is not None and each.score < -_MIN_WRONG_SIGN_SCORE and each.p > 0.5:
         return '<span class="bad">wrong sign</span>'
     return format_p_value_html_or_dash(each.p)
 
 
-def make_undetectable_effects_table(candidates: Sequence[CandidateStatement]) -> str:
+def make_undetectable_effects_table(candidates: Sequence[CandidateResult]) -> str:
     """Return the HTML table of the effects that these tests cannot detect, grouped by the reason."""
-    reasons: dict[str, list[CandidateStatement]] = {}
+    reasons: dict[str, list[CandidateResult]] = {}
     for each in candidates:
         if not each.testable:
             reasons.setdefault(each.reason, []).append(each)

@@ -22,7 +22,7 @@ from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import read_toml_dict
 from tissue_sim.experiment.interfaces import AS_TOOL
 from tissue_sim.material.file import MaterialFile, write_material_file
-from tissue_sim.parameters import convert_to_file_keys, with_values
+from tissue_sim.parameters import convert_to_file_values, with_values
 from tissue_sim.rig.file import write_rig
 from tissue_sim.rig.rig import Rig
 from tissue_sim.toml_text import format_toml
@@ -31,7 +31,7 @@ from tissue_sim.toml_text import format_toml
 CAMPAIGN_FILE = "diagnosed.toml"
 
 
-def list_effect_file_paths(campaign: Campaign, laws: Sequence[str], folder: Path) -> list[Path]:
+def list_possible_effect_file_paths(campaign: Campaign, laws: Sequence[str], folder: Path) -> list[Path]:
     """Return the paths of all files that `write_effect_files_and_get_diagnosis` may write for these laws."""
     return [*(folder / f"{law}.material.json" for law in laws), folder / CAMPAIGN_FILE, folder / "rig.rig.json",
             *(folder / _make_rig_file_name_of_test_number(number) for number in range(len(campaign.tests)))]
@@ -56,10 +56,10 @@ def write_effect_files_and_get_diagnosis(diagnosis: Diagnosis, after: FitEvidenc
     name = f"{after.law_name}.material.json"
     write_material_file(_build_material_file_struct(diagnosis, after, folder), folder / name)
     files["material"] = name
-    rigs = {test.name: _copy_rig_with_fitted_values(after, test) for test in after.effect_situation.tests
+    rigs = {test.name: _copy_rig_with_fitted_values(after, test) for test in after.diagnosis_data.tests
             if test.experiment is not None}
     if any(effect.category == "rig" for effect in diagnosis.effects):
-        if len({json.dumps(convert_to_file_keys(rig), sort_keys=True) for rig in rigs.values()}) == 1:
+        if len({json.dumps(convert_to_file_values(rig), sort_keys=True) for rig in rigs.values()}) == 1:
             write_rig(next(iter(rigs.values())), folder / "rig.rig.json")
             files["rig"] = "rig.rig.json"
         else:
@@ -125,7 +125,7 @@ def _format_campaign_with_found_effects(diagnosis: Diagnosis, after: FitEvidence
             table["recordings"] = [str(folder / name) for name in table["recordings"]]
     for table, test in zip(content["test"], campaign.tests, strict=True):
         if test.experiment is not None and test.experiment.contact_laws:
-            table["contact_laws"] = {name: convert_to_file_keys(law) for name,
+            table["contact_laws"] = {name: convert_to_file_values(law) for name,
                                      law in test.experiment.contact_laws.items()}
         if test.experiment is not None and test.experiment.friction_base == AS_TOOL:
             # Friction of both plates was added: the test is no longer a lubricated compression.

@@ -26,7 +26,7 @@ from calibration.report.population import iterate_population_rows
 from calibration.report.symbols import format_plain_symbol
 from calibration.report.units import ReportUnits
 from tissue_sim.laws import find_law
-from tissue_sim.specimen.specimen import add_article
+from tissue_sim.specimen.specimen import add_indefinite_article
 
 #: Subject -> (citation in the text, entry in the list of references).
 _REFERENCES = {
@@ -79,14 +79,14 @@ def make_plain_methods_text(result: CalibrationResult, measured: Mapping[str, Se
         cited.update(dict.fromkeys(keys))
         return f"({'; '.join(_REFERENCES[key][0] for key in keys)})"
 
-    paragraphs = [_write_data_paragraph(result, measured), _write_laws_paragraph(result, cite),
-                  _write_method_paragraph(result, cite), _write_noise_paragraph(result, units),
-                  _write_results_paragraph(result, units, cite), _write_software_paragraph(cite)]
+    paragraphs = [_format_data_paragraph(result, measured), _format_laws_paragraph(result, cite),
+                  _format_method_paragraph(result, cite), _format_noise_paragraph(result, units),
+                  _format_results_paragraph(result, units, cite), _format_software_paragraph(cite)]
     references = "\n".join(f"{reference}." for reference in sorted(_REFERENCES[key][1] for key in cited))
     return "\n\n".join([*paragraphs, f"References\n{references}"]) + "\n"
 
 
-def _write_data_paragraph(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]]) -> str:
+def _format_data_paragraph(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]]) -> str:
     """Return the paragraph on the tests, specimens and recordings."""
     parts = []
     for test in result.campaign.tests:
@@ -95,7 +95,7 @@ def _write_data_paragraph(result: CalibrationResult, measured: Mapping[str, Sequ
         if test.specimen is not None:
             words += (f", specimen of height {test.specimen.height * 1e3:.4g} mm and cross-section "
                       f"{test.specimen.area * 1e6:.4g} mm2") if test.specimen.is_prism else \
-                f", {add_article(test.specimen.shape)} ({test.specimen.in_words})"
+                f", {add_indefinite_article(test.specimen.shape)} ({test.specimen.in_words})"
         if test.experiment is not None and test.experiment.tool.radius is not None:
             words += f", {test.experiment.tool.shape} tool of radius {test.experiment.tool.radius * 1e3:g} mm"
         if test.max_strain is not None:
@@ -120,7 +120,7 @@ def _iterate_detected_contact_counts(result: CalibrationResult,
             yield test.name, shifted
 
 
-def _write_laws_paragraph(result: CalibrationResult, cite) -> str:
+def _format_laws_paragraph(result: CalibrationResult, cite) -> str:
     """Return the paragraph on the fitted laws and their formulas."""
     laws = []
     for fit in sorted(result.fits, key=lambda fit: fit.law):
@@ -134,7 +134,7 @@ def _write_laws_paragraph(result: CalibrationResult, cite) -> str:
     return text
 
 
-def _write_method_paragraph(result: CalibrationResult, cite) -> str:
+def _format_method_paragraph(result: CalibrationResult, cite) -> str:
     """Return the paragraph on the forward models, the optimisation, and the ranking of the laws."""
     if result.campaign.fit.method == "analytical":
         text = ("Identification. The closed forms of the homogeneous deformation of the incompressible material were "
@@ -142,7 +142,7 @@ def _write_method_paragraph(result: CalibrationResult, cite) -> str:
                 f"starts; {cite('descent')[1:-1]}).")
         offsets = result.campaign.fit.offset == "fit"
         text += " Contact offset and force zero of each recording were fitted with priors." if offsets else ""
-        return f"{text} {_write_ranking_sentence(result, cite)}"
+        return f"{text} {_format_ranking_sentence(result, cite)}"
     starts = format_count(result.campaign.fit.starts, "start")
     simulated = [test.solver for test in result.campaign.tests if test.experiment is not None]
     elements = " or ".join(dict.fromkeys(get_solver_fit_resolutions(solver).elements for solver in simulated
@@ -153,17 +153,17 @@ def _write_method_paragraph(result: CalibrationResult, cite) -> str:
             f"each recording and the mesh error were marginalised as nuisance parameters {cite('projection')}. "
             f"Intervals are profile-likelihood intervals {cite('profiles')}. Residuals were tested for smooth misfit "
             f"by region, with p adjusted for the number of regions {cite('holm')}. "
-            f"{_write_ranking_sentence(result, cite)}")
+            f"{_format_ranking_sentence(result, cite)}")
 
 
-def _write_ranking_sentence(result: CalibrationResult, cite) -> str:
+def _format_ranking_sentence(result: CalibrationResult, cite) -> str:
     """Return the sentence that names the criterion by which the laws are ranked."""
     by = "the prediction error in tests that they were not fitted to" \
         if are_laws_ranked_by_prediction(result.fits) else f"the Bayesian information criterion {cite('BIC')}"
     return f"Laws were ranked by {by}."
 
 
-def _write_noise_paragraph(result: CalibrationResult, units: ReportUnits) -> str:
+def _format_noise_paragraph(result: CalibrationResult, units: ReportUnits) -> str:
     """Return the paragraph on the noise, the scatter between recordings, and the source of the standard errors."""
     tests = {test.name: test for test in result.campaign.tests}
     levels = [f"{units.get_load_unit(tests[n.test]).format_quantity(n.deviation_N, 2)} in {n.test} ({n.source}, " + (
@@ -182,7 +182,7 @@ def _write_noise_paragraph(result: CalibrationResult, units: ReportUnits) -> str
             "the Particle Data Group.")
 
 
-def _write_results_paragraph(result: CalibrationResult, units: ReportUnits, cite) -> str:
+def _format_results_paragraph(result: CalibrationResult, units: ReportUnits, cite) -> str:
     """Return the paragraph with the parameters of all laws, their populations, and the predictions of the best law."""
     sentences = []
     for fit in result.fits:
@@ -216,7 +216,7 @@ def _iterate_parameter_estimate_texts(fit: Fit, units: ReportUnits) -> Iterator[
                               f"{f' [{interval}]' if interval else ''}")
 
 
-def _write_software_paragraph(cite) -> str:
+def _format_software_paragraph(cite) -> str:
     """Return the paragraph on the software, with versions and references."""
     used = []
     for package in ("taichi", "numpy", "scipy"):

@@ -17,7 +17,7 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit
-from calibration.fit.result import CalibrationResult, to_json
+from calibration.fit.result import CalibrationResult, to_json_dictionary
 from calibration.fit.self_weight import describe_self_weight
 from calibration.fit.typical_material import get_shared_and_population_mean_material
 from calibration.output_folder import FIT_FILE
@@ -58,7 +58,7 @@ def write_calibration_files(result: CalibrationResult, curves: Curves, measured:
     write_text(result.output / "methods.txt", methods)
     pictures = FigureEmbedder(result.output, figures_format) if figures else None
     write_text(result.output / "report.html", build_report_page(result, curves, methods, pictures))
-    text = json.dumps(to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(to_json_dictionary([result]), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(result.output / FIT_FILE, text + "\n")
 
 
@@ -85,7 +85,7 @@ def build_material_file_struct(fit: Fit, result: CalibrationResult, measured: Ma
                                                              for name, curves in measured.items()})
     # The file format has no standard error for the bulk response. Parameters of experiment and rig are excluded.
     material, of_material = get_shared_and_population_mean_material(fit), {each.path for each in space.unknowns
-                                                                           if each.of_material}
+                                                                           if each.is_material_parameter}
     kept = [i for i, path in enumerate(material.parameters) if path in of_material and not path.startswith("bulk.")]
     order = [path for i, path in enumerate(material.parameters) if i in kept]
     errors = {path: error for path, error in material.errors.items() if error is not None and path in order}

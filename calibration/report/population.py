@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration.fit.fit import Fit
 from calibration.fit.population import describe_excluded_specimens
-from calibration.fit.population_records import PopulationStatement
+from calibration.fit.population_records import PopulationRecord
 from calibration.report.drawing import (
     COLOURS,
     FigureEmbedder,
@@ -47,7 +47,7 @@ class PopulationRow(NamedTuple):
     next_specimen: str
 
 
-def iterate_population_rows(fit: Fit, population: PopulationStatement, units: ReportUnits) -> Iterator[PopulationRow]:
+def iterate_population_rows(fit: Fit, population: PopulationRecord, units: ReportUnits) -> Iterator[PopulationRow]:
     """Yield the formatted statistics of each parameter of a population."""
     for k, path in enumerate(population.order):
         name = f"{path}@{population.specimens[0]}"
@@ -86,7 +86,7 @@ def iterate_population_section_html(fits: Sequence[Fit], units: ReportUnits, pic
                                     "the mean).")
 
 
-def draw_population_figure(fit: Fit, population: PopulationStatement, units: ReportUnits):
+def draw_population_figure(fit: Fit, population: PopulationRecord, units: ReportUnits):
     """Draw each parameter of each specimen: separate estimate, shrinkage estimate and mean of the population."""
     specimens = len(population.specimens)
     rows = distribute_panels_over_rows(len(population.order))
@@ -100,7 +100,7 @@ def draw_population_figure(fit: Fit, population: PopulationStatement, units: Rep
     return figure
 
 
-def _draw_population_parameter(axes, fit: Fit, population: PopulationStatement, k: int, units: ReportUnits) -> None:
+def _draw_population_parameter(axes, fit: Fit, population: PopulationRecord, k: int, units: ReportUnits) -> None:
     """Draw the parameter with index `k` of all specimens: estimates, population mean, range of further specimens."""
     name = f"{population.order[k]}@{population.specimens[0]}"
     unit = units.choose_display_unit_of_si_unit(fit.units[name])

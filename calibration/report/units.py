@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from calibration.campaign.campaign import Test
-    from calibration.fit.fit import Fit, ReplicateJitterStatement
+    from calibration.fit.fit import Fit, ReplicateJitterRecord
     from calibration.fit.result import CalibrationResult
 
 #: Unit -> its size in SI, largest first.
@@ -86,7 +86,7 @@ class ReportUnits:
         """Return the unit of displacement, or of strain for a test without specimen."""
         return DisplayUnit("", 1.0) if test.specimen is None else self.length
 
-    def format_contact_and_zero_scatter(self, jitter: ReplicateJitterStatement,
+    def format_contact_and_zero_scatter(self, jitter: ReplicateJitterRecord,
                                         tests: Sequence[Test]) -> tuple[str, str]:
         """Return two texts: standard deviations of contact point and of force zero between recordings, with units.
 

@@ -50,8 +50,8 @@ class ScatterComponent:
         return np.sum(self.columns**2, axis=1)
 
 
-def compute_prediction_bands(bias: np.ndarray, scatters: Sequence[ScatterComponent], noise: np.ndarray,
-                             samples: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def compute_prediction_band_half_widths(bias: np.ndarray, scatters: Sequence[ScatterComponent], noise: np.ndarray,
+                                        samples: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Compute the half widths of the pointwise and the simultaneous 95 % prediction band about a curve.
 
     A new sample is curve + bias + sum of scatters + noise. Let q_i be the 97.5 % quantile of Student's t with the

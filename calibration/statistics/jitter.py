@@ -242,7 +242,7 @@ def _get_least_criterion_and_deviations(criterion: Callable[[np.ndarray], np.nda
     Returns:
         Smallest criterion and the standard deviations there, shape (size,); infinite if a range is empty.
     """
-    def evaluate(logarithms: np.ndarray) -> np.ndarray:
+    def evaluate_at_log_deviations(logarithms: np.ndarray) -> np.ndarray:
         """Return the criterion for logarithms of the nonzero standard deviations, shape (..., present) -> (...)."""
         values = np.zeros((*logarithms.shape[:-1], size))
         values[..., present] = np.exp(logarithms)
@@ -252,20 +252,21 @@ def _get_least_criterion_and_deviations(criterion: Callable[[np.ndarray], np.nda
         return np.inf, np.zeros(size)
     low, high = np.log(ranges).T
     grid = np.stack(np.meshgrid(*np.linspace(low, high, _SETTINGS.grid).T), axis=-1).reshape(-1, len(present))
-    values = evaluate(grid)
+    values = evaluate_at_log_deviations(grid)
     start = grid[np.argmin(values)]
     if not np.isfinite(values.min()):
         return np.inf, np.zeros(size)
 
-    def evaluate_with_slope(point: np.ndarray) -> tuple[float, np.ndarray]:
+    def evaluate_criterion_and_gradient(point: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the criterion and its gradient with respect to the logarithms, by one-sided finite differences."""
         steps = np.where(point + _SETTINGS.step <= high, _SETTINGS.step, -_SETTINGS.step)
-        value, *others = evaluate(np.vstack([point, point + np.diag(steps)]))
+        value, *others = evaluate_at_log_deviations(np.vstack([point, point + np.diag(steps)]))
         if not np.isfinite(value):
             return np.inf, np.zeros(len(present))
         return float(value), (np.array(others) - value) / steps
 
-    found = minimize(evaluate_with_slope, start, jac=True, bounds=list(zip(low, high, strict=True)), method="L-BFGS-B")
+    found = minimize(evaluate_criterion_and_gradient, start, jac=True, bounds=list(zip(low, high, strict=True)),
+                     method="L-BFGS-B")
     result = np.zeros(size)
     result[present] = np.exp(found.x)
     return float(found.fun), result

@@ -96,8 +96,8 @@ def whiten_columns(columns: np.ndarray, time: np.ndarray | None, noise: SensorNo
     return _compute_innovations(columns, correlation, deviation) / noise.deviation
 
 
-def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | None = None,
-                          correlation_time: float | None = None) -> SensorNoise:
+def estimate_pooled_sensor_noise(recordings: Sequence[Signal], *, deviation: float | None = None,
+                                 correlation_time: float | None = None) -> SensorNoise:
     """Estimate the common noise of the recordings of a sensor from their scatter about polynomial trends.
 
     Each segment has a polynomial in time as its trend. The Schwarz criterion (BIC) over all recordings selects the

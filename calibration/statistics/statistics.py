@@ -115,8 +115,8 @@ def get_effective_samples_and_variance_ratio(interpolation: csr_array | None, po
     return trace**2 / float(covariance.multiply(covariance).sum()), trace / points
 
 
-def compute_chi_square_and_sample_count(residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray,
-                                        interpolations: Interpolations | None = None) -> tuple[float, float]:
+def compute_chi_square_and_effective_samples(residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray,
+                                             interpolations: Interpolations | None = None) -> tuple[float, float]:
     """Return (chi-square of the residuals, effective number of independent samples).
 
     Args:
@@ -167,7 +167,7 @@ def compute_correlation_matrix(covariance: np.ndarray) -> np.ndarray:
     return np.clip(result, -1.0, 1.0)
 
 
-def compute_median_interval_or_zero(times: Sequence[np.ndarray]) -> float:
+def compute_median_sampling_interval_or_zero(times: Sequence[np.ndarray]) -> float:
     """Return the median interval between successive sampling times of all recordings, s.
 
     Equal times are left out. The result is 0 if no recording has two different times.

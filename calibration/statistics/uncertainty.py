@@ -10,7 +10,7 @@ from scipy import linalg, special
 
 from calibration.statistics.statistics import (
     Interpolations,
-    compute_chi_square_and_sample_count,
+    compute_chi_square_and_effective_samples,
     compute_sample_weighted_rms_noise,
 )
 
@@ -101,13 +101,15 @@ def compute_cluster_robust_uncertainty(jacobian: np.ndarray, residual: np.ndarra
     noise = np.broadcast_to(np.asarray(noise, dtype=float), count)
     parts = [replicate == i for i in range(count)]
     weight = compute_sample_weighted_rms_noise(noise, replicate)**2
-    squares, samples = compute_chi_square_and_sample_count(residual, replicate, noise, interpolations)
+    squares, samples = compute_chi_square_and_effective_samples(residual, replicate, noise, interpolations)
     freedom = max(samples - unknowns, 1.0)
     basis, quantile, deviations = "noise", special.ndtri(0.975), noise
     if squares > COVARIANCE.residual_ratio**2 * freedom:
         basis, quantile = "residuals", special.stdtrit(freedom, 0.975)
-        own = np.array([compute_chi_square_and_sample_count(residual[part], np.zeros(part.sum(), int), noise[i:i + 1],
-                                                            None if interpolations is None else interpolations[i:i + 1])
+        own = np.array([compute_chi_square_and_effective_samples(residual[part], np.zeros(part.sum(), int),
+                                                                 noise[i:i + 1],
+                                                                 None if interpolations is None
+                                                                 else interpolations[i:i + 1])
                         for i, part in enumerate(parts)])
         deviations = noise * np.sqrt(repeats * np.maximum(own[:, 0] / own[:, 1] * samples / freedom, 1.0))
     spread = weight**2 * np.diag(prior_precision)

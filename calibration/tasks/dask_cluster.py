@@ -16,7 +16,7 @@ from tissue_sim.packing import pack_task, run_packed_task
 CONNECT_TIMEOUT = 10.0
 
 
-class DaskCluster:
+class DaskExecutor:
     """Executor on a dask cluster with the interface of `ProcessPool`.
 
     This package must be installed on the scheduler and on all workers. Workers should have one thread each, because the
@@ -63,7 +63,7 @@ class DaskCluster:
         # Packed as bytes: dask searches plain arguments for its tasks and futures.
         return self._executor.submit(run_packed_task, pack_task(function, arguments))
 
-    def stop(self) -> None:
+    def abandon_tasks(self) -> None:
         """Cancel all tasks; running tasks finish on their workers, and their results are discarded.
 
         New tasks can be submitted afterwards.

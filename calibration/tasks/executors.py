@@ -13,7 +13,7 @@ from calibration.tasks.errors import WorkerError
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
-    from calibration.tasks.dask_cluster import DaskCluster
+    from calibration.tasks.dask_cluster import DaskExecutor
     from calibration.tasks.process_pool import ProcessPool
 
 #: Longest wait for a task, s; Windows delivers Ctrl-C only between waits.
@@ -83,7 +83,7 @@ class TaskExecutor:
 
 
 @contextmanager
-def open_tasks(workers: Workers) -> Iterator[TaskExecutor]:
+def open_task_executor(workers: Workers) -> Iterator[TaskExecutor]:
     """Yield an executor for tasks; all its processes end with the ``with`` block or with this process.
 
     Raises:
@@ -92,10 +92,10 @@ def open_tasks(workers: Workers) -> Iterator[TaskExecutor]:
     if workers.dask is None and workers.count == 1:
         yield TaskExecutor()
         return
-    executor: ProcessPool | DaskCluster
+    executor: ProcessPool | DaskExecutor
     if workers.dask is not None:
-        from calibration.tasks.dask_cluster import DaskCluster
-        executor = DaskCluster(workers.dask)
+        from calibration.tasks.dask_cluster import DaskExecutor
+        executor = DaskExecutor(workers.dask)
     else:
         # Imported on use: a calibration in one process does not need multiprocessing.
         from calibration.tasks.process_pool import ProcessPool
@@ -111,7 +111,7 @@ class _ParallelTaskExecutor(TaskExecutor):
 
     parallel = True
 
-    def __init__(self, executor: ProcessPool | DaskCluster):
+    def __init__(self, executor: ProcessPool | DaskExecutor):
         self._executor = executor
 
     def run(self, function: Callable[..., Any], arguments: Sequence[tuple], on_done: OnDone | None = None) -> list[Any]:
@@ -122,7 +122,7 @@ class _ParallelTaskExecutor(TaskExecutor):
             self._run_and_collect_until_first_failure(function, arguments, on_done, results, failures)
         except BaseException:
             # Ctrl-C, an error of on_done, or failed workers: running tasks are abandoned.
-            self._executor.stop()
+            self._executor.abandon_tasks()
             raise
         if failures:
             raise failures[min(failures)]

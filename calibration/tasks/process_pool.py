@@ -64,7 +64,7 @@ class ProcessPool:
         # all processes must inherit the same environment.
         self._executor._safe_to_dynamically_spawn_children = False  # type: ignore[attr-defined]
         try:
-            with _worker_start_environment():
+            with _set_worker_start_environment():
                 first = self._executor.submit(os.getpid)
             first.result()
             return self._executor
@@ -74,7 +74,7 @@ class ProcessPool:
                 "worker processes ended before they accepted a task; in a script start them under "
                 "\"if __name__ == '__main__':\". Otherwise check their printed errors, or use one worker") from death
 
-    def stop(self) -> None:
+    def abandon_tasks(self) -> None:
         """Kill the processes with their running tasks; the next task starts new processes."""
         if self._executor is not None:
             # Before Python 3.14 an executor has no method for it.
@@ -90,7 +90,7 @@ class ProcessPool:
 
 
 @contextlib.contextmanager
-def _worker_start_environment() -> Iterator[None]:
+def _set_worker_start_environment() -> Iterator[None]:
     """Set the environment for starting processes: one native thread, and Ctrl-C handled by the parent only."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))

@@ -17,8 +17,8 @@ import numpy as np
 
 from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.devices.settings import (
-    read_settings,
-    read_word_settings_and_remaining_text,
+    parse_number_settings,
+    parse_word_settings_and_remaining_text,
     split_address_and_settings_text,
 )
 from haptics.protocols.ati_calibration import MAX_SIZE, AtiVoltageCalibration, parse_ati_calibration
@@ -226,14 +226,14 @@ def _import_user_function(path: str) -> Callable[[], Any]:
     return function
 
 
-def open_ati_daq(text: str) -> AtiDaqSensor:
+def make_ati_daq_sensor(text: str) -> AtiDaqSensor:
     """Return a sensor that is not started, from ``FT01234.cal,volts=package.module:function,rate_hz=1000,range_V=0``.
 
     ``range_V`` is the largest voltage of the board, in both directions; 0: from the calibration file.
     """
     file, rest = split_address_and_settings_text(text, "the calibration file", _EXAMPLE)
-    words, rest = read_word_settings_and_remaining_text(rest, volts=("",))
-    given = read_settings(rest, rate_hz=1000.0, range_V=0.0)
+    words, rest = parse_word_settings_and_remaining_text(rest, volts=("",))
+    given = parse_number_settings(rest, rate_hz=1000.0, range_V=0.0)
     calibration = parse_ati_calibration(read_bytes(file, "the .cal file of an ATI sensor", MAX_SIZE), file)
     reach = given["range_V"]
     return AtiDaqSensor(calibration, words["volts"] or None, given["rate_hz"], (-reach, reach) if reach else None)

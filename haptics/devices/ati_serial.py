@@ -21,8 +21,8 @@ from haptics.devices.ati_serial_records import (
 from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.devices.serial_line import SerialLine
 from haptics.devices.settings import (
-    read_settings,
-    read_word_settings_and_remaining_text,
+    parse_number_settings,
+    parse_word_settings_and_remaining_text,
     split_address_and_settings_text,
 )
 from haptics.protocols.ati_serial import (
@@ -132,7 +132,7 @@ class AtiSerialSensor(ForceSensor):
             source = (AsciiRecordStream(line) if self._mode == "ascii"
                       else BinaryRecordRequester(line, self._baud, TIMING.answer))
             source.start_stream()
-            self._measure_record_form_and_rate(source)
+            self._store_observed_format_and_rate(source)
         except BaseException:
             line.close()
             raise
@@ -159,7 +159,7 @@ class AtiSerialSensor(ForceSensor):
 
     def tare(self) -> None:
         """Set the mean counts of the last 0.1 s as zero; if that time has no record, those of the last record."""
-        recent = self._get_receiver_or_raise().get_recent_counts_after_first_record(TIMING.tare)
+        recent = self._get_receiver_or_raise().wait_for_recent_counts(TIMING.tare)
         self._zero = tuple(sum(counts) / len(recent) for counts in zip(*recent, strict=True))
 
     def stop(self) -> None:
@@ -209,7 +209,7 @@ class AtiSerialSensor(ForceSensor):
                                       "start again")
                 answer += line.read_within(0.1)
 
-    def _measure_record_form_and_rate(self, source: AsciiRecordStream | BinaryRecordRequester) -> None:
+    def _store_observed_format_and_rate(self, source: AsciiRecordStream | BinaryRecordRequester) -> None:
         """Read records to fix their form and to set `rate`; discards the records.
 
         The duration is `AtiSerialWaitingTimes.observation`.
@@ -303,7 +303,7 @@ class _RecordReceiverThread:
             raise self._trouble
         return found
 
-    def get_recent_counts_after_first_record(self, seconds: float) -> list[tuple[int, ...]]:
+    def wait_for_recent_counts(self, seconds: float) -> list[tuple[int, ...]]:
         """Return the counts of the records of the last `seconds` s; wait until at least one record was received.
 
         Raises:
@@ -343,7 +343,7 @@ def _describe_missing_prompt(port: str, baud: int, answer: bytes) -> str:
             "give the port of the controller")
 
 
-def open_ati_serial(text: str) -> AtiSerialSensor:
+def make_ati_serial_sensor(text: str) -> AtiSerialSensor:
     """Return a sensor that is not started, from port and settings; the counts per unit are required.
 
     Defaults: ``ati-serial:/dev/ttyUSB0,counts_per_N=...,counts_per_Nm=...,baud=9600,mode=ascii,rate_hz=0,average=0``;
@@ -351,8 +351,8 @@ def open_ati_serial(text: str) -> AtiSerialSensor:
     """
     example = "ati-serial:/dev/ttyUSB0,counts_per_N=100,counts_per_Nm=4000"
     port, rest = split_address_and_settings_text(text, "the port of the controller", example)
-    words, rest = read_word_settings_and_remaining_text(rest, mode=MODES)
-    given = read_settings(rest, counts_per_N=0.0, counts_per_Nm=0.0, baud=9600, rate_hz=0.0, average=0)
+    words, rest = parse_word_settings_and_remaining_text(rest, mode=MODES)
+    given = parse_number_settings(rest, counts_per_N=0.0, counts_per_Nm=0.0, baud=9600, rate_hz=0.0, average=0)
     return AtiSerialSensor(port, given["counts_per_N"], given["counts_per_Nm"], int(given["baud"]), words["mode"],
                            given["rate_hz"] or None, int(given["average"]))
 

@@ -18,7 +18,7 @@ from typing import Any
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose, Screw
-from tissue_sim.public_names import OldName, adopt_old_names
+from tissue_sim.public_names import OldName, rename_old_members_of_subclass
 
 #: Signature of `HapticDevice.set_approach`.
 _SetApproach = Callable[[Any, Approach | None], None]
@@ -309,7 +309,7 @@ class HapticDevice(ABC):
     def __init_subclass__(cls, **keywords: Any) -> None:
         """Keep the old names ``go_along`` of `set_approach` and ``take_over`` for one release, with a warning."""
         super().__init_subclass__(**keywords)
-        adopt_old_names(cls, {"take_over": "continue_from_pose"})
+        rename_old_members_of_subclass(cls, {"take_over": "continue_from_pose"})
         own = vars(cls)
         if "go_along" in own and "set_approach" not in own:
             warnings.warn(f"{cls.__name__}.go_along is deprecated; name the method set_approach", DeprecationWarning,
@@ -320,7 +320,7 @@ class HapticDevice(ABC):
             cls.go_along = method  # type: ignore[method-assign,assignment]
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
-        """Begin to move the tool to a depth, if the device is a steerable motion such as `HandMotion`.
+        """Begin to move the tool to a depth, if the device is a steerable motion such as `TargetFollowingMotion`.
 
         Args:
             depth: Target along the tool's axis, measured from the height of first contact, m.
@@ -329,7 +329,8 @@ class HapticDevice(ABC):
         Raises:
             InputError: The device cannot be steered, or the depth is not a finite number.
         """
-        raise InputError(f"a target requires a steerable motion; got a {type(self).__name__}. Switch to a HandMotion "
+        raise InputError(f"a target requires a steerable motion; got a {type(self).__name__}. Switch to a "
+                         f"TargetFollowingMotion "
                          "first",
                          field="aim")
 
@@ -340,6 +341,7 @@ class HapticDevice(ABC):
 
 def _make_deprecated_go_along_method(set_approach: _SetApproach) -> _SetApproach:
     """Return the method ``go_along``, which warns and calls `set_approach` of the same class."""
+
     def go_along(self: Any, approach: Approach | None) -> None:
         """Call `set_approach` of the same class, with a deprecation warning."""
         warnings.warn("HapticDevice.go_along is deprecated; use set_approach", DeprecationWarning, stacklevel=2)
@@ -376,7 +378,6 @@ class AxialMotion(Motion):
 
         None if the pose is unknown.
         """
-
 
     def pose(self, time: float) -> Pose | None:
         """Return the pose at `depth` on the approach of the tool, or on the z axis without an approach."""

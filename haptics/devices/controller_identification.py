@@ -12,7 +12,7 @@ from haptics.protocols import tic
 _ANSWER_TIMEOUT = 0.3
 
 
-def find_controller_hint_or_empty(line: SerialLine) -> str:
+def probe_controller_and_get_hint(line: SerialLine) -> str:
     """Find which controller answers on an open serial line, and return a hint to append to an error message.
 
     Sends an empty line and a status query of a Tic; neither moves a motor.

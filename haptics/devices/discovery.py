@@ -31,7 +31,7 @@ class ProbeResult:
     """Result of probing one device.
 
     Attributes:
-        name: Name of the device, as for `open_sensor`, `open_stage` or `open_haptic`.
+        name: Name of the device, as for `make_sensor`, `make_stage` or `make_haptic_device`.
         kind: Force sensor, stage, haptic device or serial port.
         opens: True if the device opened.
         details: Description by the device itself, or the reason why it did not open.
@@ -43,7 +43,7 @@ class ProbeResult:
     details: str
 
 
-def find_devices(names: Sequence[str] = ()) -> list[ProbeResult]:
+def probe_devices(names: Sequence[str] = ()) -> list[ProbeResult]:
     """Start each device, read its description and stop it; return the results, also of devices that fail.
 
     Args:
@@ -56,11 +56,11 @@ def find_devices(names: Sequence[str] = ()) -> list[ProbeResult]:
     Raises:
         InputError: A name is the name of no back-end.
     """
-    return [each for name in names for each in _iterate_probe_results_of_name(name)] if names \
-        else list(_iterate_default_probe_results())
+    return [each for name in names for each in _probe_devices_of_name(name)] if names \
+        else list(_probe_default_devices())
 
 
-def _iterate_default_probe_results() -> Iterator[ProbeResult]:
+def _probe_default_devices() -> Iterator[ProbeResult]:
     """Yield a result for each back-end, opened only if it has a factory address, and for each serial port."""
     ports = list_serial_port_names()
     for kind, table in _TABLES:
@@ -73,10 +73,10 @@ def _iterate_default_probe_results() -> Iterator[ProbeResult]:
             else:
                 yield ProbeResult(f"{back_end}:", kind, False, _FILES.get(back_end, "give its name with its settings"))
     for port in ports:
-        yield _check_serial_port_opens(port)
+        yield _probe_serial_port(port)
 
 
-def _check_serial_port_opens(port: str) -> ProbeResult:
+def _probe_serial_port(port: str) -> ProbeResult:
     """Open and close a port without sending anything: a query of one device can be a motion command of another."""
     try:
         SerialLine(port, 9600, "a device").close()
@@ -85,7 +85,7 @@ def _check_serial_port_opens(port: str) -> ProbeResult:
     return ProbeResult(port, "serial port", True, f"to identify its device: tissue-sim devices tic:{port}")
 
 
-def _iterate_probe_results_of_name(name: str) -> Iterator[ProbeResult]:
+def _probe_devices_of_name(name: str) -> Iterator[ProbeResult]:
     """Yield a result for each table (sensors, stages, haptic devices) with the name's back-end; InputError if none."""
     back_end = name.partition(":")[0]
     tables = [(kind, table) for kind, table in _TABLES if back_end in table]

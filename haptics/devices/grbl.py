@@ -17,7 +17,7 @@ from typing import Any
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
 from haptics.devices.grbl_connection import AxisReportInMillimetres, GrblConnection
-from haptics.devices.settings import read_settings
+from haptics.devices.settings import parse_number_settings
 from haptics.protocols import grbl
 from haptics.protocols.grbl import GrblSetting
 from tissue_sim.errors import InputError
@@ -83,9 +83,9 @@ class GrblStage(Stage):
         self.limits, self._port, self._axis, self._baud = limits, port, axis, baud
         self._name = f"the Grbl at {port}"
         self._connection: GrblConnection | None = None
-        self._reset_state()
+        self._set_unstarted_state()
 
-    def _reset_state(self) -> None:
+    def _set_unstarted_state(self) -> None:
         """Set the state of a stage that has not been started."""
         self._sequence = 0
         #: Machine coordinate of the zero, mm; None: not homed.
@@ -117,7 +117,7 @@ class GrblStage(Stage):
         """Open the port, check the settings of Grbl and start the thread that sends jogs and reads reports."""
         if self._connection is not None:
             return
-        self._reset_state()
+        self._set_unstarted_state()
         connection = GrblConnection(self._port, self._baud, grbl.AXES.index(self._axis))
         try:
             self._check_settings_and_derive_motion_data(connection.check_version_and_read_settings())
@@ -313,7 +313,7 @@ class GrblStage(Stage):
             self._sent = None
             return
         for target in self._iterate_jog_targets(report.position, self._sent, goal, speed):
-            connection.send_line(grbl.encode_machine_jog_line(self._axis, target, speed * 60.0))
+            connection.send_line(grbl.encode_jog_in_machine_coordinates(self._axis, target, speed * 60.0))
             self._sent = target
 
     @staticmethod
@@ -388,12 +388,12 @@ class GrblStage(Stage):
         return connection
 
 
-def open_grbl(text: str) -> GrblStage:
+def make_grbl_stage(text: str) -> GrblStage:
     """Make a stage from ``grbl:/dev/ttyUSB0,axis=Z,highest_mm=50,top_speed_mm_s=0.5,baud=115200``."""
     port, _, settings = text.partition(",")
     parts = [part.strip() for part in settings.split(",")]
     axis = next((part.partition("=")[2].strip() for part in parts if part.partition("=")[0].strip() == "axis"), "Z")
     rest = ",".join(part for part in parts if part.partition("=")[0].strip() != "axis")
-    given = read_settings(rest, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=0.5, baud=grbl.BAUD)
+    given = parse_number_settings(rest, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=0.5, baud=grbl.BAUD)
     limits = StageLimits.from_settings(given)
     return GrblStage(port.strip(), limits, axis.upper(), int(given["baud"]))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from haptics.devices.contracts import DeviceError
-from haptics.devices.controller_identification import find_controller_hint_or_empty
+from haptics.devices.controller_identification import probe_controller_and_get_hint
 from haptics.devices.serial_line import SerialLine
 from haptics.protocols import grbl
 
@@ -132,7 +132,7 @@ class GrblConnection:
             raise DeviceError(f"{self._name} is in the state {state} because of another program; end that program, and "
                               "start again")
         lines = self._query_answer_lines(b"$I\n")
-        versions = [version for version in map(grbl.parse_version_and_date, lines) if version]
+        versions = [version for version in map(grbl.parse_version_and_date_or_none, lines) if version]
         if not versions or not versions[0][0].startswith("1.1"):
             version = versions[0][0] if versions else "no version"
             raise DeviceError(f"{self._name} reports {version}; install Grbl 1.1, which can jog")
@@ -156,9 +156,9 @@ class GrblConnection:
         if received:
             raise DeviceError(f"the device at {self._port} is no Grbl, or its baud rate is not {self._baud} (it sent "
                               f"{received[:20]!r}); check the baud rate and the device"
-                              f"{find_controller_hint_or_empty(self._line)}")
+                              f"{probe_controller_and_get_hint(self._line)}")
         raise DeviceError(f"nothing answers at {self._port} within {TIMING.boot:g} s; check that the Grbl has power, "
-                          f"the cable and the baud rate ({self._baud}){find_controller_hint_or_empty(self._line)}")
+                          f"the cable and the baud rate ({self._baud}){probe_controller_and_get_hint(self._line)}")
 
     def _query_answer_lines(self, command: bytes) -> list[str]:
         """Send a command before the thread runs, and return the lines before its ``ok``; DeviceError for an error."""
@@ -167,7 +167,7 @@ class GrblConnection:
         end = time.monotonic() + TIMING.line
         while time.monotonic() < end:
             line = self._line.read_line_or_raise(TIMING.line).decode("latin-1").strip()
-            answer = grbl.parse_answer_kind_and_number(line)
+            answer = grbl.parse_answer_kind_and_number_or_none(line)
             if answer == ("ok", 0):
                 return lines
             if answer:
@@ -188,7 +188,7 @@ class GrblConnection:
             try:
                 data = self._line.read()
                 with self.lock:
-                    lines = self._take_complete_lines(data)
+                    lines = self._buffer_bytes_and_get_lines(data)
                     for line in lines:
                         self._handle_line(line)
                     busy = act(self) or self._report_awaited or self.unanswered > 0
@@ -204,7 +204,7 @@ class GrblConnection:
             self._wakeup.wait(TIMING.busy_poll if busy else TIMING.idle_poll)
             self._wakeup.clear()
 
-    def _take_complete_lines(self, data: bytes) -> list[str]:
+    def _buffer_bytes_and_get_lines(self, data: bytes) -> list[str]:
         """Add bytes to the buffer; remove and return its complete lines. Keeps 1000 bytes of an incomplete one."""
         *lines, self._partial_line = (self._partial_line + data).split(b"\n")
         self._partial_line = self._partial_line[-1000:]
@@ -212,7 +212,7 @@ class GrblConnection:
 
     def _handle_line(self, line: str) -> None:
         """Update the attributes from a received line: report, answer, alarm or banner; ignores other lines."""
-        report, answer = grbl.parse_report_or_none(line), grbl.parse_answer_kind_and_number(line)
+        report, answer = grbl.parse_report_or_none(line), grbl.parse_answer_kind_and_number_or_none(line)
         if report is not None:
             self._store_requested_report(report)
         elif answer is not None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, HapticDevice
-from haptics.devices.settings import read_settings
+from haptics.devices.settings import parse_number_settings
 from haptics.devices.web_socket import WebSocketClientConnection, WebSocketClosedError, parse_host_and_port
 from haptics.protocols.haply import ADDRESS, HaplyDeviceState, encode_force_message, find_device_state_in_message
 from tissue_sim.errors import InputError
@@ -328,7 +328,7 @@ def _parse_axis_indices_and_signs(axes: str) -> tuple[tuple[int, float], ...]:
     return tuple(order)
 
 
-def open_haply(text: str) -> HaplyDevice:
+def make_haply_device(text: str) -> HaplyDevice:
     """Make a Haply device, which is not started, from its address and settings.
 
     Defaults: ``haply:ws://127.0.0.1:10001,scale=1,force_scale=1,axes=xyz,above_mm=10,turn=0,largest_force_N=5``. The
@@ -343,8 +343,9 @@ def open_haply(text: str) -> HaplyDevice:
             axes = value.strip()
         else:
             numbers.append(part)
-    given = read_settings(",".join(numbers), scale=1.0, force_scale=1.0, x_mm=math.nan, y_mm=math.nan, z_mm=math.nan,
-                          above_mm=10.0, turn=0, largest_force_N=LARGEST_FORCE)
+    given = parse_number_settings(",".join(numbers), scale=1.0, force_scale=1.0, x_mm=math.nan, y_mm=math.nan,
+                                  z_mm=math.nan,
+                                  above_mm=10.0, turn=0, largest_force_N=LARGEST_FORCE)
     origin = (given["x_mm"] * 1e-3, given["y_mm"] * 1e-3, given["z_mm"] * 1e-3)
     known = sum(math.isfinite(part) for part in origin)
     if known not in (0, 3):

@@ -8,11 +8,14 @@ from bisect import bisect_right
 from dataclasses import dataclass
 
 from haptics.devices.contracts import AxialMotion, Motion
-from haptics.devices.settings import read_settings
+from haptics.devices.settings import parse_number_settings
 from tissue_sim import Protocol
 from tissue_sim.errors import InputError, require_positive_length
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose, rotate_pose_about_its_position
+from tissue_sim.public_names import make_getattr_for_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"HandMotion": "TargetFollowingMotion"})
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ class SineMotion(AxialMotion):
         return self._middle - self._amplitude * math.cos(self._rate * time)
 
 
-class HandMotion(Motion):
+class TargetFollowingMotion(Motion):
     """Motion that follows targets set by `aim`: critically damped spring, limited speed, constant orientation.
 
     Args:
@@ -143,7 +146,7 @@ class HandMotion(Motion):
     def _set_orientation_and_axis_from_pose(self, pose: Pose) -> None:
         """Store the orientation of a pose, and its tool axis as change of x, y and height per depth along the axis."""
         self._orientation = pose.orientation
-        (_, _, a), (_, _, b), (_, _, c) = pose.rotation
+        (_, _, a), (_, _, b), (_, _, c) = pose.rotation_matrix
         self._axis = -a, -b, max(c, _DEFAULTS.least_cosine)
 
     def continue_from_pose(self, pose: Pose) -> None:
@@ -242,13 +245,13 @@ class RandomWalk(AxialMotion):
         first = int(knot)
         points = self._points
         while len(points) < first + 4:
-            points.append(self._compute_next_control_depth())
+            points.append(self._draw_next_control_depth())
         u = knot - first
         v = 1.0 - u
         return (v * v * v * points[first] + (3 * u * u * u - 6 * u * u + 4) * points[first + 1]
                 + (3 * v * v * v - 6 * v * v + 4) * points[first + 2] + u * u * u * points[first + 3]) / 6
 
-    def _compute_next_control_depth(self) -> float:
+    def _draw_next_control_depth(self) -> float:
         """Return the next random control point of the spline, a depth, m, without appending it to the spline."""
         gauss = self._random.gauss
         self._log_amplitude = (self._AMPLITUDE_CORRELATION * self._log_amplitude
@@ -325,14 +328,15 @@ def _require_depth_range(highest: float, deepest: float) -> None:
                          field="deepest")
 
 
-def open_random(text: str) -> RandomWalk | SpatialWalk:
+def make_random_motion(text: str) -> RandomWalk | SpatialWalk:
     """Make a random motion from settings: a `SpatialWalk` with a sideways range or a rotation, else a `RandomWalk`.
 
     Defaults: ``random:depth_mm=10,lift=0.2,top_speed_mm_s=200,seed=0,sideways_mm=0,turn_deg=0,turn_deg_s=60``.
     `lift` is the height of lift-off as a fraction of the depth.
     """
-    given = read_settings(text, depth_mm=10.0, lift=_DEFAULTS.lift, top_speed_mm_s=200.0, seed=0, sideways_mm=0.0,
-                          turn_deg=0.0, turn_deg_s=60.0)
+    given = parse_number_settings(text, depth_mm=10.0, lift=_DEFAULTS.lift, top_speed_mm_s=200.0, seed=0,
+                                  sideways_mm=0.0,
+                                  turn_deg=0.0, turn_deg_s=60.0)
     depth, speed, seed = given["depth_mm"] * 1e-3, given["top_speed_mm_s"] * 1e-3, int(given["seed"])
     if not (given["sideways_mm"] or given["turn_deg"]):
         return RandomWalk(seed, depth, -given["lift"] * depth, speed)
@@ -340,14 +344,14 @@ def open_random(text: str) -> RandomWalk | SpatialWalk:
                        math.radians(given["turn_deg"]), speed, math.radians(given["turn_deg_s"]))
 
 
-def open_sine(text: str) -> SineMotion:
+def make_sine_motion(text: str) -> SineMotion:
     """Make a sine motion from settings ``depth_mm=10,lift=0.2,frequency_hz=1``; `lift` is a fraction of the depth."""
-    given = read_settings(text, depth_mm=10.0, lift=_DEFAULTS.lift, frequency_hz=1.0)
+    given = parse_number_settings(text, depth_mm=10.0, lift=_DEFAULTS.lift, frequency_hz=1.0)
     depth = given["depth_mm"] * 1e-3
     return SineMotion(depth, -given["lift"] * depth, given["frequency_hz"])
 
 
-def open_motion_from_protocol_text(text: str) -> ProtocolMotion:
+def make_motion_from_protocol_text(text: str) -> ProtocolMotion:
     """Make a motion from the text of a protocol, ``ramp 4mm @2mm/s; unload``; see `tissue_sim.Protocol.parse`."""
     return make_protocol_motion_repeated_if_closed(Protocol.parse(text))
 
@@ -358,9 +362,12 @@ def make_protocol_motion_repeated_if_closed(protocol: Protocol) -> ProtocolMotio
     return ProtocolMotion(protocol, repeat=bool(closes))
 
 
-def open_target_following_motion(text: str) -> HandMotion:
-    """Make a `HandMotion`, which is steered by `aim`, from ``depth_mm=0,speed_mm_s=100``; `depth_mm`: first target."""
-    given = read_settings(text, depth_mm=0.0, speed_mm_s=100.0)
-    hand = HandMotion(speed=given["speed_mm_s"] * 1e-3)
+def make_target_following_motion(text: str) -> TargetFollowingMotion:
+    """Make a `TargetFollowingMotion`, which is steered by `aim`, from a text such as ``depth_mm=0,speed_mm_s=100``.
+
+    `depth_mm` is the first target.
+    """
+    given = parse_number_settings(text, depth_mm=0.0, speed_mm_s=100.0)
+    hand = TargetFollowingMotion(speed=given["speed_mm_s"] * 1e-3)
     hand.aim(given["depth_mm"] * 1e-3)
     return hand

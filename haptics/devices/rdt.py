@@ -109,7 +109,7 @@ class RdtSensor(ForceSensor):
                               "power, the cable, and that this computer has an address in its network (a new box is at "
                               "192.168.1.1)") from None
         try:
-            return rdt.read_settings_page(page)
+            return rdt.parse_settings_page(page)
         except InputError as error:
             raise DeviceError(f"{address}: {error}") from None
 
@@ -184,7 +184,7 @@ class _RecordStreamThread:
         #: Counts, number, status and time of receipt, s.
         self._waiting: deque[tuple[tuple[int, ...], int, int, float]] = deque(maxlen=STREAM.kept_samples)
         self._ending = threading.Event()
-        self._counter = RecordCounter()
+        self._counter = RecordSequenceTracker()
         #: Last error of the socket; empty: none.
         self._failure = ""
         self._arrived = threading.Condition()
@@ -289,7 +289,7 @@ class _RecordStreamThread:
         self._socket.close()
 
 
-class RecordCounter:
+class RecordSequenceTracker:
     """Assign numbers to new records, and count lost, duplicated and late records.
 
     Attributes:
@@ -373,7 +373,7 @@ def _get_connection_error_cause(error: BaseException) -> str:
     return getattr(inner, "strerror", None) or str(inner) or type(inner).__name__
 
 
-def open_rdt(text: str) -> RdtSensor:
+def make_rdt_sensor(text: str) -> RdtSensor:
     """Make a sensor from ``rdt://192.168.1.1``, or with ports ``rdt://192.168.1.1:49152,http_port=80``."""
     address, _, rest = text.removeprefix("//").partition(",")
     name, _, given = rest.partition("=")

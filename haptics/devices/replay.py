@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
-from haptics.devices.settings import read_settings, split_address_and_settings_text
+from haptics.devices.settings import parse_number_settings, split_address_and_settings_text
 from haptics.protocols.ati_serial import CHANNELS
 from tissue_sim.errors import InputError
 from tissue_sim.recording.file import read_recording
@@ -105,8 +105,8 @@ class ReplaySensor(ForceSensor):
         return now, max(int(np.searchsorted(self._times, now - self._began, side="right")), 1)
 
 
-def open_replay(text: str) -> ReplaySensor:
+def make_replay_sensor(text: str) -> ReplaySensor:
     """Make a sensor from ``replay:FILE.csv,speed=1,resolution_N=0.001``; the recording must have times."""
     file, rest = split_address_and_settings_text(text, "the recording", "replay:needle_1.csv")
-    given = read_settings(rest, speed=1.0, resolution_N=1e-3)
+    given = parse_number_settings(rest, speed=1.0, resolution_N=1e-3)
     return ReplaySensor(read_recording(file), given["speed"], given["resolution_N"])

@@ -5,9 +5,12 @@ from __future__ import annotations
 import sys
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
+from tissue_sim.public_names import make_getattr_for_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"read_settings": "parse_number_settings"})
 
 
-def read_settings(text: str, **defaults: float) -> dict[str, float]:
+def parse_number_settings(text: str, **defaults: float) -> dict[str, float]:
     """Parse ``name=number`` settings, and return the number of every permitted name, given or default.
 
     Args:
@@ -56,7 +59,7 @@ def split_address_and_settings_text(text: str, quantity: str, example: str) -> t
     return target.strip(), rest
 
 
-def read_word_settings_and_remaining_text(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], str]:
+def parse_word_settings_and_remaining_text(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], str]:
     """Return the settings whose values are words, by name with defaults, and the other settings as text.
 
     Args:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
-from haptics.devices.controller_identification import find_controller_hint_or_empty
+from haptics.devices.controller_identification import probe_controller_and_get_hint
 from haptics.devices.serial_line import SerialLine
-from haptics.devices.settings import read_settings
+from haptics.devices.settings import parse_number_settings
 from haptics.protocols import tic
 from haptics.protocols.tic import (
     ErrorFlags,
@@ -149,7 +149,7 @@ class TicStage(Stage):
             answers = self._read_setting(SettingOffset.CRC, 1)
             self._read_status()
         except DeviceError as error:
-            other = find_controller_hint_or_empty(line)
+            other = probe_controller_and_get_hint(line)
             raise DeviceError(f"{error}; baud, device, crc and response_crc must be as the Tic Control Center shows "
                               f"them{other}") from None
         if answers & tic.AnswerFormatFlags.SEVEN_BIT or bool(answers & tic.AnswerFormatFlags.CHECKED) \
@@ -200,7 +200,7 @@ class TicStage(Stage):
     def move(self, position: float, speed: float) -> None:
         """Set maximum speed, m/s, and target, m; return when the Tic has accepted both, before the motion ends."""
         halts = self._halts
-        self._get_line_or_raise()
+        self._get_serial_line_or_raise()
         self.limits.require_within_limits(position, speed)
         status = self._read_status()
         self._require_no_blocking_motor_error(status.errors)
@@ -218,7 +218,7 @@ class TicStage(Stage):
 
     def position(self) -> StageSample:
         """Return a sample with the commanded position, m, and restart the command timeout of the Tic."""
-        self._get_line_or_raise()
+        self._get_serial_line_or_raise()
         status = self._read_status()
         requested = time.monotonic()
         motion = tic.parse_position_and_velocity_or_none(self._read_block(TicCommand.GET_VARIABLE,
@@ -294,7 +294,7 @@ class TicStage(Stage):
 
     def _enter_normal_operation(self) -> None:
         """Bring the Tic to normal operation with the motor at rest; DeviceError if an error prevents this."""
-        self._get_line_or_raise()
+        self._get_serial_line_or_raise()
         status = self._read_status()
         self._require_no_blocking_motor_error(status.errors)
         self._timed_out = False
@@ -342,7 +342,7 @@ class TicStage(Stage):
 
     def _read_block(self, command: TicCommand, offset: int, size: int) -> bytes:
         """Request and return `size` bytes of variables or settings; DeviceError for a wrong checksum or no answer."""
-        line = self._get_line_or_raise()
+        line = self._get_serial_line_or_raise()
         line.read()  # discards an answer that arrived after its timeout
         self._send_command(command, offset, size)
         message = line.read_exactly(size + self._response_crc, TIMING.answer)
@@ -357,21 +357,21 @@ class TicStage(Stage):
 
     def _send_command(self, command: TicCommand, value: int = 0, length: int = 0) -> None:
         """Send a command, under the lock for writing, without waiting for an answer."""
-        line, writing = self._get_line_or_raise(), self._writing
+        line, writing = self._get_serial_line_or_raise(), self._writing
         assert writing is not None
         with writing:
             line.write(self._encode_command(command, value, length))
 
     def _send_unless_halted(self, command: TicCommand, value: int, halts: int) -> None:
         """Send a motion command and store its target, unless `halt` was called since `_halts` was `halts`."""
-        line, writing = self._get_line_or_raise(), self._writing
+        line, writing = self._get_serial_line_or_raise(), self._writing
         assert writing is not None
         with writing:
             if halts == self._halts:
                 self._goal, self._is_homing = (None, True) if command == TicCommand.GO_HOME else (value, False)
                 line.write(self._encode_command(command, value))
 
-    def _get_line_or_raise(self) -> SerialLine:
+    def _get_serial_line_or_raise(self) -> SerialLine:
         """Return the serial line; raises a DeviceError if the stage is not started."""
         line = self._line
         if line is None:
@@ -379,15 +379,16 @@ class TicStage(Stage):
         return line
 
 
-def open_tic(text: str) -> TicStage:
+def make_tic_stage(text: str) -> TicStage:
     """Make a stage from its port and settings; `steps_per_mm` is required.
 
     Defaults: ``tic:/dev/ttyUSB0,steps_per_mm=800,lowest_mm=0,highest_mm=50,top_speed_mm_s=5,baud=9600,crc=0,
     response_crc=0,ramp_ms=100``; ``device=14`` selects the Pololu protocol, otherwise the compact one is used.
     """
     port, _, settings = text.partition(",")
-    given = read_settings(settings, steps_per_mm=0.0, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=5.0, baud=9600,
-                          device=-1, crc=0, response_crc=0, ramp_ms=100.0)
+    given = parse_number_settings(settings, steps_per_mm=0.0, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=5.0,
+                                  baud=9600,
+                                  device=-1, crc=0, response_crc=0, ramp_ms=100.0)
     limits = StageLimits.from_settings(given)
     return TicStage(port.strip(), limits, given["steps_per_mm"] * 1e3, int(given["baud"]),
                     None if given["device"] == -1 else int(given["device"]), bool(given["crc"]),

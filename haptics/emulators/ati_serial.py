@@ -13,9 +13,9 @@ from typing import Any
 
 from haptics.devices.ati_serial import MODES
 from haptics.devices.contracts import Bench, DeviceError, ForceSensor, SampleStatus
-from haptics.devices.settings import read_settings, read_word_settings_and_remaining_text
+from haptics.devices.settings import parse_number_settings, parse_word_settings_and_remaining_text
 from haptics.devices.virtual.faults import Faults
-from haptics.emulators.terminal import TerminalEmulator
+from haptics.emulators.terminal import SerialDeviceEmulator
 from haptics.protocols.ati_serial import (
     CARRIAGE_RETURN,
     CHANNELS,
@@ -36,7 +36,7 @@ _END = b"\r\n"
 _BIAS_LEVELS = 3
 
 
-class AtiSerialEmulator(TerminalEmulator):
+class AtiSerialEmulator(SerialDeviceEmulator):
     """Emulate the commands CD A/B/R/E/U, SA, SB, SU, SZ, QR, QS, ^T and ^W with the samples of a sensor.
 
     Channels that the sensor lacks read 0. A load beyond the range of the sensor or of the counts sets the error flag.
@@ -73,7 +73,7 @@ class AtiSerialEmulator(TerminalEmulator):
 
     @property
     def address(self) -> str:
-        """Name for `open_sensor` that connects to this emulator: terminal, counts per unit, baud rate and mode."""
+        """Name for `make_sensor` that connects to this emulator: terminal, counts per unit, baud rate and mode."""
         return (f"ati-serial:{self.path},counts_per_N={self._scale[0]:g},counts_per_Nm={self._scale[-1]:g},"
                 f"baud={self._baud},mode={self._mode_at_start}")
 
@@ -212,9 +212,9 @@ class AtiSerialEmulator(TerminalEmulator):
         return tuple(round(mean * scale) for mean, scale in zip(means, self._scale, strict=True))
 
 
-def emulate_ati_serial(bench: Bench, text: str, faults: Faults) -> AtiSerialEmulator:
+def make_ati_serial_emulator(bench: Bench, text: str, faults: Faults) -> AtiSerialEmulator:
     """Make an emulator from settings ``counts_per_N=100,counts_per_Nm=4000,baud=9600,mode=ascii,padded=1``."""
-    words, rest = read_word_settings_and_remaining_text(text, mode=MODES)
-    given = read_settings(rest, counts_per_N=100.0, counts_per_Nm=4000.0, baud=9600, padded=1)
+    words, rest = parse_word_settings_and_remaining_text(text, mode=MODES)
+    given = parse_number_settings(rest, counts_per_N=100.0, counts_per_Nm=4000.0, baud=9600, padded=1)
     return AtiSerialEmulator(bench.sensor, given["counts_per_N"], given["counts_per_Nm"], int(given["baud"]),
                              words["mode"], bool(given["padded"]), faults)

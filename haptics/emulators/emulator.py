@@ -22,7 +22,7 @@ class Emulator(ABC):
     @property
     @abstractmethod
     def address(self) -> str:
-        """Name for `open_sensor`, `open_stage` or `open_haptic` that connects to the emulator; known after `start`."""
+        """Name for `make_sensor`, `make_stage` or `make_haptic_device`; known after `start`."""
 
     @abstractmethod
     def start(self) -> None:
@@ -50,15 +50,15 @@ class Emulator(ABC):
 
 #: Emulators by name; each is a function of (bench, settings after the colon, faults).
 EMULATORS: Registry[Any] = Registry("emulator", "tissue_sim.emulators", {
-    "rdt": "haptics.emulators.rdt:emulate_rdt",
-    "ati-serial": "haptics.emulators.ati_serial:emulate_ati_serial",
-    "tic": "haptics.emulators.tic:emulate_tic",
-    "grbl": "haptics.emulators.grbl:emulate_grbl",
-    "haply": "haptics.emulators.haply:emulate_haply",
+    "rdt": "haptics.emulators.rdt:make_rdt_emulator",
+    "ati-serial": "haptics.emulators.ati_serial:make_ati_serial_emulator",
+    "tic": "haptics.emulators.tic:make_tic_emulator",
+    "grbl": "haptics.emulators.grbl:make_grbl_emulator",
+    "haply": "haptics.emulators.haply:make_haply_emulator",
 })
 
 
-def open_emulator(name: str, bench: Bench, faults: Faults | None = None) -> Emulator:
+def make_emulator(name: str, bench: Bench, faults: Faults | None = None) -> Emulator:
     """Make an emulator by name, without starting it.
 
     Args:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 from haptics.devices.contracts import Bench
-from haptics.devices.settings import read_settings
+from haptics.devices.settings import parse_number_settings
 from haptics.devices.virtual.faults import Faults
-from haptics.emulators.terminal import TerminalEmulator
+from haptics.emulators.terminal import SerialDeviceEmulator
 from haptics.protocols import grbl
 from haptics.protocols.grbl import GrblSetting
 from tissue_sim.errors import InputError
@@ -26,7 +26,7 @@ _LOCKED = "[MSG:'$H'|'$X' to unlock]"
 _OFFSET_INTERVAL = 10
 
 
-class GrblEmulator(TerminalEmulator):
+class GrblEmulator(SerialDeviceEmulator):
     """Emulate a Grbl whose axis is a stage.
 
     Args:
@@ -78,7 +78,7 @@ class GrblEmulator(TerminalEmulator):
 
     @property
     def address(self) -> str:
-        """Name for `open_stage` that connects to this emulator: terminal, axis, travel and top speed."""
+        """Name for `make_stage` that connects to this emulator: terminal, axis, travel and top speed."""
         limits = self._stage.limits
         return (f"grbl:{self.path},axis={self._axis},highest_mm={limits.highest * 1e3:g},"
                 f"top_speed_mm_s={limits.speed * 1e3:g}")
@@ -295,7 +295,7 @@ class GrblEmulator(TerminalEmulator):
             self._axis if self._critical else "", self._motions[0][1] * 60e3 if self._motions else 0.0))
 
 
-def emulate_grbl(bench: Bench, text: str, faults: Faults) -> GrblEmulator:
+def make_grbl_emulator(bench: Bench, text: str, faults: Faults) -> GrblEmulator:
     """Make an emulator from settings: ``work_offset_mm=0`` and values of ``$$`` by number, as ``110=300,23=4``."""
     own, numbers = [], {}
     for part in filter(None, (part.strip() for part in text.split(","))):
@@ -309,5 +309,5 @@ def emulate_grbl(bench: Bench, text: str, faults: Faults) -> GrblEmulator:
 
         else:
             numbers[setting[0]] = setting[1]
-    given = read_settings(",".join(own), work_offset_mm=0.0)
+    given = parse_number_settings(",".join(own), work_offset_mm=0.0)
     return GrblEmulator(bench, faults, settings=numbers, work_offset=given["work_offset_mm"])

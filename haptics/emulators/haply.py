@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from haptics.devices.contracts import Bench, DeviceError, Motion
-from haptics.devices.motions import HandMotion, SineMotion
-from haptics.devices.settings import read_settings
+from haptics.devices.motions import SineMotion, TargetFollowingMotion
+from haptics.devices.settings import parse_number_settings
 from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import Emulator
@@ -82,7 +82,7 @@ class HaplyEmulator(Emulator):
 
     @property
     def address(self) -> str:
-        """Name for `open_haptic` that connects to this emulator; known after `start`."""
+        """Name for `make_haptic_device` that connects to this emulator; known after `start`."""
         return f"haply:ws://127.0.0.1:{self._port}"
 
     def start(self) -> None:
@@ -197,16 +197,16 @@ class HaplyEmulator(Emulator):
         self._hand.render((*force, 0.0, 0.0, 0.0))
 
 
-def emulate_haply(bench: Bench, text: str, faults: Faults) -> HaplyEmulator:
+def make_haply_emulator(bench: Bench, text: str, faults: Faults) -> HaplyEmulator:
     """Make an emulator of a service with a simulated hand.
 
     Defaults: ``haply:port=10001,mass_kg=0.15,damping_N_s_m=5,grip_N_m=400,depth_mm=0,frequency_hz=0.5``. With a depth,
     the hand's target moves sinusoidally between its first position and this depth below it. `bench` is not used:
     a haptic device is held by a hand.
     """
-    given = read_settings(text, port=10001, mass_kg=0.15, damping_N_s_m=5.0, grip_N_m=400.0, depth_mm=0.0,
-                          frequency_hz=0.5)
+    given = parse_number_settings(text, port=10001, mass_kg=0.15, damping_N_s_m=5.0, grip_N_m=400.0, depth_mm=0.0,
+                                  frequency_hz=0.5)
     depth = given["depth_mm"] * 1e-3
-    motion: Motion = SineMotion(depth, 0.0, given["frequency_hz"]) if depth else HandMotion()
+    motion: Motion = SineMotion(depth, 0.0, given["frequency_hz"]) if depth else TargetFollowingMotion()
     hand = VirtualHand(motion, given["mass_kg"], given["damping_N_s_m"], given["grip_N_m"])
     return HaplyEmulator(hand, int(given["port"]), faults)

@@ -13,7 +13,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
 from haptics.devices.contracts import Bench, DeviceError, ForceSensor, SampleStatus
-from haptics.devices.settings import read_settings
+from haptics.devices.settings import parse_number_settings
 from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.emulators.emulator import Emulator
 from haptics.protocols import rdt
@@ -64,7 +64,7 @@ class RdtEmulator(Emulator):
 
     @property
     def address(self) -> str:
-        """Name for `open_sensor` that connects to this emulator: host, UDP port and HTTP port."""
+        """Name for `make_sensor` that connects to this emulator: host, UDP port and HTTP port."""
         return f"rdt://{self._host}:{self._ports[0]},http_port={self._ports[1]}"
 
     def start(self) -> None:
@@ -82,7 +82,7 @@ class RdtEmulator(Emulator):
         try:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.bind((self._host, self._ports[0]))
-            handler = _make_page_handler(rdt.write_settings_page(settings))
+            handler = _make_page_handler(rdt.encode_settings_page(settings))
             self._pages = HTTPServer((self._host, self._ports[1]), handler)
         except OSError as error:
             self._socket.close()
@@ -219,7 +219,7 @@ def _describe_listen_failure(host: str, ports: tuple[int, int], error: OSError) 
     return f"{host} cannot be opened for listening ({error.strerror or error}); give an address of this computer"
 
 
-def emulate_rdt(bench: Bench, text: str, faults: Faults) -> RdtEmulator:
+def make_rdt_emulator(bench: Bench, text: str, faults: Faults) -> RdtEmulator:
     """Make an emulator from settings ``port=49152,http_port=8080``; 0, the default, selects any free port."""
-    given = read_settings(text, port=0, http_port=0)
+    given = parse_number_settings(text, port=0, http_port=0)
     return RdtEmulator(bench.sensor, port=int(given["port"]), http_port=int(given["http_port"]), faults=faults)

@@ -13,12 +13,15 @@ from abc import abstractmethod
 from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.emulators.emulator import Emulator
+from tissue_sim.public_names import make_getattr_for_old_names
 
-#: Longest wait for received bytes before `TerminalEmulator.advance_and_get_messages_to_send` is called again, s.
+__getattr__ = make_getattr_for_old_names(__name__, {"TerminalEmulator": "SerialDeviceEmulator"})
+
+#: Longest wait for received bytes before `SerialDeviceEmulator.advance_and_get_messages_to_send` is called again, s.
 _POLL = 0.5e-3
 
 
-class TerminalEmulator(Emulator):
+class SerialDeviceEmulator(Emulator):
     """An emulator that answers on a pseudo-terminal.
 
     Args:

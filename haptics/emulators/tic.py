@@ -10,9 +10,9 @@ import time
 from typing import Any
 
 from haptics.devices.contracts import Bench
-from haptics.devices.settings import read_settings
+from haptics.devices.settings import parse_number_settings
 from haptics.devices.virtual.faults import Faults
-from haptics.emulators.terminal import TerminalEmulator
+from haptics.emulators.terminal import SerialDeviceEmulator
 from haptics.protocols import tic
 from haptics.protocols.tic import (
     ErrorFlags,
@@ -40,7 +40,7 @@ _INPUT_STATES = {PlanningMode.OFF: InputState.HALT, PlanningMode.POSITION: Input
                  PlanningMode.VELOCITY: InputState.VELOCITY}
 
 
-class TicEmulator(TerminalEmulator):
+class TicEmulator(SerialDeviceEmulator):
     """Emulate a Tic whose motor is a stage.
 
     Args:
@@ -101,9 +101,10 @@ class TicEmulator(TerminalEmulator):
         #: Speed in `tic.MOTION.speed_unit`, accelerations in `tic.MOTION.acceleration_unit`.
         self._max_speed, self._max_acceleration, self._max_deceleration = 2_000_000, 40_000, 0
         self.answered = 0
+
     @property
     def address(self) -> str:
-        """Name for `open_stage` that connects to this emulator: terminal, steps, travel, top speed and checksums."""
+        """Name for `make_stage` that connects to this emulator: terminal, steps, travel, top speed and checksums."""
         limits, extra = self._stage.limits, ""
         if self._crc or self._response_crc:
             extra = f",crc={self._crc:d},response_crc={self._response_crc:d}"
@@ -168,7 +169,7 @@ class TicEmulator(TerminalEmulator):
             self._safe_start_off_until = now + _SAFE_START_EXIT
         elif command == TicCommand.ENTER_SAFE_START:
             self._safe_start_off_until, self._errors = 0.0, self._errors | ErrorFlags.SAFE_START
-            self._leave_normal_operation(OperationState.SOFT_ERROR)
+            self._enter_error_state(OperationState.SOFT_ERROR)
         elif self._settings[SettingOffset.CONTROL_MODE] == tic.ControlMode.SERIAL:
             self._execute_motion_command(received)
         return None
@@ -200,7 +201,7 @@ class TicEmulator(TerminalEmulator):
         self._stage.halt()
         self._homing, self._motion = False, None
 
-    def _leave_normal_operation(self, state: OperationState) -> None:
+    def _enter_error_state(self, state: OperationState) -> None:
         """Halt if in normal operation, and enter an error state; `RESET` and `DEENERGIZED` lose the position."""
         if self._state == OperationState.NORMAL:
             self._halt_stage_and_end_homing()
@@ -222,7 +223,7 @@ class TicEmulator(TerminalEmulator):
         if not errors:
             self._state = OperationState.NORMAL
         else:
-            self._leave_normal_operation(
+            self._enter_error_state(
                 OperationState.RESET if errors & _RESET_ERRORS
                 else OperationState.DEENERGIZED if errors & ErrorFlags.DEENERGIZED
                 else OperationState.WAITING_FOR_ERR_LINE if errors == ErrorFlags.ERR_LINE_HIGH
@@ -303,14 +304,15 @@ class TicEmulator(TerminalEmulator):
         return bytes(block)
 
 
-def emulate_tic(bench: Bench, text: str, faults: Faults) -> TicEmulator:
+def make_tic_emulator(bench: Bench, text: str, faults: Faults) -> TicEmulator:
     """Make an emulator from its settings.
 
     Defaults: ``tic:steps_per_mm=800,timeout_ms=1000,device=14,crc=0,response_crc=0,control_mode=0,
     soft_error_response=2,safe_start=1``.
     """
-    given = read_settings(text, steps_per_mm=800.0, timeout_ms=1000, device=14, crc=0, response_crc=0, control_mode=0,
-                          soft_error_response=2, safe_start=1)
+    given = parse_number_settings(text, steps_per_mm=800.0, timeout_ms=1000, device=14, crc=0, response_crc=0,
+                                  control_mode=0,
+                                  soft_error_response=2, safe_start=1)
     if not given["steps_per_mm"] > 0:
         raise InputError(f"the number of steps per mm must be above 0; got {given['steps_per_mm']:g}",
                          field="steps_per_mm")

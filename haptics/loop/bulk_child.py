@@ -20,18 +20,18 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from haptics.loop.bulk_settings import BULK_PROCESS
-from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, remove_file
-from haptics.loop.snapshot_board import SnapshotBoard
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, remove_file_ignoring_errors
+from haptics.loop.snapshot_board import SnapshotWriter
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 from tissue_sim.fem.condensed.model import (
     LINEARISATIONS,
-    BulkLinearisation,
+    BulkLineariser,
     CondensedBulk,
     ContactState,
     ContactSurface,
     max_packed_linearisation_size,
 )
-from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLinearisation
+from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLineariser
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.packing import run_packed_task
@@ -60,7 +60,7 @@ class BulkReadyMessage(NamedTuple):
     pattern: Snapshot | None
 
 
-def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) -> BulkLinearisation:
+def make_bulk_lineariser(model: Model, solver: str, resolution: str, mesh: Any) -> BulkLineariser:
     """Create the object that linearises the bulk of a model with a solver; does not linearise yet.
 
     Raises:
@@ -79,7 +79,7 @@ def start_in_thread_and_get_finish_check(compute: Callable[[], None]) -> Callabl
     return lambda: not thread.is_alive()
 
 
-def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
+def run_bulk_in_this_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
     """Create the bulk, notify the parent, and linearise until the input ends.
 
     Args:
@@ -91,7 +91,7 @@ def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
     paths = states_path, models_path, corrections_path, surface_path = pickle.load(orders)
     try:
         bulk = run_packed_task(task)
-        predictive = PredictiveLinearisation(bulk)
+        predictive = PredictiveLineariser(bulk)
         first = predictive.linearise_at_predicted_pose_or_none(make_untouched_state(bulk.surface), 0.0, 0.0)
         bulk.executor = start_in_thread_and_get_finish_check
         if first is None:
@@ -105,7 +105,7 @@ def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
     whole, part = (8 * max_packed_linearisation_size(bulk.surface, is_whole) for is_whole in (True, False))
     with (SlotWriter(models_path, KIND_MODEL, SLOTS.count, whole) as models,
           SlotWriter(corrections_path, KIND_CORRECTION, SLOTS.count, part) as corrections,
-          SnapshotBoard(surface_path, pattern) as board):
+          SnapshotWriter(surface_path, pattern) as board):
         pickle.dump(BulkReadyMessage(bulk.surface, first, pattern), answers)
         answers.flush()
         orders.readline()  # wait until the parent has opened the files
@@ -116,8 +116,8 @@ def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
             _run_linearisation_loop(bulk, predictive, states, (models, corrections), board, materials)
 
 
-def _run_linearisation_loop(bulk: BulkLinearisation, predictive: PredictiveLinearisation, states: SlotReader,
-                            writers: tuple[SlotWriter, SlotWriter], board: SnapshotBoard,
+def _run_linearisation_loop(bulk: BulkLineariser, predictive: PredictiveLineariser, states: SlotReader,
+                            writers: tuple[SlotWriter, SlotWriter], board: SnapshotWriter,
                             materials: deque[tuple[int, Material]]) -> None:
     """Linearise the bulk at each new state; publish models and snapshots, apply new materials; never returns."""
     models, corrections = writers
@@ -130,7 +130,7 @@ def _run_linearisation_loop(bulk: BulkLinearisation, predictive: PredictiveLinea
             except InputError as refused:
                 # No model will have this number, so the status in the parent is LATE until the next change.
                 print(f"the bulk keeps its material: {refused}", file=sys.stderr, flush=True)
-        newest = states.read_newest_number_and_content() if states.written != seen else None
+        newest = states.read_newest_number_and_content() if states.written_count != seen else None
         if newest is None:
             time.sleep(BULK_PROCESS.idle_sleep)
             continue
@@ -152,7 +152,7 @@ def _run_linearisation_loop(bulk: BulkLinearisation, predictive: PredictiveLinea
             shown = now
 
 
-def _make_bulk_snapshot(bulk: BulkLinearisation, model: CondensedBulk) -> Snapshot:
+def _make_bulk_snapshot(bulk: BulkLineariser, model: CondensedBulk) -> Snapshot:
     """Return a snapshot of the solver's deformed tissue with the pose of the model; does not publish it."""
     return replace(snapshot(bulk.solver), pose=model.pose, datum=bulk.surface.datum)
 
@@ -165,19 +165,19 @@ def _receive_materials_then_exit_process(orders: BinaryIO, materials: deque[tupl
             materials.append(pickle.load(orders))
     except (EOFError, OSError):
         for path in files:
-            remove_file(path)
+            remove_file_ignoring_errors(path)
         os._exit(0)
 
 
 def main() -> None:
-    """Entry point of the process of a bulk: read the task from the standard input and run `run_bulk_process`."""
+    """Entry point of the process of a bulk: read the task from the standard input and run it."""
     orders = sys.stdin.buffer
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # printed text must not mix with the binary output
     if hasattr(os, "nice"):
         os.nice(BULK_PROCESS.niceness)  # the loop has priority on computers with few cores
     size, = struct.unpack("<Q", orders.read(8))
-    run_bulk_process(orders.read(size), orders, answers)
+    run_bulk_in_this_process(orders.read(size), orders, answers)
 
 
 if __name__ == "__main__":

@@ -19,10 +19,10 @@ from haptics.loop.bulk_child import (
     KIND_MODEL,
     KIND_STATE,
     BulkReadyMessage,
-    make_linearisation,
+    make_bulk_lineariser,
 )
 from haptics.loop.bulk_settings import BULK_PROCESS
-from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, remove_file
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, remove_file_ignoring_errors
 from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface, compute_packed_state_size
@@ -43,7 +43,7 @@ class BulkProcess:
     """
 
     def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None):
-        self._task = pack_task(make_linearisation, (model, solver, resolution, mesh))
+        self._task = pack_task(make_bulk_lineariser, (model, solver, resolution, mesh))
         self._paths = tuple(find_unused_path(ending) for ending in ("states", "models", "corrections", "surface"))
         self._process: subprocess.Popen[bytes] | None = None
         self._surface: ContactSurface | None = None
@@ -124,9 +124,9 @@ class BulkProcess:
         """
         models = self._models
         if self._reading == 0:
-            if models.written == self._received:
+            if models.written_count == self._received:
                 return None
-            self._reading, self._piece = models.written, 0
+            self._reading, self._piece = models.written_count, 0
             self._check = self._reading & 0xFFFFFFFF
         length, checksum = models.read_content_length_and_checksum(self._reading)
         end = min(self._piece + BULK_PROCESS.piece, length)
@@ -144,7 +144,7 @@ class BulkProcess:
     def _receive_model_with_last_tangent(self) -> CondensedBulk | None:
         """Return a new model without own tangent (a correction), which reuses the last complete tangent, or None."""
         corrections = self._corrections
-        if corrections.written == self._corrected:
+        if corrections.written_count == self._corrected:
             return None
         newest = corrections.read_newest_number_and_content()
         if newest is None:
@@ -185,7 +185,7 @@ class BulkProcess:
         if process.stdout is not None:
             process.stdout.close()
         for path in self._paths:
-            remove_file(path)
+            remove_file_ignoring_errors(path)
         self._process = None
 
     def _write_to_process_stdin(self, content: bytes) -> None:

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 from haptics.devices.contracts import DeviceError, HapticDevice
 from haptics.loop.commands import COMMANDS
-from haptics.loop.loop import Loop, LoopReport, LoopSettings, get_mesh_resolution_and_relative_error
+from haptics.loop.loop import Loop, LoopReport, LoopSettings, get_mesh_resolution_and_force_error
 from haptics.loop.ring import RingWriter
-from haptics.loop.shared_slots import remove_file
-from haptics.loop.snapshot_board import SnapshotBoard
+from haptics.loop.shared_slots import remove_file_ignoring_errors
+from haptics.loop.snapshot_board import SnapshotWriter
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import ignore_ctrl_c_and_exit_with_parent
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
@@ -74,8 +74,8 @@ class LoopComponents(NamedTuple):
     settings: LoopSettings
 
 
-def run_loop_child_process(connection: Connection, parts: LoopComponents, files: SharedLoopFiles,
-                           things: list[tuple[str, str, Any]]) -> None:
+def run_loop_in_this_process(connection: Connection, parts: LoopComponents, files: SharedLoopFiles,
+                             things: list[tuple[str, str, Any]]) -> None:
     """Run a loop in this process and communicate with the parent process.
 
     Messages to the parent are pairs (kind, content): ``doing`` with a sentence; ``pattern`` of the snapshots, if there
@@ -92,7 +92,7 @@ def run_loop_child_process(connection: Connection, parts: LoopComponents, files:
     def remove_shared_files() -> None:
         """Remove both shared files, if they exist."""
         for path in files:
-            remove_file(path)
+            remove_file_ignoring_errors(path)
 
     # The creation of the tissue does not read the connection, so it cannot notice the end of the parent.
     ignore_ctrl_c_and_exit_with_parent(PROCESS_TIMES.grace, remove_shared_files)
@@ -125,13 +125,13 @@ def _run_new_loop_and_get_report(connection: Connection, parts: LoopComponents, 
         if settings.snapshot_rate and isinstance(tissue, DisplayableTissue):
             pattern = tissue.snapshot()
             if pattern.arrays():
-                shown, snapshots = tissue, stack.enter_context(SnapshotBoard(files.snapshots, pattern))
+                shown, snapshots = tissue, stack.enter_context(SnapshotWriter(files.snapshots, pattern))
                 _send_message(connection, "pattern", pattern)
         loop = Loop(tissue, parts.device, parts.rendering, settings, ring, snapshots=snapshots,
                     listen=lambda loop: _execute_received_commands(loop, connection, shown))
         # Started last: a user must not hold a device during compilation.
         parts.device.start()
-        _send_message(connection, "ready", get_mesh_resolution_and_relative_error(tissue))
+        _send_message(connection, "ready", get_mesh_resolution_and_force_error(tissue))
         return loop.run()
 
 

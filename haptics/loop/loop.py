@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from haptics.devices.contracts import HapticDevice
-from haptics.loop.real_time import RealTimeFeature, requested_real_time_features
+from haptics.loop.real_time import RealTimeFeature, request_real_time_features
 from haptics.loop.ring import CAPACITY, PAUSED, RingWriter
-from haptics.loop.snapshot_board import SnapshotBoard
+from haptics.loop.snapshot_board import SnapshotWriter
 from haptics.loop.ticker import Ticker, TimeHistogram, TimeQuantiles
-from haptics.safety.force_release import RELEASE, ForceRelease
+from haptics.safety.force_release import RELEASE, ForceFader
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
@@ -41,7 +41,7 @@ class LoopSettings:
         real_time: whether to request the real-time features of `haptics.loop.real_time`.
         snapshot_rate: rate at which the whole tissue is published for viewers, Hz; 0: never.
         capacity: number of ticks in the ring.
-        patience: time without equilibrium after which the force is reduced to zero, s; see `ForceRelease`.
+        patience: time without equilibrium after which the force is reduced to zero, s; see `ForceFader`.
 
     Raises:
         InputError: a time or a rate is outside its range.
@@ -57,7 +57,7 @@ class LoopSettings:
 
     def __post_init__(self):
         Ticker(self.period, spin=self.spin)  # checks its arguments
-        ForceRelease(self.patience)  # checks its argument
+        ForceFader(self.patience)  # checks its argument
         if self.seconds is not None and not self.period <= self.seconds < math.inf:
             raise InputError(f"seconds must be at least one period of {self.period:g} s and finite; got "
                              f"{self.seconds:g} s", field="seconds")
@@ -127,7 +127,7 @@ class LoopReport:
         }
 
 
-def get_mesh_resolution_and_relative_error(tissue: Tissue) -> tuple[str, float | None]:
+def get_mesh_resolution_and_force_error(tissue: Tissue) -> tuple[str, float | None]:
     """Return a tissue's mesh resolution, by name, and relative force error; ``""`` and None if it has none."""
     return getattr(tissue, "resolution", ""), getattr(tissue, "force_error", None)
 
@@ -157,7 +157,7 @@ class Loop:
     """
 
     def __init__(self, tissue: Tissue, device: HapticDevice, rendering: ForceRendering, settings: LoopSettings,
-                 ring: RingWriter, *, snapshots: SnapshotBoard | None = None,
+                 ring: RingWriter, *, snapshots: SnapshotWriter | None = None,
                  listen: Callable[[Loop], None] | None = None, clock: Callable[[], int] = time.monotonic_ns,
                  sleep: Callable[[float], None] = time.sleep):
         if getattr(tissue, "waits", False):
@@ -172,7 +172,7 @@ class Loop:
         self._prepare: Callable[[], None] | None = getattr(tissue, "prepare", None)
         self._shown = (tissue, snapshots) if snapshots is not None and isinstance(tissue, DisplayableTissue) else None
         self._ticker = Ticker(settings.period, spin=settings.spin, clock=clock, sleep=sleep)
-        self._release = ForceRelease(settings.patience)
+        self._release = ForceFader(settings.patience)
         self._compute_time = TimeHistogram()
         self._statuses = [0] * len(ForceStatus)
         self._flagged = dict.fromkeys(_FLAGS, 0)
@@ -207,7 +207,7 @@ class Loop:
             {status.name.lower(): self._statuses[status] for status in ForceStatus},
             {_FLAGS[flag]: count for flag, count in self._flagged.items()},
             self._largest_force, features, read_peak_memory_bytes_or_none(), self._device.describe(),
-            *get_mesh_resolution_and_relative_error(self._tissue))
+            *get_mesh_resolution_and_force_error(self._tissue))
 
     def _run_ticks_with_real_time_features(self) -> tuple[RealTimeFeature, ...]:
         """Run all ticks until the end; return the real-time features that were requested for this time."""
@@ -215,7 +215,7 @@ class Loop:
         last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
         listen_every = max(round(LISTEN_EVERY / settings.period), 1)
         shown, every, next_snapshot, next_listen = self._shown, settings.ticks_between_snapshots, 0, listen_every
-        with requested_real_time_features(settings.real_time) as features:
+        with request_real_time_features(settings.real_time) as features:
             ticker.start_first_period()
             while ticker.number < last and not self._ended_by:
                 lateness = ticker.wait_and_get_lateness_nanoseconds()
@@ -245,7 +245,7 @@ class Loop:
             self._advance = self._advance - motion_time if self._paused else 0
             self._motion += motion_time
             pose = self._device.pose(self._motion * 1e-9)
-        self._tool = tool = self._rendering.pose_for(pose, dt)
+        self._tool = tool = self._rendering.advance_proxy(pose, dt)
         answer = self._release.step(self._tissue.step(tool, dt), now * 1e-9)
         rendered = self._rendering.render(answer, dt)
         wrench = rendered.wrench

@@ -14,16 +14,16 @@ from pathlib import Path
 from typing import Any
 
 from haptics.devices.contracts import HapticDevice
-from haptics.loop.child import PROCESS_TIMES, LoopComponents, SharedLoopFiles, run_loop_child_process
+from haptics.loop.child import PROCESS_TIMES, LoopComponents, SharedLoopFiles, run_loop_in_this_process
 from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import LoopReport, LoopSettings
 from haptics.loop.ring import RingReader
-from haptics.loop.shared_slots import find_unused_path, remove_file
+from haptics.loop.shared_slots import find_unused_path, remove_file_ignoring_errors
 from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import child_processes_ignore_ctrl_c, limit_threads_of_child_processes
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import OldName, with_old_names
 from tissue_sim.registry import list_registered_groups_names_objects
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import Tissue
@@ -36,6 +36,7 @@ class LoopError(RuntimeError):
     """The process of the loop ended unexpectedly or does not answer."""
 
 
+@with_old_names(poll="read_message_and_check_ready", ring="open_ring_reader", snapshots="open_snapshot_reader")
 class LoopProcess:
     """Haptic loop in a separate process. As a context manager it stops the process at the end of the block.
 
@@ -47,7 +48,7 @@ class LoopProcess:
         device: haptic device or motion; started in the process of the loop when the tissue is ready.
         rendering: conversion of poses and forces; see `ForceRendering`.
         settings: settings of the loop; None: defaults.
-        ring_path: file of the ring; None: an unused file in `haptics.loop.shared_slots.get_runtime_folder`.
+        ring_path: file of the ring; None: an unused file in `haptics.loop.shared_slots.get_or_create_runtime_folder`.
 
     Attributes:
         ring_path: file of the ring of ticks, for viewers and recorders, while the process runs.
@@ -92,7 +93,7 @@ class LoopProcess:
             raise InputError("this loop was started before; create another LoopProcess")
         context = multiprocessing.get_context("spawn")  # Taichi and threads do not work after a fork
         self._connection, far_end = context.Pipe()
-        process = context.Process(target=run_loop_child_process,
+        process = context.Process(target=run_loop_in_this_process,
                                   args=(far_end, self._parts, self._files, list_registered_groups_names_objects()),
                                   name="tissue-sim loop", daemon=True)
         try:
@@ -120,14 +121,14 @@ class LoopProcess:
         last_message = ""
         ready = False
         while not ready:
-            ready = self.poll(0.1)
+            ready = self.read_message_and_check_ready(0.1)
             if progress is not None and self.message != last_message:
                 last_message = self.message
                 progress(last_message)
             if not ready and until is not None and time.monotonic() > until:
                 raise LoopError(f"the loop is not ready after {timeout:g} s: {self.message}")
 
-    def poll(self, timeout: float = 0.0) -> bool:
+    def read_message_and_check_ready(self, timeout: float = 0.0) -> bool:
         """Wait up to `timeout`, s, for one message, handle it, and return whether the loop has reached a tick.
 
         Raises:
@@ -157,11 +158,11 @@ class LoopProcess:
         """Exit code: 0 after a normal end, minus the signal number if killed; None while running or not started."""
         return None if self._process is None else self._process.exitcode
 
-    def ring(self) -> RingReader:
+    def open_ring_reader(self) -> RingReader:
         """Open and return a reader of the ring of ticks of a loop that is ready; the caller closes the reader."""
         return RingReader(self.ring_path)
 
-    def snapshots(self) -> SnapshotReader | None:
+    def open_snapshot_reader(self) -> SnapshotReader | None:
         """Open and return a reader of the snapshots, None if none are published; the caller closes the reader."""
         return None if self.pattern is None else SnapshotReader(self.snapshot_path, self.pattern)
 
@@ -356,4 +357,4 @@ class LoopProcess:
     def _remove_shared_files(self) -> None:
         """Remove the files of the ring and of the snapshots, if they exist."""
         for path in self._files:
-            remove_file(path)
+            remove_file_ignoring_errors(path)

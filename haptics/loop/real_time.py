@@ -44,8 +44,8 @@ class RealTimeFeature:
 
 
 @contextmanager
-def requested_real_time_features(wanted: bool = True,
-                                 priority: int = PRIORITY) -> Iterator[tuple[RealTimeFeature, ...]]:
+def request_real_time_features(wanted: bool = True,
+                               priority: int = PRIORITY) -> Iterator[tuple[RealTimeFeature, ...]]:
     """Request real-time features for this thread and process inside a ``with`` block; release them at its end.
 
     Call it after memory is allocated and kernels are compiled. A refused feature raises no exception; the yielded
@@ -69,7 +69,7 @@ def requested_real_time_features(wanted: bool = True,
         yield tuple(features)
 
 
-def request_fifo_and_get_refusal(undo: ExitStack, priority: int) -> str:
+def request_fifo_scheduling_and_get_refusal(undo: ExitStack, priority: int) -> str:
     """Request SCHED_FIFO scheduling until `undo` is closed; return the reason of a refusal, or an empty string."""
     if not hasattr(os, "sched_setscheduler"):
         return f"not available on {sys.platform}; other processes may delay ticks"
@@ -123,5 +123,5 @@ _FEATURES: dict[str, Callable[[ExitStack, int], str]] = {
     "no garbage collection": _disable_gc_and_get_empty_refusal,
     "locked memory": _lock_memory_and_get_refusal,
     "timer slack": _reduce_timer_slack_and_get_refusal,
-    "SCHED_FIFO": request_fifo_and_get_refusal,
+    "SCHED_FIFO": request_fifo_scheduling_and_get_refusal,
 }

@@ -12,6 +12,7 @@ import numpy as np
 from haptics.loop.shared_slots import SlotReader, SlotWriter
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Screw
+from tissue_sim.public_names import with_old_names
 from tissue_sim.tool_force import ToolForce
 
 #: Fields of a tick in SI units; times are in s since the start of the loop; an unknown pose is NaN. Depths, forces and
@@ -68,11 +69,11 @@ _UNKNOWN = (math.nan,) * 7
 
 @dataclass(frozen=True, eq=False)
 class TickBatch:
-    """Ticks that one call of `RingReader.since` has read, with the argument of the next call.
+    """Ticks that one call of `RingReader.read_ticks_after` has read, with the argument of the next call.
 
     Attributes:
         records: ticks in the order of writing, dtype `TICK`, shape (n,).
-        number: argument for the next call of `RingReader.since`.
+        number: argument for the next call of `RingReader.read_ticks_after`.
         lost: number of ticks that were overwritten before they were read.
     """
 
@@ -125,6 +126,7 @@ class RingWriter(SlotWriter):
         return self.write(self._record)
 
 
+@with_old_names(since="read_ticks_after")
 class RingReader(SlotReader):
     """Read the ring of a running loop from any process without affecting the loop.
 
@@ -133,7 +135,7 @@ class RingReader(SlotReader):
 
     Attributes:
         count: number of ticks in the ring.
-        written: number of ticks written so far.
+        written_count: number of ticks written so far.
         ended: whether the loop has ended normally; False if it was killed.
         writer: id of the process of the loop.
 
@@ -149,7 +151,7 @@ class RingReader(SlotReader):
         newest = self.read_newest_number_and_content()
         return None if newest is None else _convert_slot_contents_to_ticks(newest[1])[0]
 
-    def since(self, number: int = 0) -> TickBatch:
+    def read_ticks_after(self, number: int = 0) -> TickBatch:
         """Return the ticks after the first `number` ticks of the loop; 0: all ticks that the ring still holds."""
         contents, newest, lost = self.read_contents_and_lost_count_after(number)
         return TickBatch(_convert_slot_contents_to_ticks(*contents), newest, lost)

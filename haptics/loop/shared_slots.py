@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tissue_sim.errors import InputError
+from tissue_sim.public_names import with_old_names
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ _ENDED = HEAD.size + 8
 _SLOT = struct.Struct("<QII")
 
 
-def get_runtime_folder() -> Path:
+def get_or_create_runtime_folder() -> Path:
     """Create, if necessary, and return this user's folder for temporary shared files, in memory if possible.
 
     Raises:
@@ -76,8 +77,8 @@ def get_runtime_folder() -> Path:
 
 
 def find_unused_path(ending: str) -> Path:
-    """Return the path of a new file in `get_runtime_folder` with the file name extension `ending`; creates no file."""
-    return get_runtime_folder() / f"{os.getpid()}-{secrets.token_hex(4)}.{ending}"
+    """Return the path of a new file with the extension `ending` in the runtime folder; creates no file."""
+    return get_or_create_runtime_folder() / f"{os.getpid()}-{secrets.token_hex(4)}.{ending}"
 
 
 class SlotWriter:
@@ -97,7 +98,7 @@ class SlotWriter:
         if count < 2:
             raise InputError(f"count must be at least 2, so that one slot is complete while another is written; got "
                              f"{count}", field="count")
-        self.path, self.count, self.size, self.written = Path(path), count, size, 0
+        self.path, self.count, self.size, self.written_count = Path(path), count, size, 0
         self._stride = _SLOT.size + -(-size // 8) * 8
         total = SLOTS.head_size + count * self._stride
         empty = HEAD.pack(kind, SLOTS.version, self._stride, count, os.getpid()).ljust(total, b"\0")
@@ -121,12 +122,12 @@ class SlotWriter:
         length = len(content)
         if length > self.size:
             raise InputError(f"content must have at most {self.size} bytes; got {length}", file=self.path)
-        number = self.written + 1
+        number = self.written_count + 1
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride
         _SLOT.pack_into(self._map, offset, number, length, _compute_checksum(content, number))
         offset += _SLOT.size
         self._map[offset:offset + length] = content
-        self._numbers[0] = self.written = number
+        self._numbers[0] = self.written_count = number
         return number
 
     def close(self) -> None:
@@ -136,7 +137,7 @@ class SlotWriter:
         self._numbers[1] = 1
         self._numbers.release()
         self._map.close()
-        remove_file(self.path)
+        remove_file_ignoring_errors(self.path)
 
     def __enter__(self):
         return self
@@ -145,6 +146,7 @@ class SlotWriter:
         self.close()
 
 
+@with_old_names(written="written_count")
 class SlotReader:
     """Reader of slots in any process.
 
@@ -175,7 +177,7 @@ class SlotReader:
         self._numbers = memoryview(self._map)[_WRITTEN:_ENDED + 8].cast("Q")
 
     @property
-    def written(self) -> int:
+    def written_count(self) -> int:
         """Number of the newest written content, counted from 1; 0 before the first."""
         return self._numbers[0]
 
@@ -219,7 +221,7 @@ class SlotReader:
             InputError: no complete slot was found.
         """
         for _ in range(SLOTS.attempts):
-            number = self.written
+            number = self.written_count
             if number == 0:
                 return None
             content = self.read(number)
@@ -238,7 +240,7 @@ class SlotReader:
             The contents in order, the argument for the next call, and the number of slots that were overwritten before
             they were read (not counted for a reader that begins with 0).
         """
-        newest = self.written
+        newest = self.written_count
         oldest = max(newest - self.count, 0) + 1
         first = max(number + 1, oldest)
         lost = first - number - 1 if number > 0 else 0
@@ -247,7 +249,7 @@ class SlotReader:
             content = self.read(slot)
             if content is not None:
                 contents.append(content)
-            elif self.written - slot >= self.count - 1:
+            elif self.written_count - slot >= self.count - 1:
                 lost += 1  # the slot is being overwritten, or was overwritten
             else:
                 newest = slot - 1  # the content is not completely visible on this core yet: read it in the next call
@@ -266,7 +268,7 @@ class SlotReader:
         self.close()
 
 
-def remove_file(path: Path) -> None:
+def remove_file_ignoring_errors(path: Path) -> None:
     """Remove the file of a writer that has ended, if the file exists."""
     # Windows refuses to remove an open file; the small file then stays in the folder for temporary files.
     with contextlib.suppress(OSError):
@@ -296,7 +298,7 @@ def _create_file_atomically(path: Path, content: bytes) -> None:
         else:
             path.hardlink_to(temporary)
     finally:
-        remove_file(temporary)
+        remove_file_ignoring_errors(temporary)
 
 
 def _open_with_owner_only_mode(path: str, flags: int) -> int:

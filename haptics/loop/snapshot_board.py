@@ -34,7 +34,7 @@ class PublishedSnapshot:
     snapshot: Snapshot
 
 
-class SnapshotBoard(SlotWriter):
+class SnapshotWriter(SlotWriter):
     """Write snapshots to a shared file, without mesh and material, which are the same in all snapshots.
 
     Args:
@@ -88,7 +88,7 @@ class SnapshotReader(SlotReader):
         Raises:
             InputError: the pattern belongs to another tissue.
         """
-        newest = self.read_newest_number_and_content() if self.written > after else None
+        newest = self.read_newest_number_and_content() if self.written_count > after else None
         if newest is None:
             return None
         number, content = newest
@@ -100,4 +100,5 @@ class SnapshotReader(SlotReader):
         parts = [part.reshape(array.shape) for part, array in zip(np.split(numbers, ends[:-1]), arrays, strict=True)]
         time, datum, *pose = _HEAD.unpack_from(content)
         (x, y, z), (a, b, c, d) = pose[:3], pose[3:]
-        return PublishedSnapshot(number, time, self.pattern.at(Pose((x, y, z), (a, b, c, d)), datum, parts))
+        return PublishedSnapshot(number, time,
+                                 self.pattern.with_pose_and_arrays(Pose((x, y, z), (a, b, c, d)), datum, parts))

@@ -46,7 +46,7 @@ class AtiVoltageCalibration:
     volts: tuple[float, float]
     rows: str
 
-    def compute_wrench_from_voltages(self, volts: Row) -> Row:
+    def compute_wrench_from_voltage_changes(self, volts: Row) -> Row:
         """Return Fx Fy Fz, N, and Tx Ty Tz, N m, for six voltages minus those without load, V."""
         return tuple(sum(factor * volt for factor, volt in zip(row, volts, strict=True)) for row in self.matrix)
 

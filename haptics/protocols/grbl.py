@@ -57,6 +57,7 @@ class GrblSetting(IntEnum):
     #: Length of travel, mm.
     TRAVEL = 130
 
+
 #: Errors by number: cause, and remedy where there is one.
 ERRORS = {
     1: "a word has no letter", 2: "a number is malformed", 3: "the '$' command is unknown",
@@ -139,7 +140,7 @@ class JogCommand:
     machine: bool = False
 
 
-def encode_machine_jog_line(axis: str, target: float, feed: float) -> bytes:
+def encode_jog_in_machine_coordinates(axis: str, target: float, feed: float) -> bytes:
     """Return the bytes of a jog line with its ending: one axis, target in machine coordinates, mm, feed in mm/min."""
     return f"$J=G53G21G90{axis}{target:.4f}F{feed:.3f}\n".encode()
 
@@ -229,7 +230,7 @@ def parse_setting_or_none(line: str) -> tuple[int, float] | None:
     return (int(found[1]), float(found[2])) if found else None
 
 
-def parse_answer_kind_and_number(line: str) -> tuple[str, int] | None:
+def parse_answer_kind_and_number_or_none(line: str) -> tuple[str, int] | None:
     """Return ``("ok", 0)``, ``("error", number)`` or ``("ALARM", number)``; None: the line is no answer."""
     if line == "ok":
         return "ok", 0
@@ -237,7 +238,7 @@ def parse_answer_kind_and_number(line: str) -> tuple[str, int] | None:
     return (found[1], int(found[2])) if found else None
 
 
-def parse_version_and_date(line: str) -> tuple[str, str] | None:
+def parse_version_and_date_or_none(line: str) -> tuple[str, str] | None:
     """Return (version, date), such as ``("1.1", "20190825")``, of a line ``[VER:...]``; None: no such line."""
     found = _VERSION.fullmatch(line)
     return (found[1], found[2]) if found else None

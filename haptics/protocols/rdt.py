@@ -224,7 +224,7 @@ def _find_unit_value(name: str, quantity: str) -> float:
                          field=f"{quantity}_unit") from None
 
 
-def read_settings_page(page: bytes) -> BoxSettings:
+def parse_settings_page(page: bytes) -> BoxSettings:
     """Parse the bytes of the page ``netftapi2.xml`` of a box, and return its settings.
 
     Raises:
@@ -256,8 +256,8 @@ def read_settings_page(page: bytes) -> BoxSettings:
                        texts.get("prodname", ""), texts.get("cfgcalsn") or texts.get("setserial", ""))
 
 
-def write_settings_page(settings: BoxSettings) -> bytes:
-    """Return the bytes of a settings page (XML) with the fields that `read_settings_page` reads."""
+def encode_settings_page(settings: BoxSettings) -> bytes:
+    """Return the bytes of a settings page (XML) with the fields that `parse_settings_page` reads."""
     entries = {"prodname": settings.product or "RDT", "runstat": "0x00000000", "cfgcalsn": settings.calibration,
                "scfgfu": settings.force_unit, "scfgtu": settings.torque_unit,
                "cfgcpf": f"{settings.counts_per_force:.10g}", "cfgcpt": f"{settings.counts_per_torque:.10g}",

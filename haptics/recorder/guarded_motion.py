@@ -95,7 +95,7 @@ class GuardedMotion:
             self.started = self._polled = self.now()
             self._guard = self._make_guard(self.limits, self.sensor.rate, self.sensor.channels,
                                            self.stage.measures_position, self.started)
-            with self._watched_polls():
+            with self._watch_polls_in_thread():
                 try:
                     yield
                 except BaseException as error:
@@ -110,7 +110,7 @@ class GuardedMotion:
                     self.sensor.stop()
 
     @contextmanager
-    def _watched_polls(self) -> Iterator[None]:
+    def _watch_polls_in_thread(self) -> Iterator[None]:
         """Run a thread inside a ``with`` block that halts a moving stage if the polls are late (dead-man's switch)."""
         ending = threading.Event()
 
@@ -227,7 +227,7 @@ class GuardedMotion:
         # Store the samples before the check, so that the recording contains the samples that end the motion.
         self._on_poll(samples, forces, stage)
         assert self._guard is not None
-        if (reason := self._guard.check_poll(now, samples, forces, stage, self._command)) is not None:
+        if (reason := self._guard.find_stop_reason(now, samples, forces, stage, self._command)) is not None:
             # Halt here, before the slower handling of the error.
             with contextlib.suppress(Exception):
                 self.stage.halt()
@@ -354,7 +354,7 @@ class GuardedMotion:
             StoppedError: the force is larger: the tool is loaded, or the zero of the sensor drifts.
         """
         self.zero = 0.0
-        self.clear_forces()
+        self.discard_stored_forces()
         self.poll_for_duration(_SETTINGS.force_window)
         before, allowed = self.compute_mean_of_recent_forces(), change if self.tares else first
         if not abs(before) <= allowed:
@@ -366,7 +366,7 @@ class GuardedMotion:
         self.sensor.tare()
         assert self._guard is not None
         self._guard.is_sensor_zeroed = True
-        self.clear_forces()
+        self.discard_stored_forces()
         self.poll_for_duration(_SETTINGS.force_window)
         self.zero = self.compute_mean_of_recent_forces()
         if not abs(self.zero) <= change:
@@ -384,7 +384,7 @@ class GuardedMotion:
         Raises:
             StoppedError: the force is larger.
         """
-        self.clear_forces()
+        self.discard_stored_forces()
         self.poll_for_duration(_SETTINGS.force_window)
         offset = self.compute_mean_of_recent_forces()
         if not abs(offset) <= allowed:
@@ -392,6 +392,6 @@ class GuardedMotion:
                 "zero", f"the sensor reads {offset:.3g} N above the specimen, where it was zeroed; its zero has moved, "
                         "material sticks to the tool, or the stage has lost steps"))
 
-    def clear_forces(self) -> None:
+    def discard_stored_forces(self) -> None:
         """Discard the forces stored by past polls, because the next mean belongs to another position."""
         self._recent.clear()

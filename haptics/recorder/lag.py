@@ -12,7 +12,7 @@ from tissue_sim.errors import InputError
 
 @dataclass(frozen=True)
 class LagSettings:
-    """Settings of the profile likelihood of `measure_lag`.
+    """Settings of the profile likelihood of `estimate_force_lag`.
 
     Attributes:
         longest: largest magnitude of a lag that is tried, s.
@@ -48,7 +48,7 @@ class ForceLag:
     interval: tuple[float, float]
 
 
-def measure_lag(recording: Recording) -> ForceLag:
+def estimate_force_lag(recording: Recording) -> ForceLag:
     """Find the lag of the force for which loading and unloading give the same force at the same depth.
 
     Profile likelihood of the lag: for each trial lag the force is fitted by a polynomial of the shifted depth; the lag

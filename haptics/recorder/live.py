@@ -41,7 +41,7 @@ class LiveProgressFile:
         self._progress = progress
 
     @contextmanager
-    def running_writing_thread(self) -> Iterator[None]:
+    def run_writing_thread(self) -> Iterator[None]:
         """Run the writing thread inside a ``with`` block; delete the file at the end of the block."""
         thread = threading.Thread(target=self._write_progress_until_end, name="live file", daemon=True)
         thread.start()

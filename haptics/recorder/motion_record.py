@@ -10,7 +10,7 @@ import numpy as np
 
 from haptics.devices.contracts import ForceSample, SampleStatus, StageSample
 from haptics.recorder.clock import SampleClock
-from haptics.recorder.plan import IndentationPlan
+from haptics.recorder.plan import BenchTestPlan
 from haptics.recorder.stage_path import StagePath, StagePoll, compute_position_tolerance_for_depth
 from haptics.recorder.stopped import StoppedError
 from haptics.safety.motion_guard import StopReason
@@ -95,7 +95,7 @@ class MotionRecord:
         return SampleClock.fit_to_arrivals(self.numbers, self.received, period)
 
 
-def build_recording(record: MotionRecord, plan: IndentationPlan, contact_point: float, zero: float,
+def build_recording(record: MotionRecord, plan: BenchTestPlan, contact_point: float, zero: float,
                     channels: Sequence[str], period: float) -> Recording:
     """Build the recording of a motion: force at its sampling times, stage position interpolated to the same times.
 
@@ -159,7 +159,7 @@ def _make_left_out_metadata(recorded: int, kept: int, depth: float) -> dict[str,
     return {"left_out": {"samples": recorded - kept, "reason": reason}}
 
 
-def estimate_contact_point_and_metadata(record: MotionRecord, plan: IndentationPlan, halted: float,
+def estimate_contact_point_and_metadata(record: MotionRecord, plan: BenchTestPlan, halted: float,
                                         channels: Sequence[str],
                                         speed: float, period: float) -> tuple[float, dict[str, Any]]:
     """Estimate the contact point from the slow approach, which passes the contact point before the contact force.

@@ -8,9 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from haptics.devices.contracts import Stage
-from haptics.safety.motion_guard import MotionLimits, require_stoppable_motion
+from haptics.safety.motion_guard import MotionLimits, require_stop_within_force_margin
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.segments import MotionLeg
+from tissue_sim.public_names import make_getattr_for_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"IndentationPlan": "BenchTestPlan"})
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ POLLING = PollSettings()
 
 
 @dataclass(frozen=True)
-class IndentationPlan:
+class BenchTestPlan:
     """One test on the bench: how contact is found, preconditioning, and the recorded motion.
 
     Attributes:
@@ -103,12 +106,12 @@ class IndentationPlan:
         return max(above, 2 * self.retract if self.contact == "force" else 0.0)
 
     @property
-    def largest_speed(self) -> float:
+    def largest_recorded_speed(self) -> float:
         """Largest speed of the recorded motion, m/s."""
         return max((leg.speed for leg in self.legs), default=0.0)
 
     @property
-    def duration(self) -> float:
+    def replicate_duration(self) -> float:
         """Duration of one recorded motion, one replicate without the search for contact, s."""
         return sum(leg.duration for leg in self.legs)
 
@@ -119,7 +122,7 @@ class IndentationPlan:
                          f"{leg.segment.kind} to {leg.end * 1e3:g} mm at {leg.speed * 1e3:g} mm/s" for leg in self.legs)
 
 
-def check_plans_and_compute_duration(plans: Sequence[IndentationPlan], limits: MotionLimits, stage: Stage,
+def check_plans_and_compute_duration(plans: Sequence[BenchTestPlan], limits: MotionLimits, stage: Stage,
                                      period: float) -> float:
     """Check the plans of a run against limits and stage before anything moves, and return their duration.
 
@@ -147,14 +150,14 @@ def check_plans_and_compute_duration(plans: Sequence[IndentationPlan], limits: M
         if travel > allowed_travel:
             raise InputError(f"the protocol must need at most {allowed_travel * 1e3:.4g} mm of travel, the range of "
                              f"[limits]; got {travel * 1e3:.4g} mm", field=f"{plan.name}.protocol")
-        for speed, name in ((plan.largest_speed, f"{plan.name}.protocol"),
+        for speed, name in ((plan.largest_recorded_speed, f"{plan.name}.protocol"),
                             (plan.approach_speed, "record.approach_speed")):
             fastest = min(limits.speed, stage.limits.speed)
             if speed > fastest:
                 raise InputError(f"speed must be at most {fastest * 1e3:g} mm/s; got {speed * 1e3:g} mm/s", field=name)
-            require_stoppable_motion(limits, speed, reaction)
+            require_stop_within_force_margin(limits, speed, reaction)
         motions = plan.replicates + plan.preconditioning
-        total += motions * (plan.duration + plan.rest + 2 * plan.retract / plan.approach_speed)
+        total += motions * (plan.replicate_duration + plan.rest + 2 * plan.retract / plan.approach_speed)
     if total > limits.duration:
         raise InputError(f"the time limit must be at least {total:.4g} s, the duration of the plan; got "
                          f"{limits.duration:g} s",

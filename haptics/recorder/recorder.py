@@ -14,8 +14,8 @@ import numpy as np
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
 from haptics.recorder.guarded_motion import GuardedMotion
 from haptics.recorder.motion_record import MotionRecord, build_recording, estimate_contact_point_and_metadata
-from haptics.recorder.plan import POLLING, IndentationPlan, check_plans_and_compute_duration
-from haptics.recorder.run_folder import PartialRecording, RunFolder
+from haptics.recorder.plan import POLLING, BenchTestPlan, check_plans_and_compute_duration
+from haptics.recorder.run_folder import PartialRecordingWriter, RunFolder
 from haptics.recorder.stopped import StoppedError
 from haptics.safety.motion_guard import GUARD, MotionGuard, MotionGuardSettings, MotionLimits, StopReason
 from tissue_sim.errors import InputError
@@ -84,7 +84,7 @@ class Recorder:
         InputError: the plan exceeds the limits; no device is started.
     """
 
-    def __init__(self, bench: Bench, plan: IndentationPlan, limits: MotionLimits, folder: RunFolder, *,
+    def __init__(self, bench: Bench, plan: BenchTestPlan, limits: MotionLimits, folder: RunFolder, *,
                  about: dict[str, Any] | None = None, stop_request: Callable[[], str | None] = lambda: None,
                  on_progress: Callable[[RunProgress], None] = lambda progress: None,
                  clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep,
@@ -97,7 +97,7 @@ class Recorder:
         self._plan, self._limits, self._folder, self._about = plan, limits, folder, about or {}
         self._on_progress, self._guard_settings = on_progress, guard_settings
         self._record: MotionRecord | None = None
-        self._partial: PartialRecording | None = None
+        self._partial: PartialRecordingWriter | None = None
         self._phase, self._replicate = "start", 0
         #: Position of the stage at the contact point, m; None: unknown.
         self._contact_point: float | None = None
@@ -250,7 +250,7 @@ class Recorder:
             raise StoppedError(StopReason(
                 "no contact", f"the force did not reach {plan.contact_force:g} N within the limits of the motion; put "
                               "the specimen nearer, or check the sign and the axis of the sensor"))
-        motion.clear_forces()
+        motion.discard_stored_forces()
         return self._last_position
 
     def _move_to_waiting_position(self, factor: float = 1.0) -> None:
@@ -305,7 +305,9 @@ class Recorder:
             self._phase = "rest"
         name, started = f"{plan.name}_{number}", _format_local_time()
         loadings, stops = folder.count_loadings_of_test(plan.name), folder.list_stops_for_test(plan.name)
-        partial = self._partial = folder.open_partial(name, ["time [s]", "displacement [mm]", "force [N]", "segment"])
+        partial = self._partial = folder.create_partial_recording(name,
+                                                                  ["time [s]", "displacement [mm]", "force [N]",
+                                                                   "segment"])
         record = self._record = MotionRecord()
         try:
             self._execute_motion_and_log_loading(f"recording {number} of {plan.replicates}")

@@ -185,14 +185,14 @@ class RunFolder:
             self._copies[path] = name
         return self._copies[path]
 
-    def open_partial(self, name: str, header: Sequence[str]) -> PartialRecording:
-        """Create the file of an unfinished recording, and return the `PartialRecording` that writes its rows.
+    def create_partial_recording(self, name: str, header: Sequence[str]) -> PartialRecordingWriter:
+        """Create the file of an unfinished recording, and return the `PartialRecordingWriter` that writes its rows.
 
         Args:
             name: name of the recording, without ending.
             header: titles of the columns.
         """
-        return PartialRecording(self.folder / f"{name}{PARTIAL_SUFFIX}", header)
+        return PartialRecordingWriter(self.folder / f"{name}{PARTIAL_SUFFIX}", header)
 
     def save_recording(self, name: str, recording: Recording) -> Path:
         """Write a complete recording, delete its partial file, and add the recording to the state.
@@ -213,7 +213,7 @@ class RunFolder:
         return path
 
 
-class PartialRecording:
+class PartialRecordingWriter:
     """File of an unfinished recording: rows are written whole, and are on the disk within `SYNC_INTERVAL`.
 
     A separate thread writes the file: a busy disk must not delay the supervision of the motor.

@@ -98,7 +98,7 @@ class StagePath:
         """
         return np.interp(times, self._times, self._positions)
 
-    def bound_position_error(self, times: np.ndarray) -> np.ndarray:
+    def compute_position_error_bound(self, times: np.ndarray) -> np.ndarray:
         """Return a bound on the error of `interpolate_position`, m, shape (n,); infinite before and after all polls.
 
         Args:
@@ -119,7 +119,7 @@ class StagePath:
             times: s, shape (n,).
             depth: largest depth of the motion, m.
         """
-        return self.bound_position_error(times) <= compute_position_tolerance_for_depth(depth)
+        return self.compute_position_error_bound(times) <= compute_position_tolerance_for_depth(depth)
 
 
 def compute_position_tolerance_for_depth(depth: float) -> float:

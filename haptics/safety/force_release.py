@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 from haptics.safety.watchdog import Watchdog, WatchdogState
 from tissue_sim.errors import InputError
+from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.tool_force import ForceStatus, ToolForce
+
+__getattr__ = make_getattr_for_old_names(__name__, {"ForceRelease": "ForceFader"})
 
 
 @dataclass(frozen=True)
 class ForceFadeTimesAndThresholds:
-    """Times and forces of `ForceRelease`.
+    """Times and forces of `ForceFader`.
 
     Attributes:
         patience: longest time without equilibrium at full force, s. A longer time bridges longer failures with an
@@ -34,7 +37,7 @@ class ForceFadeTimesAndThresholds:
 RELEASE = ForceFadeTimesAndThresholds()
 
 
-class ForceRelease:
+class ForceFader:
     """Fade the force of a tissue without equilibrium, before the force reaches a hand, a page or a client.
 
     An answer whose status is not CONVERGED extrapolates the last equilibrium, with one exception: tissue with mass is

@@ -7,11 +7,15 @@ from math import hypot, inf, isfinite
 
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Screw, Vector
+from tissue_sim.public_names import make_getattr_for_old_names, with_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"ForceLimits": "ForceLimiter"})
 
 _NO_WRENCH: Screw = (0.0,) * 6
 
 
-class ForceLimits:
+@with_old_names(message="active_limits_description")
+class ForceLimiter:
     """Limit the magnitudes of force and torque, and their changes between two ticks; directions are kept.
 
     The limiter starts from zero force and torque. A wrench that is not finite is replaced by zero force and torque,
@@ -72,7 +76,7 @@ class ForceLimits:
         return self.last
 
     @property
-    def message(self) -> str:
+    def active_limits_description(self) -> str:
         """Limits of force, torque and their changes that acted in the last step; ``not limited`` if no limit acted.
 
         A wrench that is not finite has a sentence without the other limits.

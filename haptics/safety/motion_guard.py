@@ -167,8 +167,8 @@ class MotionGuard:
         self._stage_samples: deque[StageSample] = deque()
         self.is_stage_homed = self.is_sensor_zeroed = False
 
-    def check_poll(self, now: float, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample,
-                   command: CommandedMotion | None) -> StopReason | None:
+    def find_stop_reason(self, now: float, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample,
+                         command: CommandedMotion | None) -> StopReason | None:
         """Check the samples of one poll.
 
         Args:
@@ -181,10 +181,11 @@ class MotionGuard:
         Returns:
             The reason to stop the motion, or None.
         """
-        return (self._check_sensor(now, samples) or self._check_force(samples, forces)
-                or self._check_stage_status(stage) or self._check_duration_and_motion(now, stage, command))
+        return (self._find_sensor_stop_reason(now, samples) or self._find_force_stop_reason(samples, forces)
+                or self._find_stage_status_stop_reason(stage)
+                or self._find_duration_or_motion_stop_reason(now, stage, command))
 
-    def _check_sensor(self, now: float, samples: Sequence[ForceSample]) -> StopReason | None:
+    def _find_sensor_stop_reason(self, now: float, samples: Sequence[ForceSample]) -> StopReason | None:
         """Check the status of the sensor, and the time since its last sample; return the reason to stop, or None."""
         for sample in samples:
             if sample.status & SampleStatus.SATURATED:
@@ -202,7 +203,7 @@ class MotionGuard:
                               "power supply")
         return None
 
-    def _check_force(self, samples: Sequence[ForceSample], forces: Sequence[float]) -> StopReason | None:
+    def _find_force_stop_reason(self, samples: Sequence[ForceSample], forces: Sequence[float]) -> StopReason | None:
         """Check the force along the tool and the resultant force; return the reason to stop, or None."""
         if not self.is_sensor_zeroed:
             return None
@@ -215,7 +216,7 @@ class MotionGuard:
                                       f"{self.limits.force:g} N")
         return None
 
-    def _check_stage_status(self, stage: StageSample) -> StopReason | None:
+    def _find_stage_status_stop_reason(self, stage: StageSample) -> StopReason | None:
         """Check the status flags of the stage; return the reason to stop, or None."""
         if stage.status & SampleStatus.FAULT:
             return StopReason("stage fault", "the stage reports a fault; check its status display, and home it again")
@@ -224,8 +225,8 @@ class MotionGuard:
                               "home it again")
         return None
 
-    def _check_duration_and_motion(self, now: float, stage: StageSample,
-                                   command: CommandedMotion | None) -> StopReason | None:
+    def _find_duration_or_motion_stop_reason(self, now: float, stage: StageSample,
+                                             command: CommandedMotion | None) -> StopReason | None:
         """Check duration of the run, position and speed of the homed stage; return the reason to stop, or None."""
         limits = self.limits
         if now - self._started > limits.duration:
@@ -237,9 +238,10 @@ class MotionGuard:
         if not limits.lowest - tolerance <= stage.position <= limits.highest + tolerance:
             return StopReason("travel", f"the stage is at {stage.position * 1e3:.4g} mm, outside of its limits of "
                               f"{limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm")
-        return self._check_speed(stage) or (None if command is None else self._check_command(stage, command))
+        return self._find_speed_stop_reason(stage) or (None if command is None
+                                                       else self._find_path_or_stall_stop_reason(stage, command))
 
-    def _check_speed(self, stage: StageSample) -> StopReason | None:
+    def _find_speed_stop_reason(self, stage: StageSample) -> StopReason | None:
         """Compare the lowest speed that the stage samples of the last `speed_window` allow with the limit.
 
         The reply to a request for the position can be late, on a slow line or a busy computer: the position was read
@@ -260,7 +262,7 @@ class MotionGuard:
                                   f"{self.limits.speed * 1e3:g} mm/s")
         return None
 
-    def _check_command(self, stage: StageSample, command: CommandedMotion) -> StopReason | None:
+    def _find_path_or_stall_stop_reason(self, stage: StageSample, command: CommandedMotion) -> StopReason | None:
         """Check that the tool is on the commanded path and does not stall; return the reason to stop, or None."""
         tolerance = max(self.settings.path_tolerance, self.settings.stall_time * command.speed)
         low, high = sorted((command.start, command.goal))
@@ -277,7 +279,7 @@ class MotionGuard:
         return None
 
 
-def require_stoppable_motion(limits: MotionLimits, speed: float, seconds: float) -> None:
+def require_stop_within_force_margin(limits: MotionLimits, speed: float, seconds: float) -> None:
     """Refuse a motion whose force can increase by more than the margin between a fault and the halt of the stage.
 
     The force increase is speed * seconds * stiffness of the specimen.

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 
 from tissue_sim.errors import InputError
-from tissue_sim.pose import Pose, Screw, Vector, motion
-from tissue_sim.public_names import OldName
+from tissue_sim.pose import Pose, Screw, Vector, compute_rigid_motion
+from tissue_sim.public_names import OldName, with_old_names
 
 _NO_WRENCH: Screw = (0.0,) * 6
 _NO_MOTION: Screw = (0.0,) * 6
 
 
+@with_old_names(compute_work_by_hand="compute_hand_work", is_active="is_port_active")
 class PassivityObserver:
     """Sum the energy that the hand puts into one port: force times displacement plus torque times rotation.
 
@@ -26,8 +27,8 @@ class PassivityObserver:
 
     Args:
         held: whether the wrench is held over a tick.
-        tolerance: returned energy above the energy put in, as a fraction of the latter, from which `is_active` is True.
-            The default, 1e-3, is far above rounding and far below the limit of perception.
+        tolerance: returned energy above the energy put in, as a fraction of the latter, from which `is_port_active` is
+            True. The default, 1e-3, is far above rounding and far below the limit of perception.
 
     Attributes:
         energy_in: energy that the hand has put in, J: the sum over all ticks with positive work.
@@ -56,7 +57,7 @@ class PassivityObserver:
         return self.energy_in - self.energy_out
 
     @property
-    def is_active(self) -> bool:
+    def is_port_active(self) -> bool:
         """Whether the returned energy exceeds the energy put in by more than the tolerance."""
         return self.energy_in - self.energy_out < -self.tolerance * self.energy_in
 
@@ -66,11 +67,11 @@ class PassivityObserver:
         Args:
             pose: pose of the tool in this tick.
         """
-        return _NO_MOTION if self._pose is None else motion(self._pose, pose)
+        return _NO_MOTION if self._pose is None else compute_rigid_motion(self._pose, pose)
 
     way = OldName("displacement_to")
 
-    def compute_work_by_hand(self, wrench: Screw, displacement: Screw) -> float:
+    def compute_hand_work(self, wrench: Screw, displacement: Screw) -> float:
         """Return the energy that the hand puts in between the last sample and a new one, J; the sums are unchanged.
 
         Args:
@@ -84,7 +85,7 @@ class PassivityObserver:
         x, y, z, u, v, w = displacement
         return -(a * x + b * y + c * z + d * u + e * v + f * w)
 
-    work = OldName("compute_work_by_hand")
+    work = OldName("compute_hand_work")
     velocity = OldName("compute_mean_velocity")
 
     def observe(self, wrench: Screw, pose: Pose, displacement: Screw | None = None):
@@ -100,7 +101,7 @@ class PassivityObserver:
             if self._pose is None and not pose.is_finite:
                 return
             displacement = self.displacement_to(pose)
-        work = self.compute_work_by_hand(wrench, displacement)
+        work = self.compute_hand_work(wrench, displacement)
         # A component of the pose that is not finite makes the work not finite.
         if not math.isfinite(work + sum(wrench)):
             return
@@ -203,8 +204,8 @@ class PassivityController:
             pose: pose in this tick.
             dt: length of the tick, s.
         """
-        energy = self.observer.energy + self.observer.compute_work_by_hand(_NO_WRENCH,
-                                                                           self.observer.displacement_to(pose))
+        energy = self.observer.energy + self.observer.compute_hand_work(_NO_WRENCH,
+                                                                        self.observer.displacement_to(pose))
         x, y, z = self.observer.compute_mean_velocity(pose, dt)
         power = (x * x + y * y + z * z) * dt
         self.added = min(-energy / power, self.damping) if energy < 0 and power > 0 else 0.0

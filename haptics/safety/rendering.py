@@ -7,11 +7,11 @@ from enum import IntFlag
 from typing import NamedTuple
 
 from haptics.safety.coupling import VirtualCoupling
-from haptics.safety.limits import ForceLimits
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.passivity import PassivityController, PassivityObserver, ReturnedEnergyCutoff
 from haptics.safety.watchdog import Watchdog, WatchdogState
 from tissue_sim.pose import Pose, Screw, scale_screw
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import with_old_names
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 
@@ -50,6 +50,8 @@ _NO_WRENCH: Screw = (0.0,) * 6
 _INVALID_WRENCH: Screw = (math.nan,) * 6
 
 
+@with_old_names(active="is_port_active", is_active="is_port_active", invalid="has_invalid_force_or_time_step",
+                lost_pose="is_faded_by_watchdog", out_of_energy="has_exceeded_energy_limit")
 class RenderedForce(NamedTuple):
     """Wrench on the hand in one tick, with flags and energies.
 
@@ -95,34 +97,28 @@ class RenderedForce(NamedTuple):
         return bool(self.flags & _INVALID)
 
     @property
-    def lost_pose(self) -> bool:
+    def is_faded_by_watchdog(self) -> bool:
         """Whether the watchdog reduces the force, because poses or valid tissue forces are or were missing."""
         return bool(self.flags & _LOST_POSE)
 
     @property
-    def is_active(self) -> bool:
+    def is_port_active(self) -> bool:
         """Whether the port to the hand is active: the held force has returned more energy than the hand put in."""
         return bool(self.flags & _ACTIVE)
 
     @property
-    def out_of_energy(self) -> bool:
+    def has_exceeded_energy_limit(self) -> bool:
         """Whether the energy limit has switched the force off until a reset."""
         return bool(self.flags & _ENERGY)
 
 
-# `NamedTuple` does not call ``__set_name__`` of the members of its class body before Python 3.13.
-for _old, _new in (("active", "is_active"), ("invalid", "has_invalid_force_or_time_step")):
-    _alias = OldName(_new)
-    _alias.__set_name__(RenderedForce, _old)
-    setattr(RenderedForce, _old, _alias)
-
-
+@with_old_names(pose_for="advance_proxy")
 class ForceRendering:
     """Compute the wrench of a tick: coupling, tissue, passivity controller, watchdog, energy limit, force limits.
 
-    In each tick call `pose_for` with the pose of the device, step the tissue to the returned pose, then call `render`
-    with the answer of the tissue. Missing or invalid numbers raise no error: force and torque go to zero at the rate of
-    the limits, and the flags give the reason.
+    In each tick call `advance_proxy` with the pose of the device, step the tissue to the returned pose, then call
+    `render` with the answer of the tissue. Missing or invalid numbers raise no error: force and torque go to zero at
+    the rate of the limits, and the flags give the reason.
 
     Args:
         limits: limits of the wrench; they act last, so no other part can exceed them.
@@ -136,7 +132,7 @@ class ForceRendering:
         held_observer: energy at the device with the wrench held over each tick.
     """
 
-    def __init__(self, limits: ForceLimits, coupling: VirtualCoupling | None = None, watchdog: Watchdog | None = None,
+    def __init__(self, limits: ForceLimiter, coupling: VirtualCoupling | None = None, watchdog: Watchdog | None = None,
                  controller_damping: float | None = None, energy_limit: ReturnedEnergyCutoff | None = None):
         self.limits, self.coupling, self.watchdog = limits, coupling, watchdog or Watchdog()
         self.energy_limit = energy_limit or ReturnedEnergyCutoff(math.inf)
@@ -158,7 +154,7 @@ class ForceRendering:
         self._answer: ToolForce | None = None
         self._wrench = _NO_WRENCH
 
-    def pose_for(self, device: Pose | None, dt: float) -> Pose:
+    def advance_proxy(self, device: Pose | None, dt: float) -> Pose:
         """Advance the coupling by one tick, and return the pose to which the tissue must be stepped.
 
         Args:
@@ -181,7 +177,7 @@ class ForceRendering:
         used until the watchdog fades it.
 
         Args:
-            answer: answer of the tissue to the pose of `pose_for`.
+            answer: answer of the tissue to the pose of `advance_proxy`.
             dt: length of the tick, s.
         """
         is_valid = answer.status is not ForceStatus.REFUSED and answer.is_finite
@@ -206,7 +202,7 @@ class ForceRendering:
             displacement = held.displacement_to(pose)
             observer.observe(wrench, pose, displacement)
             held.observe(wrench, pose, displacement)
-        flags = _ACTIVE if held.is_active else 0
+        flags = _ACTIVE if held.is_port_active else 0
         if limits.limited:
             flags |= _LIMITED
         if limits.rate_limited:

@@ -37,25 +37,25 @@ LIMITS = SavedStateAndSurfaceLimits()
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
-class _CommandWithoutArguments(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+class _ConfigurationCommand(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Command without arguments; base class of the commands with arguments."""
 
     command: str
 
 
-class _SetParametersCommand(_CommandWithoutArguments, frozen=True):
+class _SetParametersCommand(_ConfigurationCommand, frozen=True):
     """Arguments of ``set_parameters``: name -> value, SI units."""
 
     parameters: dict[str, float]
 
 
-class _SurfaceCommand(_CommandWithoutArguments, frozen=True):
+class _SurfaceCommand(_ConfigurationCommand, frozen=True):
     """Arguments of ``surface``: circumferential segments of the triangles; None: no triangles."""
 
     segments: Annotated[int, msgspec.Meta(ge=3, le=LIMITS.max_segments)] | None = None
 
 
-class _NamedStateCommand(_CommandWithoutArguments, frozen=True):
+class _NamedStateCommand(_ConfigurationCommand, frozen=True):
     """Arguments of ``save`` and ``restore``: name of the state."""
 
     name: Name
@@ -83,11 +83,11 @@ class ConfigurationCommands:
         #: Parameters of the present tissue.
         self._parameters = dict(self._initial_parameters)
         self._states: dict[str, tuple[Any, dict[str, float]]] = {}
-        self._commands: dict[str, tuple[type[_CommandWithoutArguments],
+        self._commands: dict[str, tuple[type[_ConfigurationCommand],
                                         Callable[[Any], Iterator[bytes] | dict[str, Any]]]] = {
-            "describe": (_CommandWithoutArguments, self._describe_server),
-            "statistics": (_CommandWithoutArguments, self._collect_statistics),
-            "reset": (_CommandWithoutArguments, self._reset_tissue),
+            "describe": (_ConfigurationCommand, self._describe_server),
+            "statistics": (_ConfigurationCommand, self._collect_statistics),
+            "reset": (_ConfigurationCommand, self._reset_tissue),
             "set_parameters": (_SetParametersCommand, self._set_parameters),
             "surface": (_SurfaceCommand, self._encode_outline_and_triangles),
             "save": (_NamedStateCommand, self._save_state_and_parameters),
@@ -143,23 +143,23 @@ class ConfigurationCommands:
         answer = function(decode_struct(request, kind))
         return {"command": name, **answer} if isinstance(answer, dict) else answer
 
-    def _describe_server(self, _: _CommandWithoutArguments) -> dict[str, Any]:
+    def _describe_server(self, _: _ConfigurationCommand) -> dict[str, Any]:
         """Return protocol, frame, scene, parameters, commands and saved states."""
         description = convert_to_json_types(self._description()) if callable(self._description) else self._description
         return {"protocol": {"version": VERSION, "request_bytes": REQUEST_SIZE, "reply_bytes": REPLY_SIZE},
                 "frame": FRAME, **description, "parameters": self._parameters,
                 "commands": list(self._commands), "states": list(self._states)}
 
-    def _collect_statistics(self, _: _CommandWithoutArguments) -> dict[str, Any]:
+    def _collect_statistics(self, _: _ConfigurationCommand) -> dict[str, Any]:
         """Return the counters of packets and steps, and the address of the client that owns the tissue."""
         owner = self._service.owner_address
         return {**msgspec.to_builtins(self._service.counters),
                 "owner": None if owner is None else "{}:{}".format(*owner[:2])}
 
-    def _reset_tissue(self, _: _CommandWithoutArguments) -> dict[str, Any]:
+    def _reset_tissue(self, _: _ConfigurationCommand) -> dict[str, Any]:
         """Restore the undeformed state of the tissue, and return an empty object."""
         self._service.tissue.reset()
-        self._service.discard_last_step()
+        self._service.clear_last_step_record()
         return {}
 
     def _set_parameters(self, request: _SetParametersCommand) -> dict[str, Any]:
@@ -200,7 +200,7 @@ class ConfigurationCommands:
             self._get_tissue_method("set_parameters")(**parameters)
             self._parameters = dict(parameters)
         self._get_tissue_method("restore")(state)
-        self._service.discard_last_step()
+        self._service.clear_last_step_record()
         return {"parameters": self._parameters}
 
     def _get_tissue_method(self, name: str) -> Callable[..., Any]:

@@ -12,7 +12,7 @@ _NO_STIFFNESS = make_axial_stiffness_matrix(0.0)
 
 
 @dataclass(frozen=True)
-class SceneLimits(MotionLimits):
+class ServerLimits(MotionLimits):
     """Limits of the requests of a client (the fields of the base class), and of the force in a reply.
 
     Attributes:

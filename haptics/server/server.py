@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from haptics.safety.force_release import ForceRelease
+from haptics.safety.force_release import ForceFader
 from haptics.server.commands import ConfigurationCommands, Description
 from haptics.server.connections import ConfigurationPort
 from haptics.server.owner_port import ReplyLimiter, open_owner_socket_or_none
-from haptics.server.scene_limits import SceneLimits
+from haptics.server.scene_limits import ServerLimits
 from haptics.server.steps import SILENCE, ServedTissue, StepCounters, StepService
 from haptics.server.wire import REQUEST_SIZE
 from tissue_sim.errors import InputError
@@ -62,8 +62,8 @@ class TissueServer:
             that returns them at the time of the command.
         parameters: name -> value of each parameter that ``set_parameters`` accepts, SI units.
         silence: time without a packet after which the owner can lose the tissue to another client, s.
-        limits: limits of poses, times and forces; None: default `SceneLimits`.
-        releases: whether a force without equilibrium is faded out; see `ForceRelease`.
+        limits: limits of poses, times and forces; None: default `ServerLimits`.
+        releases: whether a force without equilibrium is faded out; see `ForceFader`.
         rebuild: function that creates a tissue equal to the first one, called after a failed step; None: the failed
             tissue is reset.
         session: session number of the only client that may own the tissue; None: every client may.
@@ -83,11 +83,11 @@ class TissueServer:
     def __init__(self, tissue: ServedTissue, *, host: str = LOOPBACK, port: int = 0,
                  configuration_port: int | None = None,
                  description: Description | None = None, parameters: Mapping[str, float] | None = None,
-                 silence: float = SILENCE, limits: SceneLimits | None = None, releases: bool = True,
+                 silence: float = SILENCE, limits: ServerLimits | None = None, releases: bool = True,
                  rebuild: Callable[[], ServedTissue] | None = None, session: int | None = None, spin: float = 0.0,
                  expose: bool = False):
         _require_loopback_or_expose(host, expose)
-        self._service = StepService(tissue, silence, limits=limits, release=ForceRelease() if releases else None,
+        self._service = StepService(tissue, silence, limits=limits, release=ForceFader() if releases else None,
                                     rebuild=rebuild, session=session)
         self._spin, self._last_packet = spin, -math.inf
         self._stopping = False
@@ -182,7 +182,7 @@ class TissueServer:
         if answer is not None:
             self._send_reply_or_count_unsent(*answer)
             self._last_packet = time.monotonic()
-            service.restart_owner_silence(self._last_packet)
+            service.restart_owner_silence_timer(self._last_packet)
 
     def _process_waiting_datagrams(self, source: socket.socket, most: int) -> None:
         """Read datagrams of a socket, and answer those that need no step.

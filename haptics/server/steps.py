@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from haptics.safety.coupling import is_tool_force_stiffness_stale
-from haptics.safety.force_release import ForceRelease
-from haptics.server.scene_limits import SceneLimits
+from haptics.safety.force_release import ForceFader
+from haptics.server.scene_limits import ServerLimits
 from haptics.server.wire import (
     OtherVersionError,
     Reply,
@@ -43,7 +43,7 @@ _STALE = int(ReplyFlags.STALE_STIFFNESS)
 _OFF_AXIS = int(ReplyFlags.OFF_AXIS)
 #: Time without a packet after which the owner can lose the tissue to another client, s.
 SILENCE = 5.0
-_NO_FORCE = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
+_NO_FORCE = ToolForce.from_axial_force(0.0, 0.0, ForceStatus.CONVERGED)
 
 
 class ServedTissue(Tissue, Protocol):
@@ -105,7 +105,7 @@ class StepCounters:
 _NAMES = {status: status.name.lower() for status in ForceStatus}
 
 
-class _TissueOwner:
+class _OwnerClient:
     """The client that owns the tissue.
 
     Attributes:
@@ -157,14 +157,14 @@ class StepService:
         log: function that receives one line about each failure.
     """
 
-    def __init__(self, tissue: ServedTissue, silence: float = SILENCE, *, limits: SceneLimits | None = None,
-                 release: ForceRelease | None = None, rebuild: Callable[[], ServedTissue] | None = None,
+    def __init__(self, tissue: ServedTissue, silence: float = SILENCE, *, limits: ServerLimits | None = None,
+                 release: ForceFader | None = None, rebuild: Callable[[], ServedTissue] | None = None,
                  session: int | None = None, log: Callable[[str], None] | None = None):
         self.tissue, self.silence = tissue, silence
-        self.limits, self._release, self._session = limits or SceneLimits(), release, session
+        self.limits, self._release, self._session = limits or ServerLimits(), release, session
         self._rebuild, self.log = rebuild, log or _print_to_standard_error
         self.counters = StepCounters()
-        self._owner: _TissueOwner | None = None
+        self._owner: _OwnerClient | None = None
         self._newest: Request | None = None
         self._last = _NO_FORCE
         #: Whether the tissue has failed and is not rebuilt yet.
@@ -212,7 +212,7 @@ class StepService:
         # After a silence the owner keeps its state, unless its sequence numbers restart.
         if owner is None or not owner.is_sender_of_request(request, address) or request.sequence <= owner.sequence:
             self._release_owner()
-            owner = self._owner = _TissueOwner(address, request.session)
+            owner = self._owner = _OwnerClient(address, request.session)
             self._treat_next_force_as_first()
             counters.clients += 1
         owner.sequence, owner.last_contact, owner.address = request.sequence, now, address
@@ -253,7 +253,7 @@ class StepService:
                       answer.force_error, answer.error_age, answer.least_tool_mass)
         return encode_reply(reply), owner.address
 
-    def restart_owner_silence(self, now: float) -> None:
+    def restart_owner_silence_timer(self, now: float) -> None:
         """Restart the silence of the owner after its reply, because the step may have taken long.
 
         Args:
@@ -262,14 +262,14 @@ class StepService:
         if self._owner is not None:
             self._owner.last_contact = now
 
-    def discard_last_step(self) -> None:
+    def clear_last_step_record(self) -> None:
         """Discard the last step after the state of the tissue was replaced: the next step has the time step zero."""
         self._last = _NO_FORCE
         self._treat_next_force_as_first()
         if self._owner is not None:
             self._owner.time = self._owner.pose = None
 
-    def _step_or_refuse_and_get_time_step(self, request: Request, owner: _TissueOwner) -> tuple[ToolForce, float]:
+    def _step_or_refuse_and_get_time_step(self, request: Request, owner: _OwnerClient) -> tuple[ToolForce, float]:
         """Check a request, and step the tissue to its pose.
 
         Args:
@@ -293,7 +293,7 @@ class StepService:
                 self._rebuild_or_reset_tissue()
             if reset:
                 self.tissue.reset()
-                self.discard_last_step()
+                self.clear_last_step_record()
             answer = self.tissue.step(pose, dt)
             if not answer.is_finite:
                 raise ArithmeticError("the force of the tissue must be finite; got NaN or infinity")
@@ -319,7 +319,7 @@ class StepService:
         except Exception as again:
             self.log(f"the tissue could not be rebuilt; the next step tries again ({type(again).__name__}: "
                      f"{str(again)[:200]})")
-        self.discard_last_step()
+        self.clear_last_step_record()
         return replace(_NO_FORCE, status=ForceStatus.FAILED)
 
     def _rebuild_or_reset_tissue(self) -> None:

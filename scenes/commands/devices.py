@@ -21,10 +21,10 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
 
 def run(arguments) -> int:
     """Print the devices; `ExitCode.DONE` even if no device can be opened."""
-    from haptics.devices.discovery import find_devices
+    from haptics.devices.discovery import probe_devices
     from scenes.commands.shared.text_table import make_table_with_headings, print_sentence
 
-    found = find_devices(arguments.names)
+    found = probe_devices(arguments.names)
     if arguments.json:
         print_json({"devices": [{"name": each.name, "kind": each.kind, "opens": each.opens, "says": each.details}
                                 for each in found]})

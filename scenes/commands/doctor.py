@@ -22,11 +22,11 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
 
 def run(arguments) -> int:
     """Print each check with its remedy; `ExitCode.GOAL_MISSED` if a check failed."""
-    from scenes.doctor import iterate_check_results
+    from scenes.doctor import run_checks
 
     checks = []
     console = make_results_console(quiet=arguments.json)
-    for check in iterate_check_results(clock_seconds=arguments.clock_seconds):
+    for check in run_checks(clock_seconds=arguments.clock_seconds):
         checks.append(check)
         console.print(f"[{_COLOURS[check.status]}]{check.status:<4}[/]", end="  ")
         console.print(f"{check.name}: {check.finding}", markup=False, soft_wrap=True)

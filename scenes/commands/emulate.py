@@ -41,11 +41,11 @@ def run(arguments) -> int:
 
     from haptics.devices.contracts import DeviceError
     from haptics.devices.virtual.faults import parse_faults
-    from haptics.emulators.emulator import open_emulator
+    from haptics.emulators.emulator import make_emulator
 
     faults = parse_faults(arguments.faults)
     bench = _make_virtual_reference_study_rig(arguments.rate_hz, faults).bench
-    emulators = [open_emulator(name, bench, faults) for name in arguments.names]
+    emulators = [make_emulator(name, bench, faults) for name in arguments.names]
     stop = threading.Event()
     with ExitStack() as stack, call_stop_at_signals(stop.set):
         try:
@@ -81,12 +81,13 @@ def _make_virtual_reference_study_rig(rate: float, faults: Any) -> Any:
         faults: faults of the devices (`haptics.devices.virtual.faults.Faults`).
     """
     import tissue_sim as ts
-    from haptics.devices.virtual.rig import ElasticSpecimen, VirtualRig
+    from haptics.devices.virtual.rig import ElasticSpecimenForceModel, VirtualRig
     from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
 
     needle = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(10e-3), tool=ts.Tool("flat", radius=8e-3),
         friction="bonded")
-    return VirtualRig(ElasticSpecimen(ts.Model(needle, load_material_or_study_silicone(None), ts.Rig()), 10e-3),
+    return VirtualRig(ElasticSpecimenForceModel(ts.Model(needle, load_material_or_study_silicone(None), ts.Rig()),
+                                                10e-3),
                       ts.Rig(force_noise=0.02),
                       channels=("Fx", "Fy", "Fz", "Tx", "Ty", "Tz"), rate=rate, faults=faults)

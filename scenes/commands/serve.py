@@ -130,9 +130,9 @@ def run(arguments) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
     import tissue_sim as ts
-    from haptics.loop.real_time import requested_real_time_features
+    from haptics.loop.real_time import request_real_time_features
     from haptics.loop.tissue_factory import make_real_time_tissue_factory
-    from haptics.server.scene_limits import SceneLimits
+    from haptics.server.scene_limits import ServerLimits
     from haptics.server.server import TissueServer
     from haptics.server.steps import ServedTissue
     from tissue_sim.parameters import parameter_values
@@ -152,7 +152,7 @@ def run(arguments) -> int:
     progress = make_progress_console(quiet=arguments.json)
 
     build = make_real_time_tissue_factory(ts.Model(experiment, material), resolution=arguments.resolution,
-                                          budget=get_step_time_limit_or_none(arguments), inertia=arguments.inertia,
+                                          budget=get_step_budget_or_none(arguments), inertia=arguments.inertia,
                                           solver=arguments.solver, mesh=reduced)
 
     def build_warmed_up_tissue() -> ServedTissue:
@@ -163,7 +163,7 @@ def run(arguments) -> int:
 
     with progress.status("generating the mesh"):
         simulator = build()
-    limits = SceneLimits(deepest=SETTINGS.max_depth * experiment.specimen.height, force=arguments.largest_force_N)
+    limits = ServerLimits(deepest=SETTINGS.max_depth * experiment.specimen.height, force=arguments.largest_force_N)
     # The ports are opened before the compilation, so that a port in use is reported at once.
     with TissueServer(simulator, host=arguments.host, port=arguments.port, configuration_port=port,
                       description=lambda: make_served_scene_json_object(arguments, experiment, material_file, simulator,
@@ -177,14 +177,14 @@ def run(arguments) -> int:
             simulator.warm_up()
         gc.collect()
         gc.freeze()  # keeps existing objects out of garbage collections between two steps
-        with requested_real_time_features(arguments.real_time) as features, call_stop_at_signals(server.stop):
+        with request_real_time_features(arguments.real_time) as features, call_stop_at_signals(server.stop):
             print_ready_line(arguments, server, features)
             server.run()
     print_packet_counters(server, sys.stderr if arguments.json else sys.stdout)
     return 0
 
 
-def get_step_time_limit_or_none(arguments) -> float | None:
+def get_step_budget_or_none(arguments) -> float | None:
     """Return the time limit of a simulation step, s; None for no limit."""
     default = 0.0 if arguments.resolution == "accurate" else SETTINGS.budget_us
     return (default if arguments.budget_us is None else arguments.budget_us) * 1e-6 or None

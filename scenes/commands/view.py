@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from haptics.devices.back_ends import HAPTIC_DEVICES, open_haptic
+from haptics.devices.back_ends import HAPTIC_DEVICES, make_haptic_device
 from scenes.catalogue import SCENES
 from scenes.commands.shared.console import print_json
 from scenes.commands.shared.exit_code import ExitCode
@@ -127,7 +127,7 @@ def run(arguments) -> int:
     if other:
         options["curve_resolution"] = arguments.resolution
     if arguments.device:
-        options["device"] = open_haptic(arguments.device)
+        options["device"] = make_haptic_device(arguments.device)
     if arguments.headless:
         answer = run_headless_and_return_curve(scene, arguments.seconds, protocol=arguments.protocol,
                                                speed=arguments.speed_mm_s * 1e-3, **options)
@@ -150,18 +150,18 @@ def _serve_bench_page(arguments) -> int:
     Raises:
         InputError: flags that contradict each other, or an unknown device.
     """
-    from haptics.devices.back_ends import open_sensor, open_stage
+    from haptics.devices.back_ends import make_sensor, make_stage
     from haptics.devices.contracts import DeviceError
     from scenes.viewer.bench.page import serve_bench_page_and_get_exit_code
-    from scenes.viewer.bench.sources import ConnectedDevicesSource, RecordRunSource
+    from scenes.viewer.bench.sources import ConnectedDevicesSource, RunFolderSource
 
     if arguments.run_folder and (arguments.sensor or arguments.stage):
         raise InputError("cannot be combined with --sensor and --stage. Give --run, or the devices", field="--run")
     if not arguments.run_folder and not arguments.sensor:
         raise InputError("requires a force sensor. Add --sensor", field="--stage")
     try:
-        source = RecordRunSource(arguments.run_folder) if arguments.run_folder else ConnectedDevicesSource(
-            open_sensor(arguments.sensor), open_stage(arguments.stage) if arguments.stage else None)
+        source = RunFolderSource(arguments.run_folder) if arguments.run_folder else ConnectedDevicesSource(
+            make_sensor(arguments.sensor), make_stage(arguments.stage) if arguments.stage else None)
     except DeviceError as error:
         print(f"tissue-sim: {error}", file=sys.stderr)
         return ExitCode.GOAL_MISSED

@@ -34,7 +34,7 @@ class HiddenEffect:
     values: Mapping[str, float] = field(default_factory=dict)
     tests: tuple[str, ...] = ()
 
-    def make_test_model(self, test: str, model: ts.Model) -> ts.Model:
+    def add_effect_to_test_model(self, test: str, model: ts.Model) -> ts.Model:
         """Return the model of a test with the effect, or the unchanged model if the test does not contain the effect.
 
         Args:
@@ -52,7 +52,8 @@ class HiddenEffect:
         if not self.name:
             return "nothing"
         known = {path.removeprefix("material."): each
-                 for path, each in parameters(self.make_test_model(self.tests[0], models[self.tests[0]])).items()}
+                 for path, each in parameters(self.add_effect_to_test_model(self.tests[0],
+                                                                            models[self.tests[0]])).items()}
         numbers = [describe_parameter(EffectParameter(path=path, symbol=known[path].symbol, value=value,
                                                       unit=known[path].declaration.unit))
                    for path, value in self.values.items()]

@@ -148,7 +148,7 @@ def run_hidden_demo(output: Path, *, seed: int, overwrite: bool = False, console
     say("1 measuring a virtual specimen with a possible hidden effect ...")
     random = np.random.default_rng([seed, 1])
     for test, model in models.items():
-        simulate_and_write_replicates(hidden.make_test_model(test, model), test, output / "measured", random)
+        simulate_and_write_replicates(hidden.add_effect_to_test_model(test, model), test, output / "measured", random)
     campaign = output / "campaign.toml"
     write_text(campaign, CAMPAIGN)
     say(f"2 diagnosing: searching the misfit of the plain model for one of {len(CATALOGUE)} effects ...")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from scenes.doctor.check import CheckResult
 
 
-def iterate_check_results(*, clock_seconds: float = 2.0) -> Iterator[CheckResult]:
+def run_checks(*, clock_seconds: float = 2.0) -> Iterator[CheckResult]:
     """Run all checks one after the other, basic requirements first; each check runs when the iterator reaches it.
 
     Args:
@@ -30,4 +30,4 @@ def iterate_check_results(*, clock_seconds: float = 2.0) -> Iterator[CheckResult
     yield platform_services.check_viewer_port()
 
 
-__all__ = ["CheckResult", "iterate_check_results"]
+__all__ = ["CheckResult", "run_checks"]

@@ -60,7 +60,7 @@ def check_common_package_folder() -> CheckResult:
     Another distribution with a package `calibration`, or a file `calibration.py` in the current folder, would replace
     the package of this program without a message.
     """
-    folders = {name: _find_package_folder(name) for name in OWN_PACKAGES}
+    folders = {name: _find_folder_containing_package(name) for name in OWN_PACKAGES}
     values = {name: str(folder) if folder else None for name, folder in folders.items()}
     own_folder = folders["scenes"]
     foreign = [name for name, folder in folders.items() if folder != own_folder]
@@ -72,7 +72,7 @@ def check_common_package_folder() -> CheckResult:
                        "then: python -m pip install --force-reinstall --no-deps tissue-sim", values)
 
 
-def _find_package_folder(name: str) -> Path | None:
+def _find_folder_containing_package(name: str) -> Path | None:
     """Return the folder that contains a package, the path of a single-file module, or None if neither exists."""
     try:
         spec = importlib.util.find_spec(name)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 import tissue_sim as ts
-from scenes.viewer.calibration_run import CalibrationRun
+from scenes.viewer.calibration_run import SessionCalibrations
 from scenes.viewer.material_files import require_unused_material_path
 from scenes.viewer.recording_upload import UploadedRecordingOrSidecar
 from scenes.viewer.scene import Scene
@@ -19,7 +19,7 @@ from tissue_sim.errors import InputError
 CALIBRATED = "calibrated here"
 
 
-class CalibrationHost(Protocol):
+class SessionWithCalibration(Protocol):
     """Part of a session that the calibration commands use.
 
     Attributes:
@@ -28,13 +28,13 @@ class CalibrationHost(Protocol):
     """
 
     scene: Scene
-    calibration: CalibrationRun
+    calibration: SessionCalibrations
 
     def replace_material_restart_if_needed(self, material: ts.Material, source: str) -> None:
         """Replace the material of the scene; raise InputError if the simulation refuses the material."""
 
 
-def use_finished_calibration_in_scene(session: CalibrationHost) -> None:
+def use_finished_calibration_in_scene(session: SessionWithCalibration) -> None:
     """Use a finished calibration in the scene: its material, and its recordings as the measurement.
 
     The scene is unchanged, and the calibration state gets a message, if the fit is unusable, if the scene has changed
@@ -63,7 +63,7 @@ def use_finished_calibration_in_scene(session: CalibrationHost) -> None:
         run.set_problem_message(f"{error} The material is unchanged.")
 
 
-def _write_calibrated_material_to_new_file(session: CalibrationHost, folder: Path, name: str) -> None:
+def _write_calibrated_material_to_new_file(session: SessionWithCalibration, folder: Path, name: str) -> None:
     """Write the material file of the newest result into a new file of a folder.
 
     Raises:
@@ -78,22 +78,22 @@ def _write_calibrated_material_to_new_file(session: CalibrationHost, folder: Pat
         session.scene = replace(session.scene, source=path.name)
 
 
-def _add_recordings(session: CalibrationHost, uploads: Sequence[UploadedRecordingOrSidecar]) -> None:
+def _add_recordings(session: SessionWithCalibration, uploads: Sequence[UploadedRecordingOrSidecar]) -> None:
     """Add all uploaded files to the calibration, or none of them if one is refused with an InputError."""
-    session.calibration.add_all_uploads_or_none(uploads)
+    session.calibration.add_uploads_atomically(uploads)
 
 
-def _remove_recordings(session: CalibrationHost) -> None:
+def _remove_recordings(session: SessionWithCalibration) -> None:
     """Remove all uploaded recordings; keep the last result."""
     session.calibration.remove_recordings_but_keep_result()
 
 
-def _begin_fit(session: CalibrationHost) -> None:
+def _begin_fit(session: SessionWithCalibration) -> None:
     """Start a fit of the material of the displayed scene to the uploaded recordings."""
     session.calibration.start_fit(session.scene)
 
 
-def _cancel_running_fit_or_raise(session: CalibrationHost) -> None:
+def _cancel_running_fit_or_raise(session: SessionWithCalibration) -> None:
     """Stop the running fit; raise InputError if no fit runs."""
     session.calibration.cancel_fit()
 

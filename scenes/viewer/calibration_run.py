@@ -146,7 +146,7 @@ class CalibrationState:
     problem: str = ""
 
 
-class CalibrationRun:
+class SessionCalibrations:
     """Holds uploaded recordings and runs one fit at a time in another process; call `close` at the end.
 
     Attributes:
@@ -163,7 +163,7 @@ class CalibrationRun:
         self.state = CalibrationState()
         self.scene: Scene | None = None
 
-    def add_all_uploads_or_none(self, uploads: Sequence[UploadedRecordingOrSidecar]) -> None:
+    def add_uploads_atomically(self, uploads: Sequence[UploadedRecordingOrSidecar]) -> None:
         """Add the recordings or the sidecar of an uploaded file; add all of them or, on an error, none.
 
         Raises:
@@ -259,7 +259,7 @@ class CalibrationRun:
         """
         if self._computed is None:
             raise InputError("No calibration is running.")
-        self._pool.stop()
+        self._pool.abandon_tasks()
         self._delete_fit_folder_and_set_outcome(problem="The calibration was cancelled. The material is unchanged.")
 
     def poll_fit_for_new_result(self) -> CalibrationResult | None:
@@ -299,7 +299,7 @@ class CalibrationRun:
 
     def close(self) -> None:
         """Stop the process and delete its folder."""
-        self._pool.stop()
+        self._pool.abandon_tasks()
         self._delete_fit_folder_and_set_outcome()
 
     def _raise_if_fit_runs(self) -> None:

@@ -17,7 +17,7 @@ from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import list_all_tool_sizes_by_key
 from tissue_sim.files import read_bytes
 from tissue_sim.material.file import read_material_file, write_material_file
-from tissue_sim.parameters import convert_to_file_keys, parameters
+from tissue_sim.parameters import convert_to_file_values, parameters
 from tissue_sim.rig.file import write_rig
 
 if TYPE_CHECKING:
@@ -175,10 +175,10 @@ def build_campaign_text_and_write_rig(request: CalibrationRequest, folder: Path)
         raise InputError("The page cannot calibrate a scene with adhesion. Use tissue-sim calibrate with contact_laws.")
     specimen = experiment.specimen
     density = material.density if specimen.density is None else specimen.density
-    body: dict[str, Any] = {"shape": specimen.shape, **_make_specimen_keys(specimen)}
+    body: dict[str, Any] = {"shape": specimen.shape, **_collect_specimen_values_by_key(specimen)}
     if density is not None:
         body |= {"density_kg_m3": density, "gravity": specimen.gravity > 0, "height_is": specimen.height_is}
-    test = {"kind": request.kind, **_make_experiment_keys(request)}
+    test = {"kind": request.kind, **_collect_experiment_values_by_key(request)}
     if request.rig != ts.Rig():
         write_rig(request.rig, folder / "rig.json")
         test["rig"] = "rig.json"
@@ -194,13 +194,13 @@ def build_campaign_text_and_write_rig(request: CalibrationRequest, folder: Path)
     return "\n\n".join([format_toml_table("[[specimen]]", body), *tests, format_toml_table("[fit]", fit)]) + "\n"
 
 
-def _make_specimen_keys(specimen: ts.Specimen) -> dict[str, float | str]:
+def _collect_specimen_values_by_key(specimen: ts.Specimen) -> dict[str, float | str]:
     """Return the stated dimensions and files of a specimen, with absolute paths."""
     return {key: str(Path(str(value)).resolve()) if key in specimen.paths else value
-            for key, value in specimen.stated.items()}
+            for key, value in specimen.values_by_file_key.items()}
 
 
-def _make_experiment_keys(request: CalibrationRequest) -> dict[str, Any]:
+def _collect_experiment_values_by_key(request: CalibrationRequest) -> dict[str, Any]:
     """Return the keys of a ``[[test]]`` table for tool and interfaces, without those that the kind of test fixes."""
     experiment, kind = request.experiment, KINDS[request.kind]
     tool = experiment.tool
@@ -213,7 +213,7 @@ def _make_experiment_keys(request: CalibrationRequest) -> dict[str, Any]:
     keys |= {key: getattr(experiment, key) for key, face in kind.face_interfaces_by_field.items()
              if not face.fixed and not (key == "friction_wall" and not tool.has_shaft)}
     if experiment.contact_laws:
-        keys["contact_laws"] = {name: convert_to_file_keys(law) for name, law in experiment.contact_laws.items()}
+        keys["contact_laws"] = {name: convert_to_file_values(law) for name, law in experiment.contact_laws.items()}
     if experiment.tilt:
         keys["tilt_mm"] = experiment.tilt * 1e3
     return keys | ({"slip": experiment.slip} if experiment.slip else {})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scenes.colour_scale import compute_low_and_high_volume_quantile
+from scenes.colour_scale import compute_volume_weighted_quantiles
 from tissue_sim.errors import InputError
 from tissue_sim.fem.fields import FIELD_UNITS
 
@@ -53,7 +53,7 @@ def compute_field_quantile_range(values: np.ndarray, fields: Fields, name: str,
                                  factor: float = 1.0) -> tuple[float, float]:
     """Return the smallest and largest value of a field for the colours, without rounding error of the solver.
 
-    The values are two quantiles by volume, as `compute_low_and_high_volume_quantile` defines them.
+    The values are two quantiles by volume, as `compute_volume_weighted_quantiles` defines them.
 
     Args:
         values: Field at the quadrature points in the unit of the colours, shape (elements, q).
@@ -61,7 +61,7 @@ def compute_field_quantile_range(values: np.ndarray, fields: Fields, name: str,
         name: Name of the field.
         factor: Unit of the colours per SI unit.
     """
-    low, high = compute_low_and_high_volume_quantile(values, fields.weights, SETTINGS.excluded_volume)
+    low, high = compute_volume_weighted_quantiles(values, fields.weights, SETTINGS.excluded_volume)
     tolerance = SETTINGS.stress_tolerance * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
     if max(abs(low), abs(high)) <= tolerance:
         return 0.0, 0.0
@@ -100,7 +100,8 @@ def choose_band_levels(low: float, high: float, bands: int = len(PALETTE)) -> np
     return _choose_round_levels(min(0.0, low), max(0.0, high), bands, apart_from=0.5 * (low + high))
 
 
-def update_band_levels(previous: np.ndarray | None, low: float, high: float, bands: int = len(PALETTE)) -> np.ndarray:
+def keep_or_choose_band_levels(previous: np.ndarray | None, low: float, high: float,
+                               bands: int = len(PALETTE)) -> np.ndarray:
     """Return levels for a range that changes with time, and keep the previous levels while they are suitable.
 
     Args:

@@ -92,7 +92,7 @@ class TriangulatedHalfSection:
             divisions = min(max(round((SETTINGS.cells / len(mesh.connectivity)) ** 0.5), SETTINGS.min_divisions),
                             SETTINGS.max_divisions)
         line = np.linspace(-1.0, 1.0, divisions + 1)
-        shapes, _ = mesh.element.evaluate_shape_functions(np.array([(a, b) for b in line for a in line]))
+        shapes, _ = mesh.element.evaluate_shape_functions_and_gradients(np.array([(a, b) for b in line for a in line]))
         # A point is identified by its nodes and weights, which are the same in all elements that share the point.
         points: dict[tuple, int] = {}
         number = np.array([[points.setdefault(key, len(points)) for key in _iterate_point_interpolations(nodes, shapes)]
@@ -115,7 +115,7 @@ class TriangulatedHalfSection:
         base = base[np.argsort(-coordinates[base, 0])]
         outline = np.concatenate([top, side[1:], base[1:]])
         return cls(mesh, matrix, TriangleConnectivity(triangles), outline,
-                   *_find_top_side_nodes_and_gauss_weights(mesh), edges)
+                   *_find_surface_nodes_and_gauss_interpolation(mesh), edges)
 
     def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
                               opening: WedgeOpening) -> list[TriangulatedSurface]:
@@ -218,12 +218,12 @@ def _select_points_depending_on_nodes_only(nodes: np.ndarray, points: dict[tuple
     return np.array([number for key, number in points.items() if all(node in members for node, _ in key)])
 
 
-def _find_top_side_nodes_and_gauss_weights(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
+def _find_surface_nodes_and_gauss_interpolation(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
     """Return the nodes of top and side in order, and the shape functions at the Gauss points between them."""
     top, side, order = mesh.sets["top"], mesh.sets["side"], mesh.element.order
     nodes = np.concatenate([top[np.argsort(mesh.nodes[top, 0])], side[np.argsort(-mesh.nodes[side, 1])][1:]])
     along, _ = leggauss(order)
-    shapes, _ = mesh.element.evaluate_shape_functions(np.column_stack([along, np.full(order, -1.0)]))
+    shapes, _ = mesh.element.evaluate_shape_functions_and_gradients(np.column_stack([along, np.full(order, -1.0)]))
     edge_shapes = shapes[:, list(mesh.element.local_edge_node_indices[0])]
     edge_nodes = nodes[np.arange(0, nodes.size - 1, order)[:, None] + np.arange(order + 1)]
     columns = np.repeat(edge_nodes, order, axis=0)

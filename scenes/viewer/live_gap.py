@@ -14,7 +14,7 @@ _STANDING_SPEED = 1e-5
 
 
 @dataclass(frozen=True)
-class LargestLiveForceGap:
+class LargestLiveModelDifference:
     """Largest difference between the live force and the model curve.
 
     Attributes:
@@ -32,7 +32,8 @@ class LargestLiveForceGap:
     inertia_fraction: float
 
 
-def find_largest_live_force_gap(trace: Trace, grid: np.ndarray, live: Pair, model: Pair) -> LargestLiveForceGap | None:
+def find_largest_live_model_difference(trace: Trace, grid: np.ndarray, live: Pair,
+                                       model: Pair) -> LargestLiveModelDifference | None:
     """Compute the largest difference between the live force and the model curve.
 
     Args:
@@ -48,15 +49,15 @@ def find_largest_live_force_gap(trace: Trace, grid: np.ndarray, live: Pair, mode
     if not np.isfinite(gaps).any():
         return None
     worst = int(np.nanargmax(np.abs(gaps)))
-    branches = [each for each in trace.branches() if each is not None]
+    branches = [each for each in trace.get_newest_loading_and_unloading() if each is not None]
     speeds = np.concatenate([np.abs(np.diff(each.depth) / np.diff(each.time)) for each in branches]) \
         if branches else np.zeros(1)
     moving = speeds[speeds > _STANDING_SPEED]
     is_late, includes_inertia = (np.concatenate([getattr(each, name) for each in branches]) if branches
                                  else np.zeros(1) for name in ("is_late", "includes_inertia"))
-    return LargestLiveForceGap(float(gaps[worst]), float(grid[worst % grid.size]),
-                               float(np.median(moving)) if moving.size else 0.0,
-                               float(is_late.mean()), float(includes_inertia.mean()))
+    return LargestLiveModelDifference(float(gaps[worst]), float(grid[worst % grid.size]),
+                                      float(np.median(moving)) if moving.size else 0.0,
+                                      float(is_late.mean()), float(includes_inertia.mean()))
 
 
 def select_forces_of_late_ticks_on_grid(trace: Trace, grid: np.ndarray) -> np.ndarray:
@@ -70,7 +71,7 @@ def select_forces_of_late_ticks_on_grid(trace: Trace, grid: np.ndarray) -> np.nd
         Force at the grid depth nearest to each such point, N, shape (n,); NaN elsewhere.
     """
     forces = np.full(grid.size, np.nan)
-    for branch in trace.branches():
+    for branch in trace.get_newest_loading_and_unloading():
         if branch is not None:
             depth, force = branch.depth[branch.is_late], branch.force[branch.is_late]
             inside = (depth >= grid[0]) & (depth <= grid[-1])

@@ -18,7 +18,7 @@ from haptics.loop.process import PATIENCE, LoopError, LoopProcess
 from haptics.loop.ring import PAUSED, RingReader
 from haptics.loop.snapshot_board import SnapshotReader
 from haptics.loop.tissue_factory import STEP_BUDGET, make_real_time_tissue_factory
-from haptics.safety.limits import ForceLimits
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from scenes.viewer.frame import Phase, SimulationReadouts
 from scenes.viewer.revolution import TriangulatedSurface
@@ -32,7 +32,7 @@ BUDGET = STEP_BUDGET
 
 
 @dataclass(frozen=True)
-class ReadoutWindowSettings:
+class ReadoutTimeWindows:
     """Time windows of the read-outs; longer windows give steadier and slower numbers.
 
     Attributes:
@@ -46,7 +46,7 @@ class ReadoutWindowSettings:
     rate: float = 2.0
 
 
-_READOUTS = ReadoutWindowSettings()
+_READOUTS = ReadoutTimeWindows()
 #: Fields of a tick from which the statistics are computed.
 _STATISTICS_FIELDS = ("time", "compute_time", "iterations", "status")
 #: Loop settings of the viewer: one tick per millisecond, 30 snapshots per second.
@@ -56,7 +56,7 @@ SETTINGS = LoopSettings(snapshot_rate=30.0)
 PATIENT = replace(SETTINGS, patience=60.0)
 #: Limits of the rendered force, N, and of its change per tick, N. They are so large that they have no effect: no device
 #: receives the force, and the page shows the force of the tissue.
-_NO_LIMITS = ForceLimits(1e3, 1e3)
+_NO_LIMITS = ForceLimiter(1e3, 1e3)
 
 
 class LiveSimulation:
@@ -92,9 +92,9 @@ class LiveSimulation:
         self._ring: RingReader | None = None
         self._snapshots: SnapshotReader | None = None
         self._number, self._published = 0, 0
-        #: Wall time, s, and number of ticks at the polls of the last `ReadoutWindowSettings.rate` s.
+        #: Wall time, s, and number of ticks at the polls of the last `ReadoutTimeWindows.rate` s.
         self._tick_counts: deque[tuple[float, int]] = deque()
-        #: Ticks of the last `ReadoutWindowSettings.unconverged` s, columns as in `_STATISTICS_FIELDS`.
+        #: Ticks of the last `ReadoutTimeWindows.unconverged` s, columns as in `_STATISTICS_FIELDS`.
         self._statistics = np.empty((0, len(_STATISTICS_FIELDS)))
         self._paused = False
         self._model = model
@@ -105,7 +105,7 @@ class LiveSimulation:
         self._loop.start()
 
     @property
-    def process(self) -> LoopProcess:
+    def haptic_loop_process(self) -> LoopProcess:
         """The loop process, for measurements and tests."""
         return self._loop
 
@@ -116,7 +116,7 @@ class LiveSimulation:
         return 1.0 if approach is None else math.cos(approach.angle)
 
     @property
-    def tool_depth(self) -> float:
+    def tool_displacement(self) -> float:
         """Present displacement of the tool along its axis, m; 0 before the first tick."""
         last = None if self._ring is None else self._ring.latest()
         return 0.0 if last is None else float(last["tool_depth"]) / self._inclination_cosine
@@ -128,7 +128,7 @@ class LiveSimulation:
         if last is None:
             return None
         (x, y, z), (a, b, c, d) = last["tool_pose"][:3].tolist(), last["tool_pose"][3:].tolist()
-        (_, _, u), (_, _, v), (_, _, w) = Pose((x, y, z), (a, b, c, d)).rotation
+        (_, _, u), (_, _, v), (_, _, w) = Pose((x, y, z), (a, b, c, d)).rotation_matrix
         return x - u / max(w, 0.1) * z, y - v / max(w, 0.1) * z
 
     def poll_loop_process(self) -> np.ndarray | None:
@@ -141,7 +141,7 @@ class LiveSimulation:
         if self.phase is Phase.DIED:
             return None
         try:
-            ready = self._loop.poll()
+            ready = self._loop.read_message_and_check_ready()
         except (LoopError, ts.InputError) as error:
             self._set_stopped_phase(str(error))
             return None
@@ -152,12 +152,12 @@ class LiveSimulation:
             self._set_stopped_phase(f"the loop has ended ({self._loop.report.ended_by})")
             return None
         if self._ring is None:
-            self._ring = self._files.enter_context(self._loop.ring())
-            snapshots = self._loop.snapshots()
+            self._ring = self._files.enter_context(self._loop.open_ring_reader())
+            snapshots = self._loop.open_snapshot_reader()
             if snapshots is not None:
                 self._snapshots = self._files.enter_context(snapshots)
         self.phase = Phase.PAUSED if self._paused else Phase.RUNNING
-        ticks = self._ring.since(self._number)
+        ticks = self._ring.read_ticks_after(self._number)
         self._number = ticks.number
         records = ticks.records
         if self._inclination_cosine != 1.0:
@@ -202,7 +202,7 @@ class LiveSimulation:
     def skip_unread_ticks(self) -> None:
         """Skip the ticks that `poll_loop_process` has not read yet, and clear the statistics of the read-outs."""
         if self._ring is not None:
-            self._number = self._ring.written
+            self._number = self._ring.written_count
         self._statistics = self._statistics[:0]
 
     def _store_snapshot_and_surface(self, snapshot: Snapshot) -> None:

@@ -265,7 +265,7 @@ def make_first_cycle_motion_protocol(measured: Measurement, *, samples: int = RE
     Raises:
         InputError: The speed is not positive.
     """
-    recording, (load, unload) = find_typical_replicate_with_branches(measured)
+    recording, (load, unload) = find_typical_replicate_and_branches(measured)
     end = int(unload[-1] if unload.size else load[-1]) + 1
     depth = recording.displacement[:end]
     time = recording.time[:end] if "time" in recording else _compute_constant_speed_times(depth, recording, speed)
@@ -282,7 +282,7 @@ def make_first_cycle_motion_protocol(measured: Measurement, *, samples: int = RE
     return Protocol(time[chosen], depth[chosen], **labels)
 
 
-def find_typical_replicate_with_branches(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
+def find_typical_replicate_and_branches(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
     """Return the replicate whose loading is nearest to the mean in least squares, and its `Measurement.branches`."""
     def compute_squared_deviation(pair) -> float:
         """Return the sum of the squared differences between the loading of a replicate and the mean loading, N^2."""

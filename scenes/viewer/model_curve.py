@@ -76,7 +76,7 @@ class ModelCurveWorker:
 
     def close(self) -> None:
         """Stop the process, also during a computation."""
-        self._pool.stop()
+        self._pool.abandon_tasks()
 
 
 def simulate_whole_test(model: ts.Model, resolution: str, solver: str,

@@ -129,9 +129,9 @@ def _require_channels_and_get_recordings(reading: TableGroup) -> tuple[Recording
     if not {"displacement", "force"} <= channels:
         raise InputError(f"must contain displacement and force; got {' and '.join(sorted(channels - {'time'}))}. Use "
                          "tissue-sim calibrate for other quantities.")
-    if reading.missing_units_and_scales:
+    if reading.missing_information_texts:
         raise InputError(
-            f"does not state {', '.join(reading.missing_units_and_scales)}. Write the unit into the header, as "
+            f"does not state {', '.join(reading.missing_information_texts)}. Write the unit into the header, as "
             "in 'Load (N)', or use tissue-sim import.")
     return reading.recordings
 

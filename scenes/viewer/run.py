@@ -49,7 +49,7 @@ def run_viewer_page(scene: Scene, materials: Path, page: dict[str, Any], *, seco
     opens = page.pop("open")
     session = Session(scene, **options)
     try:
-        viewer = Page(session, session.frame(), materials, **page)
+        viewer = Page(session, session.update_and_make_frame(), materials, **page)
         try:
             address = viewer.server.make_page_address(**(HALF_RESOLUTION if page["low_graphics"] else {}))
             if json:
@@ -95,16 +95,17 @@ def run_headless_and_return_curve(scene: Scene, seconds: float, *, protocol: str
     try:
         stop = threading.Event()
         with call_stop_at_signals(stop.set):
-            while not stop.is_set() and session.frame().phase is Phase.STARTING:
+            while not stop.is_set() and session.update_and_make_frame().phase is Phase.STARTING:
                 stop.wait(0.05)
             refused: list[str | None] = []
             if protocol is not None:
                 session.post("play", text=protocol, speed=speed, reply=refused.append)
             session.run(viewer, stop, seconds)
             while session.is_waiting_for_curve and not stop.is_set():
-                viewer.show(session.frame())
+                viewer.show(session.update_and_make_frame())
                 stop.wait(0.05)
-        frame = viewer.latest or session.frame()  # no frame was shown if a signal stopped the run early
+        # No frame was shown if a signal stopped the run early.
+        frame = viewer.latest or session.update_and_make_frame()
         if refused and refused[0] is not None and frame.phase is not Phase.DIED:
             raise InputError(refused[0])
         trace = frame.curves.trace or Trace()

@@ -11,10 +11,10 @@ from typing import Any
 
 import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice, Motion
-from haptics.devices.motions import HandMotion
+from haptics.devices.motions import TargetFollowingMotion
 from haptics.loop.loop import LoopSettings
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS, use_finished_calibration_in_scene
-from scenes.viewer.calibration_run import CalibrationRun
+from scenes.viewer.calibration_run import SessionCalibrations
 from scenes.viewer.frame import FRAMES, FrameViewer, Phase, PlotCurves, SessionFrame
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited_material
@@ -41,7 +41,7 @@ STEP_TIME = 1.0 / FRAMES.rate
 class Session:
     """Runs the live simulation, the model curve and calibrations of a scene; call `close` at the end.
 
-    Any thread may post commands. The thread that calls `frame` executes them in the order of posting.
+    Any thread may post commands. The thread that calls `update_and_make_frame` executes them in the order of posting.
 
     Args:
         scene: First scene.
@@ -63,7 +63,7 @@ class Session:
         self._resolution, self._settings = resolution, settings
         self._requests = CommandQueue()
         self._curve = ModelCurveWorker(curve_resolution, scene.solver, scene.reduced)
-        self.calibration = CalibrationRun()
+        self.calibration = SessionCalibrations()
         self._curves, self._trace, self._frames = PlotCurves(compared=scene.compared), Trace(), 0
         #: Time since the start of the replay, s, and force, N, of the repeated recording.
         self._replayed: tuple | None = None
@@ -96,7 +96,7 @@ class Session:
             raise ValueError(f"command must be one of {', '.join(COMMANDS)}; got {command!r}.")
         self._requests.append_command_thread_safely(command, reply, values)
 
-    def frame(self) -> SessionFrame:
+    def update_and_make_frame(self) -> SessionFrame:
         """Execute the queued commands, poll all processes, and return the new state for display."""
         self._requests.execute_commands_except_superseded(lambda command, values: COMMANDS[command](self, **values))
         use_finished_calibration_in_scene(self)
@@ -114,7 +114,7 @@ class Session:
             self._connect_initial_device()
             records = None
         if records is not None and len(records):
-            self._trace_version += self._trace.append_ticks_and_count_points(records)
+            self._trace_version += self._trace.append_ticks_and_count_new_points(records)
         self._curve.store_result_and_start_next()
         if self._frames % FRAMES.frames_per_plot == 0:
             self._update_plot_curves()
@@ -139,7 +139,7 @@ class Session:
         """
         began = due = time.monotonic()
         while not stop.is_set() and (seconds is None or time.monotonic() - began < seconds):
-            viewer.show(self.frame())
+            viewer.show(self.update_and_make_frame())
             # After a slow frame, the following frames keep their distance instead of catching up.
             due = max(due + 1.0 / FRAMES.rate, time.monotonic())
             stop.wait(due - time.monotonic())
@@ -159,9 +159,10 @@ class Session:
         if simulation.phase is Phase.PAUSED:
             raise InputError("The tool cannot move while the motion is paused. Press Play to continue, or Reset.")
         if self._motion != "hand":
-            # HandMotion(None) starts at the tool's present position; the position known here is one frame old.
-            simulation.send_command_and_wait("switch_device", device=HandMotion(None, HAND_SPEED))
-            self._motion, self._target, self._has_hand_force = "hand", simulation.tool_depth, False
+            # TargetFollowingMotion(None) starts at the tool's present position; the position known here is one frame
+            # old.
+            simulation.send_command_and_wait("switch_device", device=TargetFollowingMotion(None, HAND_SPEED))
+            self._motion, self._target, self._has_hand_force = "hand", simulation.tool_displacement, False
             self._across = simulation.tool_axis_surface_crossing_or_none or self._across
         depth = max(self._target if depth is None else depth, self.scene.min_tool_displacement)
         depth = min(depth, self.scene.max_tool_displacement)
@@ -246,14 +247,14 @@ class Session:
     def _apply_material(self, material: ts.Material, source: str) -> None:
         require_tissue_moduli(material)  # there may be no running simulation that refuses the material
         if (reduced := self.scene.reduced) is not None:
-            reduced.require_material(material)
+            reduced.require_supported_material(material)
         scene = replace(self.scene, material=material, source=source)
         if not differ_in_parameter_values_only(self.scene.material, material):
             self._set_scene_and_restart(scene)
             return
         if self._simulation.phase in (Phase.RUNNING, Phase.PAUSED):
             self._simulation.send_command_and_wait("set_parameters", **parameter_values(material))
-        # A starting simulation has the old material; `frame` sets the new one when the simulation runs.
+        # A starting simulation has the old material; `update_and_make_frame` sets the new one when the simulation runs.
         self._material_pending = self._simulation.phase is Phase.STARTING
         self.scene = scene
         self._curve.store_curve_request(self._make_whole_test_model())

@@ -16,7 +16,11 @@ from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.fields import extrapolate_to_nodes_and_average
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.mesh.sections import cut_tetrahedra, intersect_triangles, split_triangles_below_and_above
+from tissue_sim.mesh.sections import (
+    intersect_tetrahedra_at_zero_level,
+    intersect_triangles_at_zero_level,
+    split_triangles_below_and_above,
+)
 from tissue_sim.mesh.subdivision import find_outline_edges_of_face, subdivide_into_tetrahedra, triangulate_surface_faces
 
 
@@ -193,7 +197,7 @@ class ThreeDimensionalMeshBody:
             sides = self.mesh.connectivity[elements][:,
                                                      element.local_face_node_indices].reshape(
                                                          -1, element.local_face_node_indices.shape[1])
-            ends = intersect_triangles(triangulate_surface_faces(element, sides), heights)
+            ends = intersect_triangles_at_zero_level(triangulate_surface_faces(element, sides), heights)
             kept = (ends.interpolate_nodal_values(along).reshape(-1, 2) >= 0.0).all(axis=1)
             on_face = ends.interpolate_nodal_values(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
             lines.append(wedge.transform_tool_to_scene(on_face))
@@ -242,7 +246,7 @@ class ThreeDimensionalMeshBody:
         lines = [wedge.transform_tool_to_scene(wedge.clip_lines_at_wedge(rim, raised))]
         for (heights, along), (_, normal) in zip(wedge.compute_height_and_distance_per_face(local),
                                                  wedge.opening.section_face_vectors, strict=True):
-            ends = intersect_triangles(touching, heights)
+            ends = intersect_triangles_at_zero_level(touching, heights)
             kept = (ends.interpolate_nodal_values(along).reshape(-1, 2) >= 0.0).all(axis=1)
             on_face = ends.interpolate_nodal_values(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
             lines.append(wedge.transform_tool_to_scene(on_face))
@@ -272,7 +276,7 @@ class ThreeDimensionalMeshBody:
                                         wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield points, triangles and values of each section face."""
         for heights, along, elements in self._find_section_face_crossings(positions, wedge):
-            crossings, triangles = cut_tetrahedra(self.cells[elements].reshape(-1, 4), heights)
+            crossings, triangles = intersect_tetrahedra_at_zero_level(self.cells[elements].reshape(-1, 4), heights)
             edge, _, kept = split_triangles_below_and_above(triangles, crossings.interpolate_nodal_values(along))
             points, at_points = (edge.append_interpolated_values(crossings.interpolate_nodal_values(each))
                                  for each in (positions, values))

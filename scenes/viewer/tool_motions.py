@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import tissue_sim as ts
-from haptics.devices.motions import HandMotion, ProtocolMotion
-from scenes.viewer.measurement import find_typical_replicate_with_branches, make_first_cycle_motion_protocol
+from haptics.devices.motions import ProtocolMotion, TargetFollowingMotion
+from scenes.viewer.measurement import find_typical_replicate_and_branches, make_first_cycle_motion_protocol
 from scenes.viewer.reach import require_depths_within_scene
 from scenes.viewer.scene import Scene
 from tissue_sim.errors import InputError
@@ -17,9 +17,9 @@ HAND_SPEED = 0.1
 _POINTS = 21
 
 
-def make_hand_motion(scene: Scene) -> HandMotion:
+def make_hand_motion(scene: Scene) -> TargetFollowingMotion:
     """Return a motion by hand that starts at the undeformed surface."""
-    return HandMotion(0.0, HAND_SPEED, approach=scene.experiment.approach)
+    return TargetFollowingMotion(0.0, HAND_SPEED, approach=scene.experiment.approach)
 
 
 def make_protocol_motion(scene: Scene, text: str, speed: float, repeat: bool) -> ProtocolMotion:
@@ -46,7 +46,7 @@ def make_replay_motion_and_force_curve(scene: Scene,
     if scene.measurement is None:
         raise InputError("This scene has no measurement. Start the viewer with --measured FILE.")
     measured, (recording,
-               _) = make_first_cycle_motion_protocol(scene.measurement), find_typical_replicate_with_branches(
+               _) = make_first_cycle_motion_protocol(scene.measurement), find_typical_replicate_and_branches(
                    scene.measurement)
     require_depths_within_scene(scene, measured, "recording")
     displacement = measured.displacement

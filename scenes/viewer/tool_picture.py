@@ -93,7 +93,7 @@ class ToolContactLinesAndArea:
 
 
 @lru_cache(maxsize=16)
-def make_tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
+def make_drawn_tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
     """Return the drawn outline of a tool, (r, z), m, shape (n, 2), read-only.
 
     The outline runs from the axis at the bottom to the axis at the top. The deepest point of the true tool is at z = 0.
@@ -123,7 +123,7 @@ def make_tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
     return drawn
 
 
-def make_tool_mesh(tool: Tool, specimen: Specimen, opening: WedgeOpening) -> TriangulatedSurface:
+def make_drawn_tool_surface(tool: Tool, specimen: Specimen, opening: WedgeOpening) -> TriangulatedSurface:
     """Return the surface of a tool from which the same wedge as from the specimen is removed.
 
     Args:
@@ -134,7 +134,7 @@ def make_tool_mesh(tool: Tool, specimen: Specimen, opening: WedgeOpening) -> Tri
     Returns:
         Closed surface, m; the origin is the deepest point of the tool.
     """
-    return _revolve_outline_outside_wedge(make_tool_outline(tool, specimen), opening,
+    return _revolve_outline_outside_wedge(make_drawn_tool_outline(tool, specimen), opening,
                                           SETTINGS.recess * specimen.outer_radius)
 
 
@@ -154,7 +154,7 @@ def make_base_plate(specimen: Specimen, opening: WedgeOpening) -> TriangulatedSu
 
 def compute_height_of_tool_with_longest_arrow(tool: Tool, specimen: Specimen) -> float:
     """Return the height of tool and full-scale arrow above the deepest point of the tool, m."""
-    return float(make_tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.arrow_length * specimen.height
+    return float(make_drawn_tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.arrow_length * specimen.height
 
 
 def make_scale_bar_lines_and_length(specimen: Specimen) -> tuple[np.ndarray, float]:
@@ -206,7 +206,7 @@ def make_force_arrow_or_none(force: float, full_scale: float, tool: Tool, specim
 
 def compute_arrow_foot_above_tool_tip(tool: Tool, specimen: Specimen) -> float:
     """Return the height of the lower end of the force arrow above the deepest point of the tool, m."""
-    return float(make_tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.inset * specimen.height
+    return float(make_drawn_tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.inset * specimen.height
 
 
 def rotate_force_arrow(arrow: ForceArrow, lateral: tuple[float, float]) -> ForceArrow:

@@ -52,7 +52,7 @@ SETTINGS = TraceSettings()
 DRAWN_STATUSES = (ForceStatus.CONVERGED, ForceStatus.LATE)
 
 
-class TraceRow(IntEnum):
+class TraceRowIndex(IntEnum):
     """Row numbers of the points of a trace; pose and wrench have seven and six rows."""
 
     TIME = 0
@@ -129,7 +129,7 @@ class Trace:
     def delete_all_points(self) -> None:
         """Delete all points."""
         # The array has twice the necessary length, so that points are moved to its start only once per `max_points`.
-        self._points = np.empty((TraceRow.COUNT, 2 * self._max_points))
+        self._points = np.empty((TraceRowIndex.COUNT, 2 * self._max_points))
         self._first = self._end = 0
         #: Number of dropped points: index of a point in the reversals minus its index in `_points`.
         self._dropped = 0
@@ -141,7 +141,7 @@ class Trace:
     def __len__(self) -> int:
         return self._end - self._first
 
-    def append_ticks_and_count_points(self, records: np.ndarray) -> int:
+    def append_ticks_and_count_new_points(self, records: np.ndarray) -> int:
         """Append ticks, dtype `haptics.loop.ring.TICK`, in the order of time; return the number of new points."""
         drawn = ((records["flags"] & PAUSED) == 0) & np.any([records["status"] == status for status in DRAWN_STATUSES],
                                                             axis=0)
@@ -161,11 +161,11 @@ class Trace:
         for point in np.column_stack([records[name] for name in (
                 "time", "tool_depth", "tissue_force", "tool_pose", "tissue_wrench", "force", "status",
                 "inertial")]).tolist():
-            if self._differs_from_last_point(*point[:3]):
+            if self._update_largest_force_and_compare(*point[:3]):
                 self._append_point_and_drop_oldest(point)
         return self._dropped + self._end - before
 
-    def _differs_from_last_point(self, time: float, depth: float, force: float) -> bool:
+    def _update_largest_force_and_compare(self, time: float, depth: float, force: float) -> bool:
         """Return whether a tick differs enough from the last point to be kept; update the largest force so far."""
         last_time, last_depth, last_force = self._last
         self._largest = max(self._largest, abs(force))
@@ -179,7 +179,7 @@ class Trace:
             self._dropped += self._first
             self._first, self._end = 0, self._end - self._first
         self._points[:, self._end] = point
-        self._reversals.add_sample(self._dropped + self._end, point[TraceRow.DEPTH])
+        self._reversals.add_sample(self._dropped + self._end, point[TraceRowIndex.DEPTH])
         self._end += 1
         time, depth, force, *_ = point
         self._last = time, depth, force
@@ -190,44 +190,44 @@ class Trace:
     @property
     def time(self) -> np.ndarray:
         """Time of the loop, s, shape (n,)."""
-        return self._points[TraceRow.TIME, self._first:self._end]
+        return self._points[TraceRowIndex.TIME, self._first:self._end]
 
     @property
     def depth(self) -> np.ndarray:
         """Displacement of the tool along its axis, m, shape (n,)."""
-        return self._points[TraceRow.DEPTH, self._first:self._end]
+        return self._points[TraceRowIndex.DEPTH, self._first:self._end]
 
     @property
     def force(self) -> np.ndarray:
         """Force of the tissue on the tool along z, N, shape (n,)."""
-        return self._points[TraceRow.FORCE, self._first:self._end]
+        return self._points[TraceRowIndex.FORCE, self._first:self._end]
 
     @property
     def is_late(self) -> np.ndarray:
         """Whether the budget of the tick ended before equilibrium, so that its force is extrapolated, shape (n,)."""
-        return self._points[TraceRow.STATUS, self._first:self._end] == ForceStatus.LATE
+        return self._points[TraceRowIndex.STATUS, self._first:self._end] == ForceStatus.LATE
 
     @property
     def includes_inertia(self) -> np.ndarray:
         """Whether the force includes the inertia of the tissue, shape (n,)."""
-        return self._points[TraceRow.INERTIAL, self._first:self._end] != 0.0
+        return self._points[TraceRowIndex.INERTIAL, self._first:self._end] != 0.0
 
     @property
     def rendered_force(self) -> np.ndarray:
         """Force on the hand along z after coupling, control and limits, N, shape (n,)."""
-        return self._points[TraceRow.RENDERED_FORCE, self._first:self._end]
+        return self._points[TraceRowIndex.RENDERED_FORCE, self._first:self._end]
 
     @property
     def pose(self) -> np.ndarray:
         """Pose of the tool: x, y, z, m, then the quaternion w, x, y, z; shape (n, 7)."""
-        return self._points[TraceRow.POSE:TraceRow.WRENCH, self._first:self._end].T
+        return self._points[TraceRowIndex.POSE:TraceRowIndex.WRENCH, self._first:self._end].T
 
     @property
     def wrench(self) -> np.ndarray:
         """Force and torque of the tissue on the tool about its deepest point, N and N m, shape (n, 6)."""
-        return self._points[TraceRow.WRENCH:TraceRow.RENDERED_FORCE, self._first:self._end].T
+        return self._points[TraceRowIndex.WRENCH:TraceRowIndex.RENDERED_FORCE, self._first:self._end].T
 
-    def branches(self) -> tuple[TraceBranch | None, TraceBranch | None]:
+    def get_newest_loading_and_unloading(self) -> tuple[TraceBranch | None, TraceBranch | None]:
         """Return the newest loading and the newest unloading; None instead of a branch that does not exist."""
         newest: dict[int, TraceBranch] = {}
         for direction, first, last in reversed(self._list_branch_directions_and_limits()):
@@ -260,7 +260,7 @@ class Trace:
                                                                       grid[missing])
         return passes[1], passes[-1]
 
-    def recording(self, metadata: Mapping[str, Any]) -> Recording:
+    def make_equilibrium_recording(self, metadata: Mapping[str, Any]) -> Recording:
         """Return the equilibrium points of the trace as a recording.
 
         The recording starts at time 0 and has the labels segment (ramp, hold, unload, reload) and cycle. If the wrench

@@ -18,5 +18,5 @@ class ExtendableBudgetSimulator(Simulator):
     def warm_up(self) -> None:
         """Compile all functions of a step, and extend the budget to two linear solves if it is shorter than one."""
         super().warm_up()
-        if self.budget is not None and self.solve_time > self.budget:
-            self.budget = _BUDGET_PER_SOLVE * self.solve_time
+        if self.budget is not None and self.linear_solve_time > self.budget:
+            self.budget = _BUDGET_PER_SOLVE * self.linear_solve_time

@@ -34,7 +34,7 @@ from websockets.exceptions import WebSocketException
 
 from scenes.viewer.page_token import REFUSAL, has_valid_token, make_cookie_header
 from scenes.viewer.request_headers import find_refusal_reason, normalise_host_name
-from scenes.viewer.shell import LARGEST_UPLOAD, inject_shell
+from scenes.viewer.shell import LARGEST_UPLOAD, insert_page_additions
 from tissue_sim.errors import InputError, MissingBackendError
 
 #: Version of viser whose private parts this module uses.
@@ -172,16 +172,16 @@ class ViewerServer(viser.ViserServer):
         """Ignore uploads above `LARGEST_UPLOAD`, which a manipulated client could send and viser would store."""
         messages = viser._messages
 
-        def replace_handler_with_filter(kind: type, is_acceptable: Callable[[Any], bool]) -> None:
+        def add_filter_to_handler(kind: type, is_acceptable: Callable[[Any], bool]) -> None:
             handlers = self._websock_server._incoming_handlers.get(kind, [])
             if len(handlers) != 1:
                 raise _make_version_error(f"viser has {len(handlers)} handlers for {kind.__name__} instead of one")
             handle = handlers[0]
             handlers[0] = lambda client, message: handle(client, message) if is_acceptable(message) else None
 
-        replace_handler_with_filter(messages.FileTransferStartUpload, lambda start: start.size_bytes <= LARGEST_UPLOAD
-                                    and start.part_count <= LARGEST_UPLOAD // SERVER.max_part_size + 1)
-        replace_handler_with_filter(messages.FileTransferPart, lambda part: len(part.content) <= SERVER.max_part_size)
+        add_filter_to_handler(messages.FileTransferStartUpload, lambda start: start.size_bytes <= LARGEST_UPLOAD
+                              and start.part_count <= LARGEST_UPLOAD // SERVER.max_part_size + 1)
+        add_filter_to_handler(messages.FileTransferPart, lambda part: len(part.content) <= SERVER.max_part_size)
 
 
 class _MessageEvent(asyncio.Event):
@@ -267,7 +267,7 @@ class _CheckedListener:
     def _wrap_request_function_with_checks(self, answer: Callable) -> Callable:
         """Return viser's function for HTTP requests with the access checks before it."""
         def check_and_process_request(connection, request):
-            allowed = self._list_allowed_names(connection)
+            allowed = self._list_allowed_hosts(connection)
             headers = request.headers
             refusal = find_refusal_reason(headers.get_all("Host"), headers.get_all("Origin"), allowed, self.port)
             if refusal:
@@ -277,12 +277,12 @@ class _CheckedListener:
             _delete_header(request.headers, "Accept-Encoding")  # the page must be uncompressed to be changed
             response = answer(connection, request)
             if response is not None:
-                self._add_shell_and_headers(response, request.headers["Host"])
+                self._insert_page_additions_and_headers(response, request.headers["Host"])
             return response
 
         return check_and_process_request
 
-    def _list_allowed_names(self, connection) -> frozenset[str]:
+    def _list_allowed_hosts(self, connection) -> frozenset[str]:
         """Return the host names and addresses by which a request may address this server."""
         if _is_loopback_ip_or_raise(self.host):
             return _LOCAL_NAMES | {normalise_host_name(self.host)}
@@ -291,13 +291,13 @@ class _CheckedListener:
         return _LOCAL_NAMES | {normalise_host_name(self.host), reached, name,
                                f"{name.removesuffix('.local')}.local"} - {""}
 
-    def _add_shell_and_headers(self, response, address: str) -> None:
+    def _insert_page_additions_and_headers(self, response, address: str) -> None:
         """Insert the shell into the page, and set the cookie and the security headers.
 
         The headers forbid other pages to embed this page (clickjacking), and forbid this page to load anything from
         other servers.
         """
-        response.body = inject_shell(response.body, self.title)
+        response.body = insert_page_additions(response.body, self.title)
         if self._token:
             response.headers["Set-Cookie"] = make_cookie_header(self._token, self.port)
         _delete_header(response.headers, "Content-Length")

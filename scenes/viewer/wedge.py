@@ -35,7 +35,7 @@ class Wedge:
     @cached_property
     def _tool_to_scene_rotation(self) -> np.ndarray:
         """Rotation from the frame of the tool to the frame of the scene, shape (3, 3)."""
-        return np.array(self.pose.rotation)
+        return np.array(self.pose.rotation_matrix)
 
     def transform_scene_to_tool(self, points: np.ndarray) -> np.ndarray:
         """Transform points from the frame of the scene to the frame of the tool, m, shape (n, 3)."""

@@ -137,7 +137,7 @@ class Shown:
             period=4e-3, snapshot_rate=30.0, real_time=False, patience=patience))
         self.page = None
         try:
-            self.frame = self.session.frame()
+            self.frame = self.session.update_and_make_frame()
             self.page = Page(self.session, self.frame, folder, port=0, low_graphics=True)
         except BaseException:
             self.close()

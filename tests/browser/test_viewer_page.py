@@ -244,7 +244,7 @@ def test_a_valid_scene_is_applied_and_a_killed_simulation_can_be_restarted(shown
     assert (tool.shape, tool.radius) == ("sphere", pytest.approx(6e-3))
     assert shown.session.scene.experiment.friction == "frictionless"
 
-    os.kill(shown.session.simulation.process.pid, signal.SIGKILL)
+    os.kill(shown.session.simulation.haptic_loop_process.pid, signal.SIGKILL)
     reader.phase("died")
     message = reader.read("message")
     assert "killed by signal 9" in message and message.endswith("Press Restart to begin again.")

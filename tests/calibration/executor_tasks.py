@@ -87,12 +87,12 @@ if __name__ == "__main__":
     # A program of two workers that hold on, for Ctrl-C.
     import sys
 
-    from calibration.tasks.executors import Workers, open_tasks
+    from calibration.tasks.executors import Workers, open_task_executor
 
     # A shell that starts the tests in the background has it ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with open_tasks(Workers(2)) as tasks:
+        with open_task_executor(Workers(2)) as tasks:
             tasks.run(hold, [(sys.argv[1],)] * 4)
     except KeyboardInterrupt:
         sys.exit(42)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from calibration.forward.motion import TimedMotion
-from calibration.statistics.bands import ScatterComponent, compute_prediction_bands
+from calibration.statistics.bands import ScatterComponent, compute_prediction_band_half_widths
 
 
 @pytest.fixture(scope="module")
@@ -25,16 +25,19 @@ def test_bands_hold_new_recordings(bands, words):
 
 
 def test_a_band_without_bias_and_with_a_known_size_is_the_usual_one():
-    half, whole = compute_prediction_bands(np.zeros(50), [ScatterComponent(np.full((50, 1), 0.3))], np.full(50, 0.4))
+    half, whole = compute_prediction_band_half_widths(np.zeros(50), [ScatterComponent(np.full((50, 1), 0.3))],
+                                                      np.full(50, 0.4))
     assert half == pytest.approx(1.959964 * 0.5, rel=1e-6)
     # One number shared by all samples and 50 white ones: wider than one sample, narrower than 51 independent ones.
     assert half[0] < whole[0] < 3.3 * 0.5
 
 
 def test_few_recordings_count_with_students_t_and_a_bias_with_its_size():
-    few, _ = compute_prediction_bands(np.zeros(3), [ScatterComponent(np.ones((3, 1)), 2.0)], np.zeros(3) + 1e-9)
+    few, _ = compute_prediction_band_half_widths(np.zeros(3), [ScatterComponent(np.ones((3, 1)), 2.0)],
+                                                 np.zeros(3) + 1e-9)
     assert few == pytest.approx(4.302653, rel=1e-3)
-    biased, _ = compute_prediction_bands(np.full(3, -10.0), [ScatterComponent(np.ones((3, 1)))], np.full(3, 1e-9))
+    biased, _ = compute_prediction_band_half_widths(np.full(3, -10.0), [ScatterComponent(np.ones((3, 1)))],
+                                                    np.full(3, 1e-9))
     assert biased == pytest.approx(10.0 + 1.644854, rel=1e-4)
 
 
@@ -49,5 +52,5 @@ def test_noisy_hold_is_one_hold_and_no_loading_curve():
     assert len(motion.legs) == 2 and motion.legs[1][1] - motion.legs[1][0] > 5
     force = 500.0 * np.minimum(motion.displacement, 4e-3) * np.where(
         motion.time > 4, 0.6 + 0.4 * np.exp(-(motion.time - 4) / 3), 1.0)
-    _, rate = motion.make_curve(force[:, None])(time, displacement, 0.0)
+    _, rate = motion.make_force_curve(force[:, None])(time, displacement, 0.0)
     assert rate[time > 1].max() < 0 and rate[time > 1].min() > -1.2 * 500.0

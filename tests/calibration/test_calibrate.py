@@ -75,7 +75,7 @@ def test_files_ranking_and_prediction(campaign, tmp_path):
     assert written.parameters["C10"].standard_error == pytest.approx(result.best.standard_errors["C10"])
 
     saved = json.loads((tmp_path / "out" / "fit.json").read_text(encoding="utf-8"))
-    assert saved == json.loads(json.dumps(calibration.to_json([result])))
+    assert saved == json.loads(json.dumps(calibration.to_json_dictionary([result])))
     keys = {"law", "parameters", "covariance", "R2", "RMSE_N", "RMSE_Pa", "AIC", "BIC", "E0_Pa", "mu0_Pa",
             "stable_from", "stable_to", "intervals95", "not_identifiable", "iterations", "fem_solves", "cpu_s",
             "material_file"}
@@ -121,7 +121,7 @@ def test_overwrite_and_resume(campaign, tmp_path, monkeypatch):
         again, = calibration.calibrate([campaign], out, figures=False)
     assert again.resumed
     assert again.fits == first.fits
-    assert calibration.to_json([again]) == calibration.to_json([first])
+    assert calibration.to_json_dictionary([again]) == calibration.to_json_dictionary([first])
 
     # An interrupted run with lost files: all of them are written again.
     for name in ("fit.json", "report.html", "residuals.csv", "neo_hooke.material.json"):
@@ -236,7 +236,7 @@ def test_an_unsound_law_may_have_the_lower_bic(tmp_path):
 def test_loss_of_stability_in_other_loading_is_a_warning(tmp_path):
     """Yeoh's law with a negative last coefficient in tension: equibiaxial loading is lost first."""
     law, values = ts.find_law("reduced_polynomial_3"), {"C10": 7300.0, "C20": 53.0, "C30": -0.0527}
-    lost = ts.check_stability(law, law.as_array(values), (0.3, 20.0)).limits
+    lost = ts.find_stability_range(law, law.convert_parameters_to_array(values), (0.3, 20.0)).limits
     end = 0.5 * (lost["equibiaxial"][1] + lost["uniaxial"][1])
     assert lost["equibiaxial"][1] < end < lost["uniaxial"][1]
     stretch = np.linspace(1.0, end, 200)
@@ -288,7 +288,7 @@ def test_several_campaigns(campaign, tmp_path):
         ("study", "1"), ("study", "2"), ("study", "3"), ("other", "1"), ("other", "2")]
     assert float(rows[0]["C20 [Pa]"]) == pytest.approx(results[0].best.parameters["C20"])
     assert rows[-1]["law"] == "neo_hooke" and rows[-1]["C20 [Pa]"] == ""
-    content = calibration.to_json(results)
+    content = calibration.to_json_dictionary(results)
     assert [entry["campaign"] for entry in content["campaigns"]] == ["study", "other"]
 
     # One finished, one lost: only the lost one is computed.

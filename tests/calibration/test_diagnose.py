@@ -10,7 +10,7 @@ from msgspec.structs import replace
 import calibration
 import tissue_sim as ts
 from calibration.campaign_diagnosis import diagnose_campaign, read_campaign_and_curves_for_diagnosis
-from calibration.diagnosis.diagnosis import CandidateStatement, EffectParameter, NextExperiment
+from calibration.diagnosis.diagnosis import CandidateResult, EffectParameter, NextExperiment
 from calibration.diagnosis.words import summarise_diagnosis
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
@@ -19,7 +19,7 @@ from calibration.report.diagnosis_page import build_diagnosis_page
 from calibration.report.diagnosis_tables import format_detectable_sizes, format_fitted_parameter_as_html
 from calibration.report.drawing import FigureEmbedder
 from calibration.report.units import DisplayUnit, ReportUnits
-from calibration.tasks.executors import Workers, open_tasks
+from calibration.tasks.executors import Workers, open_task_executor
 
 CAMPAIGN = """
 [[specimen]]
@@ -80,7 +80,7 @@ def campaign(tmp_path_factory):
 def diagnosed(campaign, two_effects):
     """The parts of a diagnosis of it, and its recordings."""
     asked, measured = read_campaign_and_curves_for_diagnosis(campaign)
-    with open_tasks(Workers()) as tasks:
+    with open_task_executor(Workers()) as tasks:
         return diagnose_campaign(asked, measured, RunContext(asked.name, tasks)), measured
 
 
@@ -118,7 +118,7 @@ laws = ["neo_hooke"]
 bulk_ratio = 1000.0
 """, encoding="utf-8")
     campaign, measured = read_campaign_and_curves_for_diagnosis(path)
-    with open_tasks(Workers()) as tasks:
+    with open_task_executor(Workers()) as tasks:
         found = diagnose_campaign(campaign, measured, RunContext("preload", tasks)).diagnosis
     assert found.verdict == "NONE" and all(region.adequate_before for region in found.regions)
     assert "contact lies 0.40 mm before the zero of the displacement" in found.message
@@ -230,14 +230,14 @@ def test_pages_of_verdicts(diagnosed, tmp_path):
     plain = page(FigureEmbedder(tmp_path))
     assert next(iter(summary(plain))) == "No effect missing" and summary(plain)["Where"] == "Every region agrees."
     assert plain.count("data:image/png") == 2, "one test that was fitted, and the regions; no candidate to draw"
-    statements = [CandidateStatement(name="viscoelasticity", effect="viscoelasticity", category="tissue",
-                                     title="viscoelasticity", testable=True, score=9.0, p=5e-5, refitted=True,
-                                     delta_BIC=70.0, explained_percent=99.0, evidence_ratio=1.0),
-                  CandidateStatement(name="machine_compliance", effect="machine_compliance", category="rig",
-                                     title="machine compliance", testable=True, score=-8.0, p=1.0, refitted=True,
-                                     delta_BIC=66.0, evidence_ratio=7.4, on_bound=["c"]),
-                  CandidateStatement(name="tilt@later", effect="tilt", category="geometry", title="tilt of a face",
-                                     testable=False, reason="no face <is> flat")]
+    statements = [CandidateResult(name="viscoelasticity", effect="viscoelasticity", category="tissue",
+                                  title="viscoelasticity", testable=True, score=9.0, p=5e-5, refitted=True,
+                                  delta_BIC=70.0, explained_percent=99.0, evidence_ratio=1.0),
+                  CandidateResult(name="machine_compliance", effect="machine_compliance", category="rig",
+                                  title="machine compliance", testable=True, score=-8.0, p=1.0, refitted=True,
+                                  delta_BIC=66.0, evidence_ratio=7.4, on_bound=["c"]),
+                  CandidateResult(name="tilt@later", effect="tilt", category="geometry", title="tilt of a face",
+                                  testable=False, reason="no face <is> flat")]
     several = page(FigureEmbedder(tmp_path), verdict="SET", message="One of two.", candidates=statements,
                    indistinguishable=["viscoelasticity", "machine_compliance"],
                    next_experiment=[NextExperiment(sentence="hold it", separates=["viscoelasticity"], deviations=12.3)])
@@ -264,9 +264,9 @@ def test_pages_of_verdicts(diagnosed, tmp_path):
     ("C30", "Pa", 0.0, 97.0, "c 0.097 kPa"),
 ])
 def test_sizes_are_in_units_that_people_use(path, unit, absent, value, words):
-    candidate = CandidateStatement(name="x", effect="x", category="rig", title="x", testable=True,
-                                   seen_from={path: value}, symbols={path: "c"}, units={path: unit},
-                                   absent={path: absent})
+    candidate = CandidateResult(name="x", effect="x", category="rig", title="x", testable=True,
+                                seen_from={path: value}, symbols={path: "c"}, units={path: unit},
+                                absent={path: absent})
     assert format_detectable_sizes(candidate, UNITS) == words
 
 

@@ -12,15 +12,18 @@ from virtual_campaign import PLATES, diagnosed_plates
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.planned import read_or_plan_curves_of_all_tests
-from calibration.diagnosis.design import compute_experiment_design
+from calibration.diagnosis.design import evaluate_experiment_design
 from calibration.diagnosis.diagnosis import (
-    CandidateStatement,
+    CandidateResult,
     EffectParameter,
     FoundEffect,
     HeldOutPrediction,
     SegmentMisfit,
 )
-from calibration.diagnosis.evidence import compute_jitter_with_upper_limits, make_one_law_whole_recording_campaign
+from calibration.diagnosis.evidence import (
+    compute_upper_limit_of_estimated_jitter,
+    make_one_law_whole_recording_campaign,
+)
 from calibration.diagnosis.next_experiment import list_variations_of_existing_tests
 from calibration.diagnosis.words import summarise_diagnosis
 from calibration.effects.machine_compliance import MachineCompliance
@@ -29,7 +32,7 @@ from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.run_context import RunContext
 from calibration.report.effect_files import write_effect_files_and_get_diagnosis
-from calibration.tasks.executors import Workers, open_tasks
+from calibration.tasks.executors import Workers, open_task_executor
 from tissue_sim.errors import InputError
 from tissue_sim.toml_text import format_toml
 
@@ -89,7 +92,8 @@ def test_one_term_is_not_enough_for_two(relaxing):
     problem, names = found.after.problem, found.after.problem.space.free
     truth = {"C10": 1404.9, "viscoelastic.terms[0].g": 0.15, "viscoelastic.terms[0].tau": 40.0,
              "viscoelastic.terms[1].g": 0.1, "viscoelastic.terms[1].tau": 4.0}
-    worse = problem.evaluate(np.array([truth[name] for name in names])).sum_of_squares - found.after.estimate.error
+    worse = problem.evaluate(np.array([truth[name]
+                                       for name in names])).penalised_sum_of_squares - found.after.estimate.error
     assert 0 <= worse < chi2.isf(1e-4, len(names)), "the truth is among what the data allow"
     assert found.after.has_adequate_region_residuals and not found.before.has_adequate_region_residuals
 
@@ -143,11 +147,11 @@ def test_few_recordings_do_not_prove_that_nothing_scatters(drifting):
     noise = found.before.campaign.noise
     problem.jitter = replace(problem.jitter, contact=0.0, zero=0.0)
     problem.assign_nuisance_columns_and_drop_cache()
-    larger = compute_jitter_with_upper_limits(problem, theta, noise)
+    larger = compute_upper_limit_of_estimated_jitter(problem, theta, noise)
     assert 0 < larger.zero < 0.03 and larger.contact > 0
-    assert compute_jitter_with_upper_limits(problem, theta, replace(noise, zero_jitter=0.0)).zero == 0.0
+    assert compute_upper_limit_of_estimated_jitter(problem, theta, replace(noise, zero_jitter=0.0)).zero == 0.0
     problem.jitter = replace(problem.jitter, zero=0.02)
-    assert 0.02 < compute_jitter_with_upper_limits(problem, theta, noise).zero < 0.08
+    assert 0.02 < compute_upper_limit_of_estimated_jitter(problem, theta, noise).zero < 0.08
 
 
 def test_plans_change_one_thing(drifting):
@@ -159,18 +163,18 @@ def test_plans_change_one_thing(drifting):
 def test_a_plan_needs_no_recording(tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN + "[noise]\nforce_N = 0.01\n", encoding="utf-8")
     campaign = make_one_law_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
-    with open_tasks(Workers()) as tasks:
-        found = compute_experiment_design(campaign,
-                                          read_or_plan_curves_of_all_tests(campaign, replicates=3, samples=121),
-                                          RunContext("plan", tasks))
+    with open_task_executor(Workers()) as tasks:
+        found = evaluate_experiment_design(campaign,
+                                           read_or_plan_curves_of_all_tests(campaign, replicates=3, samples=121),
+                                           RunContext("plan", tasks))
     rows = {row.name: row for row in found.candidates}
     assert rows["viscoelasticity"].testable and rows["viscoelasticity"].seen_from["viscoelastic.terms[0].g"] < 0.02
     assert 0 < found.standard_errors["C10"] < 20 and [test.recordings for test in found.tests] == [3]
     shorter = make_one_law_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     shorter = replace(shorter, tests=(replace(shorter.tests[0], protocol="ramp 3mm @0.2mm/s"),))
-    with open_tasks(Workers()) as tasks:
-        ramp = compute_experiment_design(shorter, read_or_plan_curves_of_all_tests(shorter, replicates=3, samples=121),
-                                         RunContext("plan", tasks))
+    with open_task_executor(Workers()) as tasks:
+        ramp = evaluate_experiment_design(shorter, read_or_plan_curves_of_all_tests(shorter, replicates=3, samples=121),
+                                          RunContext("plan", tasks))
     row = next(row for row in ramp.candidates if row.name == "viscoelasticity")
     assert not row.testable or row.seen_from["viscoelastic.terms[0].g"] > 3 * rows["viscoelasticity"].seen_from[
         "viscoelastic.terms[0].g"], "a ramp alone says little of relaxation"
@@ -209,11 +213,11 @@ def test_sentences():
     several = summarise_diagnosis("SET", [compliance], ["machine compliance", "height"], [region],
                                   (0.1, 0.01, 0.02), 3)
     assert several.startswith("Machine compliance or height is missing, and these tests cannot distinguish them")
-    softening = CandidateStatement(name="softening", effect="softening", category="tissue", title="softening",
-                                   testable=True, explained_percent=49.0)
+    softening = CandidateResult(name="softening", effect="softening", category="tissue", title="softening",
+                                testable=True, explained_percent=49.0)
     unknown = summarise_diagnosis("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=softening)
     assert "the force falls by 0.1 N" in unknown and "Softening comes nearest and explains 49 % of it." in unknown
-    train = CandidateStatement(
+    train = CandidateResult(
         name="machine_compliance", effect="machine_compliance", category="rig", title="machine compliance",
         testable=True, explained_percent=100.0, separated_by="pressing on steel", parameters=[EffectParameter(
             path="rig.compliance", symbol="c", unit="m/N", value=2e-3, standard_error=1e-6, absent=0.0, bound=2e-3)])

@@ -16,7 +16,7 @@ from child_environment import child_environment
 
 from calibration.tasks import dask_cluster, executors
 from calibration.tasks.errors import WorkerError
-from calibration.tasks.executors import Workers, open_tasks
+from calibration.tasks.executors import Workers, open_task_executor
 from tissue_sim.errors import ConvergenceError, InputError
 
 SUMS = [(1, 2), (3.5, 4), (5, -6), (0.1, 0.2)]
@@ -49,7 +49,7 @@ def workers(request):
 
 def test_everywhere_the_same_results_in_the_order_of_the_arguments(workers, task):
     told = {}
-    with open_tasks(workers) as tasks:
+    with open_task_executor(workers) as tasks:
         assert tasks.parallel == (workers != Workers())
         results = tasks.run(task.add, SUMS, told.__setitem__)
         assert tasks.run(task.add, []) == []
@@ -60,7 +60,7 @@ def test_everywhere_the_same_results_in_the_order_of_the_arguments(workers, task
 
 
 def test_everywhere_an_error_arrives_as_it_was_raised(workers, task):
-    with open_tasks(workers) as tasks:
+    with open_task_executor(workers) as tasks:
         with pytest.raises(InputError) as caught:
             tasks.run(task.refuse, [("input",), ("done",)])
         assert (caught.value.file, caught.value.line, caught.value.field) == ("a.toml", 3, "test[0].radius")
@@ -73,7 +73,7 @@ def test_everywhere_an_error_arrives_as_it_was_raised(workers, task):
 
 def test_one_worker_starts_no_process():
     program = ("import os, sys; from calibration.tasks.executors import *\n"
-               "with open_tasks(Workers()) as tasks:\n"
+               "with open_task_executor(Workers()) as tasks:\n"
                "    assert tasks.run(os.getpid, [(), ()]) == [os.getpid()] * 2\n"
                "heavy = {'multiprocessing', 'distributed', 'numpy', 'taichi'} & set(sys.modules)\n"
                "assert not heavy, heavy")
@@ -89,7 +89,7 @@ def test_results_are_told_in_the_order_of_completion_in_the_callers_thread(task,
         if len(told) == 2:
             marker.touch()
 
-    with open_tasks(Workers(2)) as tasks:
+    with open_task_executor(Workers(2)) as tasks:
         # The first waits for the other two.
         results = tasks.run(task.wait_for, [(str(marker), "a"), (str(tmp_path), "b"), (str(tmp_path), "c")], listen)
     assert results == ["a", "b", "c"]
@@ -100,19 +100,19 @@ def test_children_have_one_native_thread_and_the_parent_keeps_its_own(task, monk
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-    with open_tasks(Workers(2)) as tasks:
+    with open_task_executor(Workers(2)) as tasks:
         assert tasks.run(task.meet, [(str(tmp_path), *names)] * 2) == [dict.fromkeys(names, "1")] * 2
     assert task.environment(*names) == {"OMP_NUM_THREADS": "7", "OPENBLAS_NUM_THREADS": None}
 
 
 def test_workers_leave_ctrl_c_to_their_parent(task):
-    with open_tasks(Workers(2)) as tasks:
+    with open_task_executor(Workers(2)) as tasks:
         assert tasks.run(task.interrupted, [("a",), ("b",)]) == ["a", "b"]
 
 
 def test_a_worker_that_dies_once_loses_nothing(task, tmp_path):
     told = {}
-    with open_tasks(Workers(2)) as tasks:
+    with open_task_executor(Workers(2)) as tasks:
         results = tasks.run(task.die_first, [(str(tmp_path / "died"), value) for value in range(5)], told.__setitem__)
     assert (tmp_path / "died").exists()
     assert results == [0, 1, 2, 3, 4] and told == dict(enumerate(results))
@@ -122,7 +122,7 @@ def test_a_worker_that_dies_once_loses_nothing(task, tmp_path):
 def test_tasks_that_kill_their_worker_leave_the_others_their_results(task, tmp_path):
     log, told = tmp_path / "log", {}
     fatal = (0, 3)
-    with open_tasks(Workers(2)) as tasks:
+    with open_task_executor(Workers(2)) as tasks:
         with pytest.raises(WorkerError, match=r"^2 of 6 tasks have no result") as caught:
             tasks.run(task.log_then, [(str(log), index, index in fatal) for index in range(6)], told.__setitem__)
         assert tasks.run(task.add, SUMS[:1]) == [3]
@@ -138,7 +138,7 @@ def test_tasks_that_kill_their_worker_leave_the_others_their_results(task, tmp_p
 
 def test_a_lone_task_that_kills_its_worker_is_given_up_after_three_deaths(task, tmp_path):
     log = tmp_path / "log"
-    with open_tasks(Workers(2)) as tasks, pytest.raises(WorkerError) as caught:
+    with open_task_executor(Workers(2)) as tasks, pytest.raises(WorkerError) as caught:
         tasks.run(task.log_then, [(str(log), "x", True)])
     assert caught.value.tasks == (0,)
     assert log.read_text().split() == ["x"] * 3
@@ -156,9 +156,9 @@ def test_running_tasks_are_told_and_waiting_ones_dropped_when_one_raises(task, t
 
     ended = executors.wait
     monkeypatch.setattr(executors, "wait", notice)
-    with open_tasks(Workers(2)) as tasks, pytest.raises(InputError):
+    with open_task_executor(Workers(2)) as tasks, pytest.raises(InputError):
         tasks.run(task.call, [(task.wait_for, str(noticed), "slow"), (task.refuse, "input"),
-                          (task.refuse, "never", str(tmp_path / "begun"))], told.__setitem__)
+                              (task.refuse, "never", str(tmp_path / "begun"))], told.__setitem__)
     assert told == {0: "slow"}
     assert not (tmp_path / "begun").exists()
 
@@ -168,7 +168,7 @@ def test_an_error_of_the_listener_ends_the_running_tasks(task, tmp_path):
         raise LookupError(result)
 
     began = time.monotonic()
-    with open_tasks(Workers(2)) as tasks:
+    with open_task_executor(Workers(2)) as tasks:
         with pytest.raises(LookupError, match="short"):
             tasks.run(task.wait_for, [(str(tmp_path / "never"), "long"), (str(tmp_path), "short")], listen)
         assert tasks.run(task.add, SUMS[:1]) == [3]
@@ -177,8 +177,8 @@ def test_an_error_of_the_listener_ends_the_running_tasks(task, tmp_path):
 
 def test_a_script_without_main_guard_is_told_so(tmp_path):
     script = tmp_path / "unguarded.py"
-    script.write_text("import math\nfrom calibration.tasks.executors import Workers, open_tasks\n"
-                      "with open_tasks(Workers(2)) as tasks:\n    tasks.run(math.sqrt, [(1.0,), (2.0,)])\n")
+    script.write_text("import math\nfrom calibration.tasks.executors import Workers, open_task_executor\n"
+                      "with open_task_executor(Workers(2)) as tasks:\n    tasks.run(math.sqrt, [(1.0,), (2.0,)])\n")
     ended = subprocess.run([sys.executable, script], env=child_environment(), capture_output=True, text=True)
     assert ended.returncode == 1
     # Python's own warning of workers that died may come after it.
@@ -207,7 +207,8 @@ def test_no_worker_outlives_its_parent(name, status, task, tmp_path):
 def test_a_cluster_that_does_not_answer_is_bad_input(monkeypatch, tmp_path):
     monkeypatch.setattr(dask_cluster, "CONNECT_TIMEOUT", 0.3)
     for address in ("tcp://127.0.0.1:9", "missing.json", "tcp://127.0.0.1", "pigeon://loft:1", ""):
-        with pytest.raises(InputError, match="no dask scheduler answers") as caught, open_tasks(Workers(dask=address)):
+        with pytest.raises(InputError,
+                           match="no dask scheduler answers") as caught, open_task_executor(Workers(dask=address)):
             pass
         assert caught.value.field == "dask"
 
@@ -215,11 +216,11 @@ def test_a_cluster_that_does_not_answer_is_bad_input(monkeypatch, tmp_path):
 def test_a_scheduler_file_leads_to_the_cluster(cluster, task, tmp_path):
     file = tmp_path / "scheduler.json"
     file.write_text(json.dumps({"address": cluster.scheduler_address}))
-    with open_tasks(Workers(dask=str(file))) as tasks:
+    with open_task_executor(Workers(dask=str(file))) as tasks:
         assert tasks.run(task.add, SUMS[:1]) == [3]
     file.write_text("[]")
     with pytest.raises(InputError, match="a scheduler file must be JSON") as caught, \
-            open_tasks(Workers(dask=str(file))):
+            open_task_executor(Workers(dask=str(file))):
         pass
     assert (caught.value.file, caught.value.field) == (file, "dask")
 
@@ -233,7 +234,7 @@ def test_a_cluster_that_goes_away_ends_the_run(task, tmp_path):
             own.close()
             gone.touch()
 
-        with (open_tasks(Workers(dask=own.scheduler_address)) as tasks,
+        with (open_task_executor(Workers(dask=own.scheduler_address)) as tasks,
               pytest.raises(WorkerError, match="connection to the workers was lost") as caught):
             tasks.run(task.wait_for, [(str(tmp_path), "a"), (str(gone), "b"), (str(gone), "c")], leave)
     assert told == {0: "a"}
@@ -243,7 +244,7 @@ def test_a_cluster_that_goes_away_ends_the_run(task, tmp_path):
 def test_without_the_package_the_remedy_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (pytest.raises(InputError, match=r'pip install "tissue-sim\[cluster\]"') as caught,
-          open_tasks(Workers(dask="tcp://127.0.0.1:8786"))):
+          open_task_executor(Workers(dask="tcp://127.0.0.1:8786"))):
         pass
     assert caught.value.field == "dask"
 
@@ -255,7 +256,6 @@ def test_workers_that_make_no_sense_are_refused():
     with pytest.raises(InputError, match="dask and workers exclude each other") as caught:
         Workers(4, "tcp://127.0.0.1:8786")
     assert caught.value.field == "dask"
-
 
 
 def _alive(pid):

@@ -12,7 +12,7 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from calibration import ColumnHints, ImportOptions
+from calibration import ImportOptions, InterpretationOverrides
 from calibration.importing.imported import make_json_dictionary_of_import
 from scenes.cli import main
 
@@ -29,7 +29,8 @@ def put(folder, *exports):
 
 
 def wishes(laws=("neo_hooke",), radius=10.0, height=12.0, test=None, **stated):
-    return ImportOptions(ColumnHints(**stated), {"radius_mm": radius, "height_mm": height}, test or {}, laws)
+    return ImportOptions(InterpretationOverrides(**stated), {"radius_mm": radius, "height_mm": height}, test or {},
+                         laws)
 
 
 def text(folder, name, content):
@@ -139,9 +140,10 @@ def test_everything_that_is_missing_is_said_at_once_and_has_a_line(tmp_path, cap
     ("counts", 1e-3, 1e-3), ("mN", 2.0, 2e-3)])
 def test_units_and_scales_of_a_headerless_file(tmp_path, unit, scale, newtons):
     path = text(tmp_path, "run.txt", numbers(WAY, WAY, WAY, delimiter=" "))
-    stated = ColumnHints({"time": "1", "displacement": "B", "force": 3},
-                         {"time": "s", "displacement": "mm", "force": unit}, {} if scale is None else {"force": scale},
-                         kind="lubricated_compression")
+    stated = InterpretationOverrides({"time": "1", "displacement": "B", "force": 3},
+                                         {"time": "s", "displacement": "mm", "force": unit},
+                                         {} if scale is None else {"force": scale},
+                                         kind="lubricated_compression")
     imported = calibration.import_files([path], tmp_path / "c.toml", ImportOptions(
         stated, {"radius_mm": 10.0, "height_mm": 12.0}))
     assert imported.is_complete, (imported.missing, imported.problem)
@@ -165,7 +167,8 @@ def test_stress_and_strain_are_taken_where_the_size_of_the_specimen_is_not_known
 def test_a_stated_sign_is_not_turned(tmp_path, sign, smallest):
     """A strain that is positive in compression becomes a stretch below 1, unless a person says that it is not."""
     path = text(tmp_path, "c.csv", "Compressive strain (%),Stress (kPa)\n" + numbers(10 * WAY, 20 * WAY))
-    reading, = calibration.import_files([path], wishes=ImportOptions(ColumnHints(signs=sign))).files[0].readings
+    reading, = calibration.import_files([path],
+                                        wishes=ImportOptions(InterpretationOverrides(signs=sign))).files[0].readings
     assert reading.kind.kind == "lubricated_compression"
     assert reading.recordings[0].channel("stretch").min() == pytest.approx(smallest)
 
@@ -391,7 +394,9 @@ def test_every_measured_set_goes_from_raw_files_to_a_report(data_folder, tmp_pat
     files = sorted((data_folder.resolve() / folder).glob(pattern))
     assert files
     # Without the picture, which takes as long as all the rest.
-    imported = calibration.import_files(files, wishes=ImportOptions(ColumnHints(**stated), laws=("neo_hooke",)))
+    imported = calibration.import_files(files,
+                                        wishes=ImportOptions(InterpretationOverrides(**stated),
+                                                             laws=("neo_hooke",)))
     assert imported.is_complete, (imported.missing, imported.problem)
     text(tmp_path, "set.toml", imported.text)
     result, = calibration.calibrate(["set.toml"], tmp_path / "report", figures=False)

@@ -29,7 +29,8 @@ def test_an_export_is_read_and_imported(tmp_path, monkeypatch, name):
     assert imported.is_complete == (export.kind is not None), (imported.missing, imported.problem)
     if export.kind is None:
         assert imported.missing == ("the kind of test (--kind)",)
-        stated = calibration.ImportOptions(calibration.ColumnHints(kind="lubricated_compression"), SIZES.specimen)
+        stated = calibration.ImportOptions(calibration.InterpretationOverrides(kind="lubricated_compression"),
+                                           SIZES.specimen)
         imported = calibration.import_files([path], wishes=stated)
         assert imported.is_complete, imported.problem
     Path("campaign.toml").write_text(imported.text, encoding="utf-8")

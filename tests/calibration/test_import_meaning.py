@@ -9,7 +9,7 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from calibration import ColumnHints, ImportOptions
+from calibration import ImportOptions, InterpretationOverrides
 from scenes.cli import main
 
 MU = 400e3
@@ -32,7 +32,7 @@ def write(folder, header, *columns, above="", name="a.csv", mark=","):
 
 def load(path, **stated):
     return calibration.import_files([path], path.with_suffix(".toml"), ImportOptions(
-        ColumnHints(**stated), laws=("neo_hooke",)), overwrite=True)
+        InterpretationOverrides(**stated), laws=("neo_hooke",)), overwrite=True)
 
 
 def shear_modulus(imported, folder):
@@ -148,8 +148,9 @@ def test_time_and_force_at_a_constant_speed(tmp_path):
     path = write(tmp_path, "time_ms,force_N", 1e3 * (1 - SHORT) * 10 / 0.5, force)
     with pytest.raises(ts.InputError, match=r"or state the constant speed \(--speed-mm-s\)"):
         calibration.import_files([path])
-    wishes = ImportOptions(ColumnHints(kind="lubricated_compression"), {"radius_mm": 10.0, "height_mm": 10.0},
-                                {"speed_mm_s": 0.5}, ("neo_hooke",))
+    wishes = ImportOptions(InterpretationOverrides(kind="lubricated_compression"),
+                           {"radius_mm": 10.0, "height_mm": 10.0},
+                           {"speed_mm_s": 0.5}, ("neo_hooke",))
     imported = calibration.import_files([path], tmp_path / "c.toml", wishes)
     assert "speed_mm_s = 0.5" in imported.text and "displacement = speed x time from the first sample" in imported.text
     assert shear_modulus(imported, tmp_path) == pytest.approx(MU, rel=1e-3)

@@ -8,7 +8,7 @@ import pytest
 
 import calibration
 import tissue_sim as ts
-from calibration import ColumnHints, ImportOptions
+from calibration import ImportOptions, InterpretationOverrides
 from scenes.cli import main
 
 #: Neo-Hooke of 60 kPa: a cylinder of 50 x 30 mm, compressed by 7.5 mm.
@@ -25,7 +25,7 @@ def load_mN(radius_mm=25.0, height_mm=30.0, way_mm=WAY_MM, modulus=MODULUS_PA):
 def fitted(folder, path, **wishes):
     """mu0 of the campaign that an import writes, Pa."""
     imported = calibration.import_files([path], folder / "c.toml", ImportOptions(
-        laws=("neo_hooke",), **{"stated": ColumnHints(kind="lubricated_compression"), **wishes}))
+        laws=("neo_hooke",), **{"stated": InterpretationOverrides(kind="lubricated_compression"), **wishes}))
     assert imported.is_complete, (imported.missing, imported.questions, imported.problem)
     result, = calibration.calibrate([folder / "c.toml"], folder / "r", figures=False)
     return 2.0 * result.best.parameters["C10"]
@@ -47,7 +47,7 @@ def in_style(value, places, decimal, separator):
     (",", ".", ";", (2, 1, 1), "utf-16"), (",", "\xa0", ";", (2, 1, 1), "cp1252"),
     (".", "\u2019", "\t", (0, 0, 0), "cp1252"), (",", "\u202f", ";", (0, 0, 0), "utf-8")])
 def test_thousands_are_read_by_the_import_and_by_its_campaign(tmp_path, decimal, separator, delimiter, places,
-                                                               encoding):
+                                                              encoding):
     rows = [delimiter.join(in_style(value, digits, decimal, separator)
                            for value, digits in zip(row, places, strict=True))
             for row in zip(np.arange(WAY_MM.size), 1e3 * WAY_MM, load_mN(), strict=True)]
@@ -138,7 +138,7 @@ def test_sizes_are_found_wherever_the_file_states_them(tmp_path, text):
 ])
 def test_sizes_that_contradict_each_other_are_a_question(tmp_path, text, words):
     path = put(tmp_path, text)
-    wishes = ImportOptions(ColumnHints(kind="lubricated_compression"))
+    wishes = ImportOptions(InterpretationOverrides(kind="lubricated_compression"))
     question, = calibration.import_files([path], wishes=wishes).questions
     assert words in question
     flags = {"radius_mm": 10.0, "height_mm": 12.0}
@@ -160,7 +160,7 @@ STRIP_SIZES = "Gauge length,50,mm\nLength,50,mm\nWidth,10,mm\nThickness,2,mm\n\n
     ("Length,60,mm\n", "simple_shear", "500 mm² (--area-mm2 500) or 600 mm²"),
     ("Thickness,3,mm\n", "simple_shear", "2 mm (--height-mm 2) or 3 mm")])
 def test_sizes_of_a_strip_or_block_that_contradict_each_other_are_a_question(tmp_path, below, kind, words):
-    wishes = ImportOptions(ColumnHints(kind=kind))
+    wishes = ImportOptions(InterpretationOverrides(kind=kind))
     questions = calibration.import_files([put(tmp_path, f"{STRIP_SIZES}{STRIP}\n{below}")], wishes=wishes).questions
     assert any(words in question for question in questions)
     # The same size again, in any unit, is no contradiction.
@@ -172,20 +172,21 @@ def test_a_contradiction_below_a_repeated_header_is_a_question(tmp_path):
     header = "Time (s),Displacement (mm),Force (N)\n"
     rows = [f"{i},{0.5 * i:g},{0.1 * i:g}\n" for i in range(10)]
     text = f"{STRIP_SIZES}{header}{''.join(rows[:5])}{header}{''.join(rows[5:])}\nThickness,2.5,mm\n"
-    wishes = ImportOptions(ColumnHints(kind="uniaxial_tension"))
+    wishes = ImportOptions(InterpretationOverrides(kind="uniaxial_tension"))
     imported = calibration.import_files([put(tmp_path, text)], wishes=wishes)
     assert any("--area-mm2 25" in question for question in imported.questions)
 
 
 def test_sizes_that_differ_by_their_rounding_do_not_contradict(tmp_path):
     path = put(tmp_path, LINES + "Area,314,mm2\nRadius,10.0,mm\n" + compression())
-    wishes = ImportOptions(ColumnHints(kind="lubricated_compression"))
+    wishes = ImportOptions(InterpretationOverrides(kind="lubricated_compression"))
     assert calibration.import_files([path], wishes=wishes).is_complete
 
 
 def test_a_size_without_unit_is_not_said_to_be_absent(tmp_path):
     path = put(tmp_path, "Diameter,20\nHeight,12,mm\n" + compression())
-    imported = calibration.import_files([path], wishes=ImportOptions(ColumnHints(kind="lubricated_compression")))
+    imported = calibration.import_files([path],
+                                        wishes=ImportOptions(InterpretationOverrides(kind="lubricated_compression")))
     missing, = imported.missing
     assert "the file states 'Diameter: 20' without a known unit" in missing and "no file states" not in imported.text
 
@@ -199,15 +200,15 @@ def blocks(*titles, moduli=(20e3, 40e3, 20e3, 40e3)):
 @pytest.mark.parametrize("titles", [
     ("Gel A", "Liver"), ("agar 1 %", "agar 2 %"), ("Specimen: gelatin", "Specimen: agar"), ("PVA 10", "PVA 50")])
 def test_titles_of_different_materials_are_tests_of_their_own_and_a_question(tmp_path, titles):
-    path, stated = put(tmp_path, blocks(*titles)), ColumnHints(kind="lubricated_compression")
+    path, stated = put(tmp_path, blocks(*titles)), InterpretationOverrides(kind="lubricated_compression")
     imported = calibration.import_files([path], wishes=ImportOptions(stated))
     assert [len(test.parts[0].motions) for test in imported.tests] == [1, 1]
     question, = imported.questions
     assert "--curve 2" in question and "--one-material" in question
     one = calibration.import_files([path], wishes=ImportOptions(
-        ColumnHints(kind="lubricated_compression", one_material=True)))
+        InterpretationOverrides(kind="lubricated_compression", one_material=True)))
     assert one.is_complete and len(one.tests[0].parts[0].motions) == 2
-    second = ColumnHints(kind="lubricated_compression", curve=2)
+    second = InterpretationOverrides(kind="lubricated_compression", curve=2)
     assert fitted(tmp_path, path, stated=second) == pytest.approx(40e3, rel=2e-3)
 
 
@@ -216,14 +217,14 @@ def test_titles_of_different_materials_are_tests_of_their_own_and_a_question(tmp
     ("Probe A", "Probe B"), ("", ""), ("Run 1\n2026-05-12 10:00", "Run 2\n2026-05-13 11:00"), ("gel_1", "gel_2")])
 def test_titles_that_differ_by_a_running_number_are_replicates(tmp_path, titles):
     imported = calibration.import_files([put(tmp_path, blocks(*titles))], wishes=ImportOptions(
-        ColumnHints(kind="lubricated_compression")))
+        InterpretationOverrides(kind="lubricated_compression")))
     assert imported.is_complete and len(imported.tests[0].parts[0].motions) == 2
 
 
 def test_each_material_keeps_its_own_tables(tmp_path):
     path = put(tmp_path, blocks("gel 1", "liver 1", "gel 2", "liver 2"))
     imported = calibration.import_files([path], tmp_path / "c.toml", ImportOptions(
-        ColumnHints(kind="lubricated_compression"), laws=("neo_hooke",)))
+        InterpretationOverrides(kind="lubricated_compression"), laws=("neo_hooke",)))
     # The user answers the question by deleting the key.
     text = (tmp_path / "c.toml").read_text(encoding="utf-8")
     assert "questions = " in text
@@ -238,14 +239,15 @@ def test_replicates_with_and_without_separators_stay_replicates(tmp_path):
         rows = "".join(f"{way:.3f}\t{in_style(largest * way / 2.5, 0, '.', ',')}\n" for way in SMALL_MM)
         put(tmp_path, "Extension (mm)\tLoad (mN)\n" + rows, f"gel_{number}.txt")
     imported = calibration.import_files(sorted(tmp_path.glob("*.txt")), wishes=ImportOptions(
-        ColumnHints(kind="lubricated_compression"), {"radius_mm": 10.0, "height_mm": 12.0}))
+        InterpretationOverrides(kind="lubricated_compression"), {"radius_mm": 10.0, "height_mm": 12.0}))
     test, = imported.tests
     assert len(test.parts) == 2 and imported.is_complete
 
 
 def test_sizes_that_no_word_names_are_shown_and_asked_for(tmp_path):
     path = put(tmp_path, "Size: 20 x 12 mm\n" + compression())
-    imported = calibration.import_files([path], wishes=ImportOptions(ColumnHints(kind="lubricated_compression")))
+    imported = calibration.import_files([path],
+                                        wishes=ImportOptions(InterpretationOverrides(kind="lubricated_compression")))
     assert len(imported.missing) == 2 and "no file states" not in imported.text
     assert all("'Size: 20 x 12 mm', which does not name the sizes" in each for each in imported.missing)
 
@@ -295,7 +297,8 @@ def test_titles_of_different_materials_are_a_question_also_where_the_units_diffe
     path = put(tmp_path, "Compression test\nDiameter,50,mm\nHeight,30,mm\n\n" + "\n".join(tables) + "\n")
     imported = calibration.import_files([path], None)
     assert any("titles of the tables" in each and "--one-material" in each for each in imported.questions)
-    assert calibration.import_files([path], None, ImportOptions(ColumnHints(one_material=True))).questions == ()
+    assert calibration.import_files([path], None,
+                                    ImportOptions(InterpretationOverrides(one_material=True))).questions == ()
 
 
 def test_a_constant_column_of_a_size_is_no_motion(tmp_path):

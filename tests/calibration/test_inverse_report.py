@@ -20,8 +20,8 @@ from calibration.fit.fit import (
     Prediction,
     ProfileLikelihood,
     RegionMisfitTest,
-    ReplicateJitterStatement,
-    SensorNoiseStatement,
+    ReplicateJitterRecord,
+    SensorNoiseRecord,
     SuggestedTest,
     WeakDirection,
 )
@@ -192,7 +192,7 @@ def campaign():
     near = {"C10": (4.1**2, -0.82 * 4.1 * 24.0), "C20": (-0.82 * 4.1 * 24.0, 24.0**2)}
     mooney = {"C10": 1467.0, "C01": 0.0}
     bound = {"C10": (3.0**2, 0.0), "C01": (0.0, 0.0)}
-    jitter = ReplicateJitterStatement(contact_mm=0.028, zero_N=0.0094, freedom=6)
+    jitter = ReplicateJitterRecord(contact_mm=0.028, zero_N=0.0094, freedom=6)
     mesh = [MeshCorrectionSummary(test="needle", largest_percent=0.62, remainder_percent=0.06, refreshes=2)]
     best = make_fit(
         "reduced_polynomial_2", polynomial, near, not_identifiable=[], condition=38.0, left_out=1.31, jitter=jitter,
@@ -222,8 +222,8 @@ def campaign():
                 percent=percent * factor, expected_N=newton and 0.031, fitted=left))
     settings = FitSettings(("reduced_polynomial_2", "mooney_rivlin"), method="inverse_fem", bounds={"C01": (0.0, 1e5)})
     told = Campaign(Path("study.toml"), {"phantom": SPECIMEN}, TESTS, settings, Noise(), "ab" * 32)
-    noise = tuple(SensorNoiseStatement(test=t.name, deviation_N=8.0 if t is STRIP else NOISE, correlation_time_s=0.0,
-                                       source="estimated") for t in TESTS)
+    noise = tuple(SensorNoiseRecord(test=t.name, deviation_N=8.0 if t is STRIP else NOISE, correlation_time_s=0.0,
+                                    source="estimated") for t in TESTS)
     result = CalibrationResult(
         told, (best, second), tuple(predictions), "Best by prediction of the tests left out: reduced_polynomial_2.",
         Path("out"), "cd" * 32, noise=noise)
@@ -379,7 +379,7 @@ def test_a_test_without_specimen_is_drawn_as_stress_and_strain(campaign):
 @pytest.mark.parametrize("correlation_time", [0.0, 0.3, 2.0])
 def test_noise_of_a_mean_is_that_of_the_dense_covariance(correlation_time):
     step, counts = 0.1, np.array([1, 2, 7, 40])
-    found = curve_figures.compute_unit_variance_mean_deviations(counts, step, correlation_time)
+    found = curve_figures.compute_standard_errors_at_unit_variance(counts, step, correlation_time)
     for n, deviation in zip(counts, found, strict=True):
         lag = step * np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
         dense = np.exp(-lag / correlation_time) if correlation_time else np.eye(n)

@@ -175,7 +175,7 @@ def test_a_campaign_finds_the_population(animals, tmp_path, capsys):
     assert file.population.spread == pytest.approx(found["spread"])
     assert file.population.specimens["animal_3"] == pytest.approx(found["estimates"][2])
     assert file.standard_errors["C10"] == pytest.approx(found["mean_errors"][0])
-    np.testing.assert_allclose(file.covariance_SI[1], found["mean_covariance"])
+    np.testing.assert_allclose(file.paths_and_covariance_SI[1], found["mean_covariance"])
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Specimens as a population" in report
     methods = (tmp_path / "out" / "methods.txt").read_text(encoding="utf-8")

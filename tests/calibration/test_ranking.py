@@ -153,9 +153,9 @@ def test_methods_that_disagree_on_the_same_recordings_are_compared(tmp_path):
                                     figures=False)
     plain, inverse = (one.best.intervals95["C10"] for one in results)
     assert plain[1] < inverse[0] < 1500.0 < inverse[1]
-    sentence, = calibration.to_json(results)["agreement"]
+    sentence, = calibration.to_json_dictionary(results)["agreement"]
     assert "do not overlap: C10" in sentence and "contact offset (0.2 mm)" in sentence
-    again, = calibration.to_json([results[0], results[0]])["agreement"] or [""]
+    again, = calibration.to_json_dictionary([results[0], results[0]])["agreement"] or [""]
     assert not again, "one method agrees with itself"
 
 

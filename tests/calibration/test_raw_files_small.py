@@ -24,7 +24,7 @@ def study(benchmark_module):
     ("equibiaxial_stress", "equibiaxial", STRETCH), ("shear_stress", "simple_shear", STRETCH - 1.0)])
 def test_closed_forms_agree_with_the_laws_of_the_package(study, function, mode, abscissa):
     law = find_law("neo_hooke")
-    expected = law.nominal_stress(abscissa, law.as_array({"C10": MU / 2}), mode)
+    expected = law.nominal_stress(abscissa, law.convert_parameters_to_array({"C10": MU / 2}), mode)
     assert getattr(study.truth, function)(MU, abscissa) == pytest.approx(expected, rel=1e-12)
 
 

@@ -16,7 +16,7 @@ from calibration.forward.contract import InfeasibleError
 from calibration.forward.forms import compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS
 from calibration.forward.motion import MonotonicLoading
-from calibration.forward.rig_motion import AlignedCurve, ForcePositionCurve
+from calibration.forward.rig_motion import ForcePositionCurve, RigForceCurve
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter
 
@@ -179,7 +179,7 @@ def test_descent_does_not_simulate_its_start_again(tmp_path):
     problem = GeneralisedProblem(space, (test,), solves, ContactAndForceZeroJitter(0.0, 0.005, None), (0.0,))
     start = np.array([{"C10": C10}.get(name, 0.06131956364938239) for name in space.free])
     variables = problem.make_scaled_or_long_term_variables(start)
-    assert not np.array_equal(variables.to_unknowns(variables.from_unknowns(start)), start)
+    assert not np.array_equal(variables.convert_to_unknowns(variables.convert_from_unknowns(start)), start)
     problem.evaluate(start)
     counted = solves.counts.total()
     end = minimise_from_start(problem, start, corrected=True, enough=1e30)
@@ -226,7 +226,7 @@ def test_snapping_load_train_is_infeasible():
     depth = np.linspace(0.0, 1e-3, 21)
     falls = ForcePositionCurve.from_knot_values(depth, (1e3 * depth * np.cos(3e3 * depth))[:, None], holds=False)
     with pytest.raises(InfeasibleError, match="no equilibrium position"):
-        AlignedCurve(falls, np.linspace(0, 1e-3, 30), 0.05).compute_tool_positions(0.0)
+        RigForceCurve(falls, np.linspace(0, 1e-3, 30), 0.05).compute_tool_positions(0.0)
 
 
 @pytest.mark.slow
@@ -345,10 +345,10 @@ def test_puncture_occurs_at_a_true_depth(tmp_path):
 
 
 def test_default_shares_of_an_effect_evaluate_share_at_each_sample(tmp_path):
-    """The vectorised method `shares` of the base class agrees with `share` of single samples."""
+    """The vectorised method of the base class agrees with `compute_force_factor` of single samples."""
     depth = np.array([[0.0, 0.5e-3], [1e-3, 2e-3], [0.5e-3, 1e-3]])
     deepest, time = np.maximum.accumulate(depth, axis=0), np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])
     puncture = ts.Puncture(1e-3, 0.25)
-    assert np.array_equal(super(ts.Puncture, puncture).shares(depth, deepest, time),
-                          puncture.shares(depth, deepest, time))
-    assert puncture.shares(depth, deepest, time).tolist() == [[1, 1], [1, 0.75], [1, 0.75]]
+    assert np.array_equal(super(ts.Puncture, puncture).compute_force_factors(depth, deepest, time),
+                          puncture.compute_force_factors(depth, deepest, time))
+    assert puncture.compute_force_factors(depth, deepest, time).tolist() == [[1, 1], [1, 0.75], [1, 0.75]]

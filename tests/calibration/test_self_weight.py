@@ -176,7 +176,7 @@ def test_reports_say_what_gravity_was_assumed(tmp_path):
     specimen = f"radius_mm = 40.0\nheight_mm = 70.0\n{GRAVITY}"
     result = run(tmp_path / "on", [compression()], specimen)
     line = "Self-weight: 1040 kg/m3 at 9.81 m/s2, settled before the test; height 70 mm as moulded, sag 2.78 mm."
-    assert calibration.to_json([result])["self_weight"] == line
+    assert calibration.to_json_dictionary([result])["self_weight"] == line
     out = tmp_path / "on" / "out"
     assert line in (out / "report.html").read_text(encoding="utf-8")
     saved = json.loads((out / "fit.json").read_text(encoding="utf-8"))
@@ -186,12 +186,12 @@ def test_reports_say_what_gravity_was_assumed(tmp_path):
     assert material.valid_range.stretch[0] < 0.81
     assert (out / "curves.csv").read_text(encoding="utf-8").count("1 - displacement/height [-]") == 101
     again, = calibration.calibrate([tmp_path / "on" / "study.toml"], out, figures=False)
-    assert again.resumed and calibration.to_json([again]) == calibration.to_json([result])
+    assert again.resumed and calibration.to_json_dictionary([again]) == calibration.to_json_dictionary([result])
 
     result = run(tmp_path / "off", [compression()], 'radius_mm = 40.0\nheight_mm = 70.0\nheight_is = "placed"')
     line = ("Self-weight is not included: the height, 70 mm as placed, is taken for the undeformed one; standing at "
             "1000 kg/m3 (water) it would sag 2.6 mm.")
-    assert calibration.to_json([result])["self_weight"] == line
+    assert calibration.to_json_dictionary([result])["self_weight"] == line
     assert line in (tmp_path / "off" / "out" / "report.html").read_text(encoding="utf-8")
 
 
@@ -203,7 +203,7 @@ def test_specimens_are_named_where_there_are_several(tmp_path):
             'hold_out = true\n')
     path.write_text(path.read_text(encoding="utf-8").replace("[fit]", more + "[fit]"), encoding="utf-8")
     result, = calibration.calibrate([path], tmp_path / "out", figures=False)
-    line = calibration.to_json([result])["self_weight"]
+    line = calibration.to_json_dictionary([result])["self_weight"]
     assert line.startswith("Self-weight of phantom: 1040 kg/m3")
     assert "Self-weight of small is not included" in line and "standing at 1040 kg/m3 it would sag 2.8 mm" in line
     # The held-out test stands without weight: the forces differ as the two closed forms do.

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, whiten_columns
+from calibration.statistics.sensor_noise import SensorNoise, estimate_pooled_sensor_noise, whiten_columns
 from tissue_sim.errors import InputError
 from tissue_sim.rig.noise import generate_sensor_noise
 
@@ -15,10 +15,10 @@ CURVES = {"none": 0.0 * WAY, "cubic": 8 * (0.4 * WAY + 0.3 * WAY**2 + 0.3 * WAY*
           "cone": 8 * WAY**2}
 
 
-
 def estimate_sensor_noise(force, time, segment=None, **stated):
     """The case of one recording."""
-    return estimate_shared_noise([(force, time, segment)], **stated)
+    return estimate_pooled_sensor_noise([(force, time, segment)], **stated)
+
 
 def estimates(force, level, tau, trials, time=TIME, segment=None, replicates=1):
     """Deviation in units of the true one, and correlation time, of each trial, shape (trials, 2)."""
@@ -27,7 +27,7 @@ def estimates(force, level, tau, trials, time=TIME, segment=None, replicates=1):
         signals = [(force + generate_sensor_noise(force.size, level, 100 * trial + r, time=time, correlation_time=tau),
                     time,
                     segment) for r in range(replicates)]
-        one = estimate_shared_noise(signals)
+        one = estimate_pooled_sensor_noise(signals)
         assert one.source == "estimated"
         found.append((one.deviation / level, one.correlation_time))
     return np.array(found)
@@ -172,7 +172,8 @@ def test_what_is_stated_is_kept():
 def test_a_wrong_level_makes_no_colour_and_hides_none(stated):
     for tau in (0.0, 0.5):
         found = [estimate_sensor_noise(CURVES["sphere"] + generate_sensor_noise(401, 0.02, seed, time=TIME,
-                                                                       correlation_time=tau), TIME, deviation=stated)
+                                                                                correlation_time=tau), TIME,
+                                       deviation=stated)
                  for seed in range(20)]
         assert {one.deviation for one in found} == {stated}
         assert np.median([one.correlation_time for one in found]) == pytest.approx(tau, rel=0.25)

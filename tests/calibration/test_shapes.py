@@ -15,7 +15,7 @@ from calibration.campaign.named_files import replace_mesh_profile_and_rig_paths,
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.forms import build_forward_test_of_inverse_fit, compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, SolverFitResolutions, make_exact_block_mesh_or_none
-from calibration.forward.simulation_cache import hash_content, simulate_force_or_record_failure
+from calibration.forward.simulation_cache import hash_content_and_source_code, simulate_force_or_record_failure
 from scenes.cli import main
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution, build_mesh
 from tissue_sim.mesh.grading import Grading
@@ -139,13 +139,14 @@ def test_a_mesh_counts_by_what_is_in_its_file(folder, tmp_path_factory):
     """Another folder is the same specimen, another content another: solutions and results are found again by that."""
     def keys():
         campaign = load(folder, MESH)
-        return hash_content(campaign.tests[0].experiment), compute_input_and_version_digest(campaign, [])
+        return (hash_content_and_source_code(campaign.tests[0].experiment),
+                compute_input_and_version_digest(campaign, []))
 
     first = keys()
     elsewhere = tmp_path_factory.mktemp("elsewhere") / "other.vtu"
     elsewhere.write_bytes((folder / "cube.vtu").read_bytes())
     other = replace(load(folder, MESH).tests[0].experiment.specimen, mesh_file=elsewhere)
-    assert hash_content(replace(load(folder, MESH).tests[0].experiment, specimen=other)) == first[0]
+    assert hash_content_and_source_code(replace(load(folder, MESH).tests[0].experiment, specimen=other)) == first[0]
     write_mesh(folder / "cube.vtu", ts.Block(0.02, 0.02, 0.02), scale=1.1)
     assert all(one != two for one, two in zip(keys(), first, strict=True))
 
@@ -353,7 +354,7 @@ def test_a_block_that_weighs_is_fitted_with_exact_derivatives(tmp_path, coarse, 
     recording = ts.simulate(ts.Model(pressed(block), MATERIAL), solver="solid", resolution="coarse, second order")
     write_run(tmp_path, recording.displacement, recording.force)
     differences = []
-    monkeypatch.setattr("tissue_sim.differentiation._difference_force_by_one_parameter",
+    monkeypatch.setattr("tissue_sim.differentiation._compute_force_derivative_by_differences",
                         lambda *asked: differences.append(asked))
     stated = BLOCK + '\nheight_is = "placed"\ngravity = true\ndensity_kg_m3 = 1040.0'
     best = calibrated(tmp_path, specimen=stated)
@@ -396,7 +397,7 @@ def test_design_asks_for_the_sizes_that_a_specimen_has(tmp_path, coarse):
     text = CAMPAIGN.format(specimen=BLOCK, kind="bonded_compression", test='protocol = "ramp 2mm @0.1mm/s"',
                            method="inverse_fem").replace('recordings = ["run_*.csv"]\n', "")
     (tmp_path / "plan.toml").write_text(text.replace("starts = 1", "start = { C10 = 450.0 }"), encoding="utf-8")
-    found = calibration.design_experiments(tmp_path / "plan.toml", replicates=1, samples=40)
+    found = calibration.evaluate_planned_experiments(tmp_path / "plan.toml", replicates=1, samples=40)
     reasons = {each.name: each.reason for each in found.candidates}
     assert reasons["radius_error"] == "no specimen has a radius" and "has a height" not in reasons["height_error"]
     assert 0.1 < found.standard_errors["C10"] < 20.0

@@ -49,7 +49,7 @@ def campaign(folder, truth, *, law=LAW, scope=ORDER, held=(), fit="", after="", 
         for replicate in range(2):
             displacement = np.linspace(0.0, depth / 3 if k in short else depth, 61)
             way = np.maximum(displacement - contact * rng.standard_normal(), 0.0)
-            stress = Column(specimen).nominal_stress(law, way, law.as_array(values)) if weighs else \
+            stress = Column(specimen).nominal_stress(law, way, law.convert_parameters_to_array(values)) if weighs else \
                 law.nominal_stress(1 - way / HEIGHT, values)
             ts.write_recording(ts.Recording({"displacement": displacement,
                                              "force": -AREA * stress + rng.normal(0.0, NOISE, 61)}),
@@ -125,7 +125,7 @@ def test_the_material_of_a_single_specimen_says_whose_it_is(tmp_path):
     file = ts.read_material_file(tmp_path / "out" / fit.material_file)
     assert file.provenance.settings["material_of"] == ["animal_1"]
     assert file.standard_errors == {name: fit.standard_errors[f"{name}@animal_1"] for name in ORDER}
-    np.testing.assert_allclose(file.covariance_SI[1], fit.covariance.matrix)
+    np.testing.assert_allclose(file.paths_and_covariance_SI[1], fit.covariance.matrix)
 
 
 def test_a_file_that_leaves_out_what_it_holds_is_refused(tmp_path):
@@ -217,7 +217,7 @@ def test_an_exponent_that_all_share_moves_the_mean(tmp_path):
     assert cross == pytest.approx(np.mean(together), rel=0.02)
     assert alone == pytest.approx(matrix[order.index("alpha1"), order.index("alpha1")])
     file = ts.read_material_file(tmp_path / "out" / fit.material_file)
-    np.testing.assert_allclose(file.covariance_SI[1], population.covariance.matrix)
+    np.testing.assert_allclose(file.paths_and_covariance_SI[1], population.covariance.matrix)
     # mu0 is mu1 of Ogden's law: E0 has the error of the mean.
     assert compute_shear_modulus_error_or_none(fit) == pytest.approx(population.mean_errors[0], rel=1e-6)
     # The error of the exponent takes back part of that of the mean: apart they would make more than they do.

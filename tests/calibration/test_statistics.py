@@ -6,7 +6,7 @@ from scipy.sparse import csr_array
 
 from calibration.statistics.statistics import (
     compute_aic_and_bic,
-    compute_chi_square_and_sample_count,
+    compute_chi_square_and_effective_samples,
     compute_correlation_matrix,
     compute_r_squared,
     estimate_white_noise,
@@ -75,7 +75,7 @@ def test_every_replicate_counts_with_its_own_noise():
         residual = jacobian @ answer - data
         answers.append(answer)
         errors.append(compute_cluster_robust_uncertainty(jacobian, residual, index, noise, np.zeros(2)).standard_errors)
-        squares.append(compute_chi_square_and_sample_count(data - jacobian @ [2.0, 3.0], index, noise)[0])
+        squares.append(compute_chi_square_and_effective_samples(data - jacobian @ [2.0, 3.0], index, noise)[0])
     # The median: a few of the trials take their residuals for the noise.
     assert np.median(errors, axis=0) == pytest.approx(np.std(answers, axis=0), rel=0.15)
     assert np.mean(squares) == pytest.approx(x.size, rel=0.03)
@@ -102,7 +102,7 @@ def test_interpolated_points_are_worth_their_samples():
         spread = compute_cluster_robust_uncertainty(jacobian, jacobian @ answer - error, index, 1.0, np.zeros(2), None,
                                                     [interpolation])
         errors.append(spread.standard_errors)
-        squares.append(compute_chi_square_and_sample_count(error, index, np.ones(1), [interpolation]))
+        squares.append(compute_chi_square_and_effective_samples(error, index, np.ones(1), [interpolation]))
     assert np.median(errors, axis=0) == pytest.approx(np.std(answers, axis=0), rel=0.12)
     total, number = np.mean(squares, axis=0)
     assert total == pytest.approx(number, rel=0.05)
@@ -198,7 +198,7 @@ def test_resolution_of_a_quantised_signal():
 
 def test_criteria_and_correlation():
     residual = np.array([1.0, -1.0, 2.0, 0.0])
-    squares, samples = compute_chi_square_and_sample_count(residual, np.zeros(4, int), np.array([2.0]))
+    squares, samples = compute_chi_square_and_effective_samples(residual, np.zeros(4, int), np.array([2.0]))
     assert (squares, samples) == (6.0 / 4.0, 4.0)
     aic, bic = compute_aic_and_bic(squares, samples, 3)
     assert aic == pytest.approx(6.0 / 4.0 + 6.0)

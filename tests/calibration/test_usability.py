@@ -12,7 +12,7 @@ import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured_curves
 from calibration.fit.determination import assess_modulus_error_and_bound_dependence
-from calibration.fit.usability import compute_displacement_r_squared, list_screening_contradictions
+from calibration.fit.usability import compute_displacement_r_squared, list_findings_contradicting_fit
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.report.usability import CRITERIA
 from scenes.cli import main
@@ -208,16 +208,16 @@ def test_screening_contradicts_an_elastic_law(curve):
     loses = replace(curve,
                     screening=Screening(control=ControlledQuantityFindings("displacement", "oscillation",
                                                                            loss_factor=0.3, frequency=1.0)))
-    assert "viscoelastic.terms[0].g" in list_screening_contradictions(loses, remembers=False)[0]
-    assert not list_screening_contradictions(loses, remembers=True)
+    assert "viscoelastic.terms[0].g" in list_findings_contradicting_fit(loses, remembers=False)[0]
+    assert not list_findings_contradicting_fit(loses, remembers=True)
     follows = replace(curve,
                       screening=Screening(control=ControlledQuantityFindings("displacement", "ramp",
                                                                              loading=curve.force.size)))
-    assert not list_screening_contradictions(follows, remembers=False)
+    assert not list_findings_contradicting_fit(follows, remembers=False)
     zeroed = replace(curve, screening=Screening(preload=Preload(0.65, 0.11, 4e-4, False, "begins under 0.65 N")))
-    assert list_screening_contradictions(zeroed, remembers=True) == ["begins under 0.65 N"]
+    assert list_findings_contradicting_fit(zeroed, remembers=True) == ["begins under 0.65 N"]
     kept = replace(curve, screening=Screening(suspected=(LeftOutSamples((61,), "force", "sample 61 is 50 N"),)))
-    assert "sample 61 is 50 N" in list_screening_contradictions(kept, remembers=False)[0]
+    assert "sample 61 is 50 N" in list_findings_contradicting_fit(kept, remembers=False)[0]
 
 
 def test_creep_at_constant_force_is_a_misfit_of_the_displacement(curve):
@@ -288,7 +288,7 @@ def test_a_modulus_that_depends_on_a_bound_that_is_not_stated(missing, stated, h
     data = (x + missing * x**2) / 0.01 + np.random.default_rng(0).normal(0.0, 1.0, x.size)
     a = float(jacobian[:, 0] @ data / (jacobian[:, 0] @ jacobian[:, 0]))
     residual = jacobian[:, 0] * a - data
-    space = SimpleNamespace(free=("a", "b"), values=lambda theta: theta,
+    space = SimpleNamespace(free=("a", "b"), get_values_by_name=lambda theta: theta,
                             compute_typical_parameter_sizes=lambda values: np.ones(2))
     estimate = SimpleNamespace(theta=np.array([a, 0.0]), problem=SimpleNamespace(space=space),
                                evaluation=SimpleNamespace(projected_residual_and_jacobian=(residual, jacobian)))
@@ -317,11 +317,11 @@ def test_own_limits_decide_and_are_recorded_in_the_result(tmp_path):
     bent = compression(law="reduced_polynomial_3", values={"C10": 10.0, "C20": 0.0, "C30": 1e5}, noise=1e-4, strain=0.4)
     path, out = write(tmp_path, [bent], ["neo_hooke"]), tmp_path / "out"
     strict, = calibration.calibrate([path], out, figures=False)
-    assert strict.best.status == "misfit" and calibration.to_json([strict])["usability_settings"] == {}
+    assert strict.best.status == "misfit" and calibration.to_json_dictionary([strict])["usability_settings"] == {}
     lenient = UsabilitySettings(noise_ratio=1e6)
     found, = calibration.calibrate([path], out, figures=False, overwrite=True, usability=lenient)
     assert {"residuals", "explained"}.isdisjoint(failing(found.best)) and found.digest != strict.digest
-    assert calibration.to_json([found])["usability_settings"] == {"noise_ratio": 1e6}
+    assert calibration.to_json_dictionary([found])["usability_settings"] == {"noise_ratio": 1e6}
     again, = calibration.calibrate([path], out, figures=False, usability=lenient)
     assert again.resumed and again.usability_settings == {"noise_ratio": 1e6}
 

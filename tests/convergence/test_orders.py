@@ -64,7 +64,7 @@ def errors(element, cells: int, material: ts.Material) -> tuple[float, float]:
         step = solver.step(share, max_iterations=20)
         assert step.status is StepStatus.CONVERGED, step
     fields = solver.fields([solver.field_sample()])
-    shapes, _ = element.evaluate_shape_functions(element.quadrature[0])
+    shapes, _ = element.evaluate_shape_functions_and_gradients(element.quadrature[0])
     found = np.einsum("qa,eai->eqi", shapes, fields.displacement()[mesh.connectivity])
     reference = solver.equations.reference
     displacement = ((found - exact(reference.points)) ** 2).sum(axis=-1)

@@ -27,7 +27,7 @@ class Moved(SolidSolver):
 
     way = staticmethod(exact)
 
-    def compute_flat_held_displacements(self, frame):
+    def compute_held_node_displacements(self, frame):
         return (-frame.origin[2] * self.way(self.mesh.nodes[self._bonded])).ravel()
 
 
@@ -58,7 +58,7 @@ def test_order(element, order, cells, name):
         mesh = block(line, line, line - 0.03, element)
         displacement, _ = solve(mesh, law(name), exact, 2)
         points, weights = element.quadrature
-        values, slopes = element.evaluate_shape_functions(points)
+        values, slopes = element.evaluate_shape_functions_and_gradients(points)
         X = mesh.nodes[mesh.connectivity]
         places, found = np.einsum("qa,eai->eqi", values, X), np.einsum("qa,eai->eqi", values,
                                                                        displacement[mesh.connectivity])

@@ -39,11 +39,11 @@ def ticks_of():
     """``ticks_of(loop)``: the first ticks of a loop that runs until it is stopped, dtype `haptics.loop.ring.TICK`."""
     def ticks_of(loop, count=600, seconds=300.0):
         loop.wait_until_ready(seconds)
-        with loop.ring() as ring:
+        with loop.open_ring_reader() as ring:
             deadline = time.monotonic() + seconds
-            while ring.written < count:
+            while ring.written_count < count:
                 assert loop.wait(0.02) is None and time.monotonic() < deadline, loop.message
             loop.stop()
-            return ring.since().records
+            return ring.read_ticks_after().records
 
     return ticks_of

@@ -75,6 +75,7 @@ def test_rates_help_the_iteration_and_change_nothing(film):
     np.testing.assert_allclose(recordings[0].force, recordings[1].force, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_its_parameters_are_those_of_the_model(film):
     tested = model(film(tack=30.0))
     known = parameters(tested)
@@ -90,7 +91,8 @@ def test_the_way_out_counts(film):
     """The contact pulls at separation, so a calibration uses the unloading as well."""
     assert model(film(tack=30.0)).experiment.is_path_dependent and not model().experiment.is_path_dependent
     plate = ts.Experiment(ts.Specimen(0.03, 0.03), WAY, friction="frictionless", friction_base="frictionless")
-    assert plate.homogeneous and not replace(plate, contact_laws=[film(tack=30.0)]).homogeneous
+    assert plate.has_homogeneous_deformation and not replace(plate,
+                                                             contact_laws=[film(tack=30.0)]).has_homogeneous_deformation
 
 
 def test_simulator_takes_it(film):

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from haptics.devices.back_ends import HAPTIC_DEVICES, open_haptic
+from haptics.devices.back_ends import HAPTIC_DEVICES, make_haptic_device
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopError, LoopProcess
-from haptics.safety.limits import ForceLimits
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.errors import InputError
 
@@ -32,7 +32,7 @@ def loop_with(monkeypatch):
     tissues = importlib.import_module("loop_tissues")
 
     def loop_with(device):
-        return LoopProcess(partial(tissues.Spring, STIFFNESS), device, ForceRendering(ForceLimits(10.0, 1.0)),
+        return LoopProcess(partial(tissues.Spring, STIFFNESS), device, ForceRendering(ForceLimiter(10.0, 1.0)),
                            LoopSettings(real_time=False))
 
     return loop_with
@@ -40,7 +40,7 @@ def loop_with(monkeypatch):
 
 def test_it_feels_the_force(handle, loop_with, ticks_of, tmp_path):
     """Hand and spring of the handle against that of the tissue: PUSH = (SPRING + STIFFNESS) depth."""
-    with loop_with(open_haptic(f"handle:{tmp_path / 'diary'}")) as loop:
+    with loop_with(make_haptic_device(f"handle:{tmp_path / 'diary'}")) as loop:
         ticks = ticks_of(loop)
     depth = handle.PUSH / (handle.SPRING + STIFFNESS)
     assert ticks["device_depth"][-1] == pytest.approx(depth, rel=1e-6)
@@ -53,19 +53,19 @@ def test_it_feels_the_force(handle, loop_with, ticks_of, tmp_path):
 
 
 def test_a_device_that_is_not_there_is_one_sentence(handle, loop_with, tmp_path):
-    with loop_with(open_haptic(f"handle:{tmp_path}")) as loop, \
+    with loop_with(make_haptic_device(f"handle:{tmp_path}")) as loop, \
             pytest.raises(LoopError, match=r"no handle is there; plug one in$"):
         loop.wait_until_ready(300)
 
 
 def test_a_running_loop_takes_it_up_and_refuses_one_that_is_not_there(handle, loop_with, tmp_path):
-    with loop_with(open_haptic("virtual:")) as loop:
+    with loop_with(make_haptic_device("virtual:")) as loop:
         loop.wait_until_ready(300)
         loop.aim(1e-3)
         with pytest.raises(InputError, match="no handle is there"):
-            loop.switch_device(open_haptic(f"handle:{tmp_path}"))
+            loop.switch_device(make_haptic_device(f"handle:{tmp_path}"))
         loop.aim(2e-3)  # the one before is still there
-        loop.switch_device(open_haptic(f"handle:{tmp_path / 'diary'}"))
+        loop.switch_device(make_haptic_device(f"handle:{tmp_path / 'diary'}"))
         with pytest.raises(InputError, match="requires a steerable motion; got a StiffHandle"):
             loop.aim(1e-3)
         assert loop.stop().ended_by == "stop"

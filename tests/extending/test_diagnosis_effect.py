@@ -50,7 +50,7 @@ def test_effect_gives_reason_why_tests_cannot_show_it():
 
 
 def test_former_names_work_and_warn(cable, tmp_path):
-    """A plug-in of an earlier release: ``room``, ``beside_material``, ``both_ways`` and ``Situation.simulated``."""
+    """A plug-in of an earlier release: ``room``, ``beside_material``, ``both_ways`` and ``DiagnosisData.simulated``."""
     from calibration.effects import candidates
 
     with pytest.warns(DeprecationWarning, match=r"OldCable\.room is renamed to category; define category"):
@@ -74,7 +74,7 @@ def test_former_names_work_and_warn(cable, tmp_path):
         assert OldCable().room == "rig"
     test = situation.tests[0]
     for old, new in (("depth", "largest_displacement"), ("force", "largest_force"), ("strain", "largest_strain")):
-        with pytest.warns(DeprecationWarning, match=rf"Situation\.{old} is renamed to {new}"):
+        with pytest.warns(DeprecationWarning, match=rf"DiagnosisData\.{old} is renamed to {new}"):
             assert getattr(situation, old)(test) == getattr(situation, new)(test) > 0
-    with pytest.warns(DeprecationWarning, match=r"Situation\.modulus is renamed to estimated_shear_modulus"):
+    with pytest.warns(DeprecationWarning, match=r"DiagnosisData\.modulus is renamed to estimated_shear_modulus"):
         assert situation.modulus == situation.estimated_shear_modulus

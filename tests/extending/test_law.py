@@ -60,9 +60,9 @@ def test_law_of_one_file(plugin, registers, tmp_path):
 
 def test_a_name_that_is_taken_is_refused(plugin, registers):
     gent = registers(ts.LAWS, plugin("gent").LAW)
-    assert ts.register(gent) is gent
+    assert ts.register_law(gent) is gent
     with pytest.raises(ts.InputError, match="the name 'gent' is taken by another law"):
-        ts.register(type(gent)())
+        ts.register_law(type(gent)())
     with pytest.raises(ts.InputError, match="'neo_hooke' is taken"):
         ts.LAWS.register(gent, "neo_hooke")
     with pytest.raises(ts.InputError, match="is not a valid law; give an object"):
@@ -70,7 +70,7 @@ def test_a_name_that_is_taken_is_refused(plugin, registers):
 
 
 def test_a_law_that_is_taken_out_is_unknown_again(plugin):
-    ts.register(plugin("gent").LAW)
+    ts.register_law(plugin("gent").LAW)
     ts.LAWS.unregister("gent")
     with pytest.raises(ts.InputError, match="unknown law 'gent'"):
         ts.find_law("gent")

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from haptics.devices.back_ends import MOTIONS, open_motion
+from haptics.devices.back_ends import MOTIONS, make_motion
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopProcess
-from haptics.safety.limits import ForceLimits
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.errors import InputError
 
@@ -28,8 +28,8 @@ def spiral(plugin, registers):
 
 
 def test_a_loop_follows_it(spiral, ticks_of):
-    motion = open_motion("spiral:reach_mm=4")
-    with LoopProcess(spiral.tissue_that_needs_the_name, motion, ForceRendering(ForceLimits(1e3, 1e3)),
+    motion = make_motion("spiral:reach_mm=4")
+    with LoopProcess(spiral.tissue_that_needs_the_name, motion, ForceRendering(ForceLimiter(1e3, 1e3)),
                      LoopSettings(real_time=False)) as loop:
         ticks = ticks_of(loop)
     expected = [motion.pose(time) for time in ticks["time"]]
@@ -67,6 +67,6 @@ def test_a_name_belongs_to_one(spiral):
         with pytest.raises(InputError, match=f"the name '{name}' is taken by another motion"):
             MOTIONS.register(lambda text: None, name)
     with pytest.raises(InputError, match="unknown motion 'spirall'; did you mean 'spiral'"):
-        open_motion("spirall:")
+        make_motion("spirall:")
     with pytest.raises(InputError, match=r"spiral\.reach: unknown setting; did you mean 'reach_mm'"):
-        open_motion("spiral:reach=3")
+        make_motion("spiral:reach=3")

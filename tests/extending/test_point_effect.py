@@ -15,13 +15,13 @@ import pytest
 import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.errors import InputError
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver, element_layers
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh, find_element_layer_indices
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
-from tissue_sim.parameters import value
+from tissue_sim.parameters import get_parameter_value
 
 #: Parameter of the law, Pa.
 C10 = 1500.0
@@ -109,11 +109,11 @@ def test_tangent_is_the_derivative_of_the_residual(branch, element):
     """Every column of the condensed tangent equals differences of nodal forces, as in test_memory.py."""
     mesh = cylinder_mesh(RADIUS, HEIGHT, (2, 2), element)
     stuff = material(branch, layers=(ts.Layer(HEIGHT / 2, 2.5),))
-    layers = element_layers(mesh, stuff.layers)
+    layers = find_element_layer_indices(mesh, stuff.layers)
     solver = AxisymmetricSolver(mesh, stuff, {"base": "rz"}, {"top": "rz"}, element_layers=layers)
     for depth, dt in ((5e-3, 0.5), (10e-3, 1.0), (8e-3, 0.3)):
         assert solver.step(depth, dt).status is StepStatus.CONVERGED
-    equations, lower = solver.equations, solver.equations.tangent()
+    equations, lower = solver.equations, solver.equations.assemble_committed_tangent()
     equation, free = equations.equation, equations.free
     tangent = np.zeros((free, free))
     for d in range(lower.shape[0]):
@@ -144,7 +144,7 @@ def test_tangent_is_the_derivative_of_the_residual(branch, element):
 @pytest.mark.slow
 def test_newton_converges_quadratically(branch):
     m = model(material(branch))
-    solver = build_solver(m, build_mesh(m.experiment))
+    solver = build_solver_on_mesh(m, build_mesh(m.experiment))
     assert solver.step(4e-3, 0.5).status is StepStatus.CONVERGED
     saved, residuals = solver.save(), []
     for most in range(1, 5):
@@ -172,10 +172,11 @@ def test_simulator_remembers_saves_and_restores(branch):
     assert plugin.step(way[0], 0.02).force == pytest.approx(forces[0][0], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_its_parameters_are_those_of_the_model(branch, tmp_path):
     """Parameters are set by path, in a material file, and while the simulator runs."""
     stuff = material(branch)
-    assert value(stuff, "effects.maxwell_branch.tau") == TAU
+    assert get_parameter_value(stuff, "effects.maxwell_branch.tau") == TAU
     ts.write_material_file(ts.MaterialFile.of(stuff), tmp_path / "m.material.json")
     assert ts.load_material(tmp_path / "m.material.json").effects == stuff.effects
     sim = ts.Simulator(needle(stuff), inertia="off")

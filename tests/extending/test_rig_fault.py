@@ -70,15 +70,16 @@ def test_what_it_does_to_the_motion(worn):
     there = ts.simulate(ts.Model(SCENES["needle_indentation"].experiment(specimen=ts.Specimen(0.04, 0.07),
                                                                          protocol=elsewhere), model().material))
     np.testing.assert_allclose(solved.force, there.force, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(rig.apply(plain).force, solved.force, atol=2e-3 * plain.force.max())
+    np.testing.assert_allclose(rig.apply_motion_effects(plain).force, solved.force, atol=2e-3 * plain.force.max())
 
 
 def test_parts_of_the_rig_keep_what_is_theirs(worn):
     rig = ts.Rig(sensor_gain=0.1, compliance=1e-5, force_noise=0.1,
                  faults=[worn.SoftSensor(0.05), worn.WanderingPitch(2e-5, 1e-3)])
-    assert set(rig.motion_only.faults) == {"wandering_pitch"} and rig.motion_only.compliance == 1e-5
-    assert set(rig.reading_only.faults) == {"soft_sensor"} and rig.reading_only.sensor_gain == 0.1
-    assert set(rig.without_noise.faults) == set(rig.faults) and rig.without_noise.force_noise == 0.0
+    moving, reading, exact = rig.with_motion_effects_only, rig.with_reading_effects_only, rig.without_sampling_effects
+    assert set(moving.faults) == {"wandering_pitch"} and moving.compliance == 1e-5
+    assert set(reading.faults) == {"soft_sensor"} and reading.sensor_gain == 0.1
+    assert set(exact.faults) == set(rig.faults) and exact.force_noise == 0.0
 
 
 def test_its_parameters_are_those_of_the_model(worn):

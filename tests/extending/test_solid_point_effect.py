@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.reduced.model import require_no_effects
+from tissue_sim.fem.reduced.model import require_no_point_effects
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
 
 #: Parameter of the law, Pa.
@@ -43,8 +43,10 @@ def model(stuff, approach=None):
 
 
 def mesh(offset=0.0, layers=()):
-    return create_needle_mesh(0.04, 0.07, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2,
-                              centre=(offset, 0.0), interfaces=np.cumsum([layer.thickness for layer in layers]))
+    return create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3,
+                                             around=2,
+                                             centre=(offset, 0.0),
+                                             interfaces=np.cumsum([layer.thickness for layer in layers]))
 
 
 @pytest.mark.slow
@@ -79,7 +81,7 @@ def test_it_is_that_of_the_axisymmetric_solid(branch):
 def test_stiffness_and_memory(branch):
     """The stiffness is the derivative of the force; a restored state continues with the same forces."""
     solver = make_solver(model(material(branch)), mesh=mesh())
-    solver.ask_for_stiffness()
+    solver.enable_stiffness_output()
     for depth in (1e-3, 2e-3):
         step = solver.step(Pose.at_depth(depth), 0.5, tolerance=1e-11)
         assert step.status is StepStatus.CONVERGED
@@ -91,12 +93,12 @@ def test_stiffness_and_memory(branch):
         moved.append(solver.step(Pose.at_depth(2.5e-3 + sign * 1e-6), 0.5, tolerance=1e-11).force)
     assert step.stiffness == pytest.approx((moved[0] - moved[1]) / 2e-6, rel=1e-5)
     assert step.force == pytest.approx(0.5 * sum(moved), rel=1e-6)
-    assert solver.differentiate(()) is None
+    assert solver.enable_force_derivatives(()) is None
 
 
 def test_what_takes_none_says_so(branch):
     with pytest.raises(ts.InputError, match="a reduced solid does not support effects at quadrature points"):
-        require_no_effects(material(branch))
+        require_no_point_effects(material(branch))
 
     class Branching(branch):
         def response(self, C, state, dt):

@@ -13,7 +13,7 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.errors import InputError
 from tissue_sim.fem.solver import SOLVERS
-from tissue_sim.pose import between
+from tissue_sim.pose import interpolate_pose
 from tissue_sim.tool_force import ForceStatus
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
@@ -115,7 +115,7 @@ def test_parts_of_a_long_way_lie_on_the_rigid_motion(spring, monkeypatch):
     assert len(seen) == int(np.ceil((1e-4 + turn * radius) / (0.0625 * radius))) > 2
     for pose in seen:
         share = pose.position[2] / end.position[2]
-        on_the_way = between(start, end, share)
+        on_the_way = interpolate_pose(start, end, share)
         np.testing.assert_allclose(pose.position, on_the_way.position, atol=1e-15)
         np.testing.assert_allclose(pose.orientation, on_the_way.orientation, atol=1e-12)
 

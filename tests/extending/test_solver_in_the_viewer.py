@@ -13,7 +13,7 @@ import pytest
 from waiting import wait_for_value
 
 import tissue_sim as ts
-from haptics.devices.back_ends import MOTIONS, open_motion
+from haptics.devices.back_ends import MOTIONS, make_motion
 from scenes.cli import main
 from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.live_simulation import SETTINGS
@@ -23,7 +23,7 @@ from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.solver import SOLVERS
-from tissue_sim.pose import Pose, motion
+from tissue_sim.pose import Pose, compute_rigid_motion
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
@@ -44,7 +44,7 @@ def spring(plugin, registers):
 def spiral(plugin, registers):
     module = plugin("spiral_motion")
     registers(MOTIONS, module.open_spiral, "spiral")
-    return open_motion("spiral:reach_mm=4")
+    return make_motion("spiral:reach_mm=4")
 
 
 @pytest.fixture
@@ -62,19 +62,19 @@ def shown(scene, spiral, monkeypatch):
     session = Session(scene, settings=replace(SETTINGS, real_time=False))
     viewer, problems, caught = NullViewer(), [], []
     try:
-        wait_for_value(session.frame, lambda frame: frame.phase is not Phase.STARTING)
-        ring = session.simulation.process.ring()
+        wait_for_value(session.update_and_make_frame, lambda frame: frame.phase is not Phase.STARTING)
+        ring = session.simulation.haptic_loop_process.open_ring_reader()
         session.post("follow", device=spiral, reply=problems.append)
 
         def seen():
-            viewer.show(session.frame())
-            caught.append(ring.since(caught[-1].number if caught else 0))
+            viewer.show(session.update_and_make_frame())
+            caught.append(ring.read_ticks_after(caught[-1].number if caught else 0))
             return viewer.latest
 
         def fits(frame):
             trace = frame.curves.trace
             return (problems and len(trace) >= ENOUGH and trace.depth.max() > 0.95 * AXIS_DEPTH
-                    and trace.branches()[1] is not None and frame.snapshot.depth > 1e-3)
+                    and trace.get_newest_loading_and_unloading()[1] is not None and frame.snapshot.depth > 1e-3)
 
         frame = wait_for_value(seen, fits)
         ring.close()
@@ -115,7 +115,7 @@ def test_the_path_is_that_of_the_motion(shown, plugin):
 @pytest.mark.slow
 def test_what_was_felt_is_saved_with_its_wrench(shown):
     trace = shown[1].curves.trace
-    recording = trace.recording({"name": "spiral"})
+    recording = trace.make_equilibrium_recording({"name": "spiral"})
     np.testing.assert_array_equal(np.stack([recording.channel(name) for name in CHANNELS], axis=1), trace.wrench)
 
 
@@ -128,7 +128,7 @@ def test_what_is_drawn(spring, shown):
     vertices, triangles = spring.SpringSurface().triangles()
     np.testing.assert_allclose(frame.surface.vertices, vertices, rtol=1e-7)
     np.testing.assert_array_equal(frame.surface.faces, triangles)
-    x, y, _, *turn = motion(Pose.at_depth(0.0), snapshot.pose)
+    x, y, _, *turn = compute_rigid_motion(Pose.at_depth(0.0), snapshot.pose)
     assert math.hypot(x, y) > 1e-6 and math.hypot(*turn) > 1e-6, "oblique and turned"
     assert f'data-testid="force">{frame.readouts.force:.3f}<' in readouts_html(frame)
     assert "device" in status_html(frame)
@@ -138,7 +138,7 @@ def test_what_is_drawn(spring, shown):
 def test_the_curve_of_the_whole_test_is_of_that_solver(spring, shown):
     """Computed in another process, which must know the name."""
     session, *_ = shown
-    model = wait_for_value(session.frame, lambda frame: frame.curves.model is not None).curves.model
+    model = wait_for_value(session.update_and_make_frame, lambda frame: frame.curves.model is not None).curves.model
     np.testing.assert_allclose(model.force, spring.STIFFNESS[2, 2] * model.displacement, rtol=1e-9)
 
 
@@ -169,14 +169,14 @@ def test_the_page_draws_it(shown, tmp_path):
 def test_empty_triangles_are_published(spring, scene, monkeypatch):
     """A solver may have no surface to show: the board holds a snapshot without numbers."""
     from haptics.loop.shared_slots import find_unused_path
-    from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
+    from haptics.loop.snapshot_board import SnapshotReader, SnapshotWriter
 
     monkeypatch.setattr(spring.SpringSurface, "triangles", lambda surface, segments=48: ([], []))
     tissue = ts.Simulator(scene.model, solver="spring")
     pose = Pose((1e-3, 2e-3, -3e-3), (math.cos(0.1), 0.0, math.sin(0.1), 0.0))
     tissue.step(pose, 1e-3)
     pattern, path = tissue.snapshot(), find_unused_path("empty")
-    with SnapshotBoard(path, pattern) as board:
+    with SnapshotWriter(path, pattern) as board:
         board.publish(0.5, pattern)
         with SnapshotReader(path, pattern) as reader:
             published = reader.latest()

@@ -10,7 +10,7 @@ from waiting import wait_for_value
 import tissue_sim as ts
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopProcess
-from haptics.safety.limits import ForceLimits
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from haptics.server.client import TissueClient
 from haptics.server.server import TissueServer
@@ -41,7 +41,7 @@ def path(motion):
 
 
 def generous():
-    return ForceLimits(1e3, 1e3, torque=1e3, torque_rate=1e3)
+    return ForceLimiter(1e3, 1e3, torque=1e3, torque_rate=1e3)
 
 
 def same(wrench, expected):
@@ -50,7 +50,7 @@ def same(wrench, expected):
 
 def whole(ticks):
     """Those whose force is given whole: a loop that a busy computer has begun late begins without a force, see
-    `ForceRelease`."""
+    `ForceFader`."""
     return ticks["status"] == ForceStatus.CONVERGED
 
 
@@ -103,7 +103,7 @@ def test_through_rendering_the_energy_is_that_of_all_six_directions(toy, path):
     """A spring without a slider gives back what it took, by the trapezoidal rule, on a closed oblique path."""
     tissue, rendering = toy.ToyTissue(grip=1e9), ForceRendering(generous())
     closed = path + path[::-1]
-    rendered = [rendering.render(tissue.step(rendering.pose_for(pose, DT), DT), DT) for pose in closed]
+    rendered = [rendering.render(tissue.step(rendering.advance_proxy(pose, DT), DT), DT) for pose in closed]
     middle = np.array(tissue.step(path[250], DT).wrench)
     stored = 0.5 * middle @ np.linalg.solve(toy.stiffness(), middle)
     assert rendered[250].energy == pytest.approx(stored, rel=1e-9)

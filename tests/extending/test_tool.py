@@ -12,7 +12,7 @@ import pytest
 import calibration
 import tissue_sim as ts
 from scenes.cli import main
-from scenes.viewer.tool_picture import make_tool_outline
+from scenes.viewer.tool_picture import make_drawn_tool_outline
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
 SPECIMEN = ts.Specimen(0.040, 0.070)
@@ -72,7 +72,7 @@ def test_shape_of_one_file(chamfered):
         narrow, own, wide = (pressed(each, resolution="accurate", friction=friction).force[-1] for each in (
             ts.Tool("flat", radius=7e-3), tool, ts.Tool("flat", radius=8e-3)))
         assert 1.01 * narrow < own < 0.99 * wide
-    assert make_tool_outline(tool, SPECIMEN)[:, 0].max() == pytest.approx(8e-3, rel=0.05)
+    assert make_drawn_tool_outline(tool, SPECIMEN)[:, 0].max() == pytest.approx(8e-3, rel=0.05)
 
 
 def test_its_size_is_a_parameter(chamfered):

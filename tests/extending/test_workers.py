@@ -8,9 +8,9 @@ import distributed
 import pytest
 
 import tissue_sim as ts
-from calibration.forward.simulation_cache import hash_content
-from calibration.tasks.executors import Workers, open_tasks
-from tissue_sim.parameters import value
+from calibration.forward.simulation_cache import hash_content_and_source_code
+from calibration.tasks.executors import Workers, open_task_executor
+from tissue_sim.parameters import get_parameter_value
 
 PLUGINS = Path(__file__).with_name("plugins")
 
@@ -31,7 +31,7 @@ class Fung(InvariantLaw):
         return a / (2 * b) * (sp.exp(b * (I1 - 3)) - 1)
 
 
-ts.register(Fung())
+ts.register_law(Fung())
 
 
 def stress(parameters):
@@ -80,11 +80,11 @@ def workers(request):
 @pytest.mark.slow
 def test_a_law_of_a_plugin_file_is_known_in_workers(plugin, workers):
     values = {"a": 2800.0, "b": 1.5}
-    with open_tasks(workers) as tasks:
+    with open_task_executor(workers) as tasks:
         # Registered before and after the workers have started.
         assert tasks.run(plugin.stress, [(values,)] * 3) == [plugin.stress(values)] * 3
         other = type("Other", (type(ts.find_law("fung_of_a_plugin")),), {"name": "other_of_a_plugin"})
-        ts.register(other())
+        ts.register_law(other())
         try:
             assert tasks.run(ts.Material, [("other_of_a_plugin", values)])[0].mu0 == pytest.approx(2800.0)
         finally:
@@ -92,15 +92,15 @@ def test_a_law_of_a_plugin_file_is_known_in_workers(plugin, workers):
 
 
 def test_what_nobody_registered_is_refused_there_as_here(workers):
-    with open_tasks(workers) as tasks, pytest.raises(ts.InputError, match="unknown law 'fung_of_a_plugin'"):
+    with open_task_executor(workers) as tasks, pytest.raises(ts.InputError, match="unknown law 'fung_of_a_plugin'"):
         tasks.run(ts.Material, [("fung_of_a_plugin", {"a": 1.0, "b": 1.0})])
 
 
 @pytest.mark.slow
 def test_a_class_that_a_plugin_file_registers_is_known_in_workers(seepage, workers):
     tissue = ts.Material("neo_hooke", {"C10": 500.0}, effects=(seepage(0.3, 4.0),))
-    with open_tasks(workers) as tasks:
-        assert tasks.run(value, [(tissue, "effects.seepage.time")]) == [4.0]
+    with open_task_executor(workers) as tasks:
+        assert tasks.run(get_parameter_value, [(tissue, "effects.seepage.time")]) == [4.0]
 
 
 def test_kept_curves_do_not_outlive_the_plugin_they_were_made_with(tmp_path, monkeypatch):
@@ -113,8 +113,8 @@ def test_kept_curves_do_not_outlive_the_plugin_they_were_made_with(tmp_path, mon
         importlib.invalidate_caches()
         importlib.import_module("a_changing_plugin")
         try:
-            keys.append(hash_content("a model"))
+            keys.append(hash_content_and_source_code("a model"))
         finally:
             ts.LAWS.unregister("fung_of_a_plugin")
             del sys.modules["a_changing_plugin"]
-    assert keys[0] != keys[1] != hash_content("a model") != keys[0]
+    assert keys[0] != keys[1] != hash_content_and_source_code("a model") != keys[0]

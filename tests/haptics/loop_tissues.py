@@ -13,8 +13,8 @@ from haptics.devices.motions import SineMotion
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopProcess
 from haptics.loop.ring import RingReader, RingWriter
-from haptics.loop.snapshot_board import SnapshotBoard
-from haptics.safety.limits import ForceLimits
+from haptics.loop.snapshot_board import SnapshotWriter
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.errors import InputError
 from tissue_sim.fem.axisymmetric.fields import Fields
@@ -36,8 +36,8 @@ class Spring:
         depth = get_depth_of_pose_or_number(pose)
         self.steps.append((depth, dt))
         inside = depth > 0
-        return ToolForce.axial(self.stiffness * depth if inside else 0.0, self.stiffness if inside else 0.0,
-                               ForceStatus.CONVERGED, iterations=1, residual=1e-9, inertial=True)
+        return ToolForce.from_axial_force(self.stiffness * depth if inside else 0.0, self.stiffness if inside else 0.0,
+                                          ForceStatus.CONVERGED, iterations=1, residual=1e-9, inertial=True)
 
     def reset(self):
         self.steps.clear()
@@ -92,7 +92,7 @@ def build_slowly(seconds):
 
 
 def rendering():
-    return ForceRendering(ForceLimits(force=10.0, rate=1.0))
+    return ForceRendering(ForceLimiter(force=10.0, rate=1.0))
 
 
 def loop_process(build=Spring, seconds=None, real_time=False, snapshot_rate=0.0, **options):
@@ -130,7 +130,7 @@ def flat(record):
 def write_fast(ring_path, board_path, stop_path):
     """Fill a small ring and a board as fast as this process can, until a file appears."""
     pattern = Snapshot(Pose.at_depth(0.0), 0.0, gel_fields(1.0, np.zeros((1, 500))))
-    with RingWriter(ring_path, 8) as ring, SnapshotBoard(board_path, pattern) as board:
+    with RingWriter(ring_path, 8) as ring, SnapshotWriter(board_path, pattern) as board:
         n = 0
         print("writing", flush=True)
         while n % 256 or not stop_path.exists():
@@ -143,11 +143,11 @@ def write_fast(ring_path, board_path, stop_path):
 def read_forces(path, count):
     """The first forces of a ring, as an unrelated process sees them."""
     with RingReader(path) as reader:
-        ticks = reader.since(0)
+        ticks = reader.read_ticks_after(0)
 
         def read_on():
             nonlocal ticks
-            ticks = reader.since(ticks.number)
+            ticks = reader.read_ticks_after(ticks.number)
             return ticks.number >= count
 
         wait_until(read_on, lambda: f"{count} ticks; got {ticks.number}")

@@ -41,7 +41,7 @@ class Gel:
         self.pull = (self.pull + 300.0 * (pose.depth - self.depth)) * math.exp(-dt / 0.05)
         self.depth = pose.depth
         force = 800.0 * pose.depth * (1.0 + 40.0 * pose.depth) + self.pull + 0.5 * speed
-        return ToolForce.axial(force, 800.0, ForceStatus.CONVERGED)
+        return ToolForce.from_axial_force(force, 800.0, ForceStatus.CONVERGED)
 
 
 @contextmanager

@@ -51,7 +51,7 @@ class Load:
         stiffness = self.stiffness + self.damping * rate + self.mass * rate**2
         ahead = PredictedForceOfNextStep(make_axial_wrench(self._force(depth, dt)[0]),
                                          make_axial_stiffness_matrix(stiffness))
-        answer = ToolForce.axial(force, stiffness, ForceStatus.CONVERGED, inertial=self.mass > 0)
+        answer = ToolForce.from_axial_force(force, stiffness, ForceStatus.CONVERGED, inertial=self.mass > 0)
         return replace(answer, ahead=ahead) if self.mass > 0 and self.predicts_next else answer
 
 
@@ -178,7 +178,7 @@ def test_at_rest_coupling_and_tissue_are_in_equilibrium():
     coupling, answer = VirtualCoupling(1000.0, 1.0), None
     for _ in range(200):
         depth = step(coupling, 5e-3, answer) if answer else step(coupling, 0.0, None)
-        answer = ToolForce.axial(400 * depth + 1e7 * depth**3, 400 + 3e7 * depth**2, ForceStatus.CONVERGED)
+        answer = ToolForce.from_axial_force(400 * depth + 1e7 * depth**3, 400 + 3e7 * depth**2, ForceStatus.CONVERGED)
     assert 1000 * (5e-3 - coupling.pose.depth) == pytest.approx(answer.force, rel=1e-9)
     assert coupling.force[2] == pytest.approx(answer.force, rel=1e-9)
 
@@ -224,7 +224,7 @@ def test_the_stability_limit_without_prediction_of_the_next_force(part, stable):
 def test_the_proxy_stays_without_an_answer():
     coupling = VirtualCoupling(1000.0, 1.0)
     # The first step places the proxy at the device and ignores the answer to another pose.
-    assert step(coupling, 2e-3, ToolForce.axial(1.0, 500.0, ForceStatus.CONVERGED)) == 2e-3
+    assert step(coupling, 2e-3, ToolForce.from_axial_force(1.0, 500.0, ForceStatus.CONVERGED)) == 2e-3
     assert step(coupling, 3e-3, None) == 2e-3
     assert coupling.force[2] == pytest.approx(1000 * 1e-3 + 1.0 * 1.0)
     step(coupling, 3e-3, None)
@@ -243,11 +243,11 @@ def test_the_damper_sums_the_dissipated_energy():
 
 def test_a_softening_tissue_does_not_make_the_proxy_jump():
     """A negative stiffness, as at the onset of puncture, smaller in magnitude than that of the coupling."""
-    coupling, answer = VirtualCoupling(1000.0), ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
+    coupling, answer = VirtualCoupling(1000.0), ToolForce.from_axial_force(0.0, 0.0, ForceStatus.CONVERGED)
     step(coupling, 0.0, None)
     for _ in range(400):
         depth = step(coupling, 4e-3, answer)
-        answer = ToolForce.axial(2.0 - 400 * depth, -400.0, ForceStatus.CONVERGED)
+        answer = ToolForce.from_axial_force(2.0 - 400 * depth, -400.0, ForceStatus.CONVERGED)
     assert depth == pytest.approx((4.0 - 2.0) / 600.0)
 
 
@@ -255,8 +255,9 @@ def test_a_sudden_loss_of_resistance_lets_the_tool_pass():
     """Puncture: the force falls from 2 N to zero in 0.5 mm, 4 times as steep as the coupling."""
     def tissue(depth):
         fallen = 2.0 - 4000 * max(depth - 2e-3, 0.0)
-        return ToolForce.axial(max(min(1000 * depth, fallen), 0.0), 1000.0 if depth < 2e-3 else -4000.0 * (fallen > 0),
-                               ForceStatus.CONVERGED)
+        return ToolForce.from_axial_force(max(min(1000 * depth, fallen), 0.0),
+                                          1000.0 if depth < 2e-3 else -4000.0 * (fallen > 0),
+                                          ForceStatus.CONVERGED)
 
     coupling, answer, path = VirtualCoupling(1000.0), None, []
     for tick in range(300):
@@ -398,7 +399,7 @@ def test_a_stiffness_that_is_too_old_does_not_make_the_proxy_oscillate(first, ti
 
 def test_a_recent_stiffness_is_used():
     young, old = (VirtualCoupling(500.0) for _ in range(2))
-    answer = ToolForce.axial(0.0, 1500.0, ForceStatus.CONVERGED)
+    answer = ToolForce.from_axial_force(0.0, 1500.0, ForceStatus.CONVERGED)
     for coupling, age in ((young, COUPLING.longest_stiffness_age), (old, 1.01 * COUPLING.longest_stiffness_age)):
         step(coupling, 0.0, None)
         step(coupling, 1e-3, replace(answer, stiffness_age=age))

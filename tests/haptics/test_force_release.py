@@ -1,4 +1,4 @@
-"""`ForceRelease`: force and stiffness without equilibrium, after its return, and at the first step."""
+"""`ForceFader`: force and stiffness without equilibrium, after its return, and at the first step."""
 
 import math
 
@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.safety.force_release import RELEASE, ForceRelease
+from haptics.safety.force_release import RELEASE, ForceFader
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import (
@@ -35,7 +35,7 @@ def answer(status=ForceStatus.CONVERGED, force=5.0, age=None):
 @pytest.fixture
 def release():
     """Force release after a first step with zero force."""
-    release = ForceRelease()
+    release = ForceFader()
     release.step(answer(force=0.0), 0.0)
     return release
 
@@ -87,7 +87,7 @@ def test_the_duration_of_a_step_counts_as_time_without_equilibrium(release):
 
 
 def test_a_hand_that_begins_inside_begins_without_a_force():
-    release = ForceRelease()
+    release = ForceFader()
     results = [release.step(answer(), k * TICK) for k in range(100)]
     assert (results[0].force, results[0].stiffness, results[0].status) == (0.0, 0.0, ForceStatus.RETURNING)
     assert results[-1] == answer()
@@ -105,7 +105,7 @@ def test_refused_answers_keep_their_status_and_fade(release):
 
 
 def test_infinite_patience_never_fades():
-    release = ForceRelease(patience=math.inf)
+    release = ForceFader(patience=math.inf)
     late = answer(ForceStatus.LATE, force=0.0)
     assert all(release.step(late, 10.0 * k) is late for k in range(100))
 
@@ -113,12 +113,12 @@ def test_infinite_patience_never_fades():
 @pytest.mark.parametrize("options", [{"patience": 0.0}, {"patience": math.nan}, {"ramp": -1.0}, {"ramp": math.inf}])
 def test_invalid_times_are_refused(options):
     with pytest.raises(InputError, match="must be positive"):
-        ForceRelease(**options)
+        ForceFader(**options)
 
 
 @given(st.lists(st.tuples(st.sampled_from(STATUSES), st.floats(0.0, 0.2)), max_size=60))
 def test_force_is_at_most_that_of_the_tissue_and_zero_after_patience_and_ramp(events):
-    release, now, last_equilibrium = ForceRelease(), 0.0, 0.0
+    release, now, last_equilibrium = ForceFader(), 0.0, 0.0
     for status, passed in events:
         now += passed
         result = release.step(answer(status), now)

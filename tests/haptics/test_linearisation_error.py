@@ -5,14 +5,14 @@ import math
 import pytest
 
 import tissue_sim as ts
-from benchmarks.realtime.delayed_bulk import DelayedBulk
+from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.linearisation import SolidLinearisation
+from tissue_sim.fem.solid.linearisation import SolidLineariser
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
-from tissue_sim.realtime.linearisation_error import LinearisationError
+from tissue_sim.realtime.linearisation_error import LinearisationErrorEstimator
 
 #: m.
 RADIUS = 8e-3
@@ -21,13 +21,13 @@ MODULUS = 4000.0
 
 
 def learned(missed=0.02, distance=2e-3, between=1e-3, interval=0.05):
-    estimate = LinearisationError(RADIUS, MODULUS)
+    estimate = LinearisationErrorEstimator(RADIUS, MODULUS)
     estimate.update_estimate(missed, distance, between, 1.0, interval)
     return estimate
 
 
 def test_nothing_is_known_before_two_models():
-    assert math.isinf(LinearisationError(RADIUS, MODULUS).estimate_force_error(0.0))
+    assert math.isinf(LinearisationErrorEstimator(RADIUS, MODULUS).estimate_force_error(0.0))
 
 
 def test_the_newest_model_errs_at_its_own_pose_and_with_its_age():
@@ -56,7 +56,7 @@ def test_the_curvature_of_a_contact_is_that_of_hertz_at_the_depth_of_the_tool():
 
 
 def test_the_curvature_is_that_of_the_tip_where_the_contact_is_smaller():
-    estimate = LinearisationError(RADIUS, MODULUS, tip_radius=4.0 * RADIUS)
+    estimate = LinearisationErrorEstimator(RADIUS, MODULUS, tip_radius=4.0 * RADIUS)
     estimate.update_estimate(0.0, 2e-3, 1e-3, 1.0, 0.05)
     growth = 2.0 * MODULUS * math.sqrt(4.0 * RADIUS / 2e-3)
     assert estimate.estimate_force_error(1e-3, depth=2e-3) == pytest.approx(growth * 1e-3**2)
@@ -71,7 +71,7 @@ def test_a_force_of_zero_is_wrong_by_at_most_a_flat_punch_on_undeformed_tissue()
     near = estimate.estimate_error_of_zero_force(1e-4, 0.0, 5e-4, 0.0)
     assert near == pytest.approx(estimate.estimate_force_error(1e-4, depth=5e-4))
     # Before two models were compared, only the force on undeformed tissue is known, and in the air nothing.
-    new = LinearisationError(RADIUS, MODULUS)
+    new = LinearisationErrorEstimator(RADIUS, MODULUS)
     assert new.estimate_error_of_zero_force(2e-3, 0.0, 1e-5, 0.0) == pytest.approx(punch * 1e-5)
     assert math.isinf(new.estimate_error_of_zero_force(2e-3, 0.0, -1e-5, 0.0))
 
@@ -80,16 +80,16 @@ def test_a_force_of_zero_under_a_ball_is_wrong_by_at_most_hertz_with_a_margin():
     """F = 4/3 E' sqrt(R) depth^(3/2) with E' = 4 mu of an incompressible half space."""
     ball, depth = ts.Tool("sphere", radius=2.0 * RADIUS), 0.05 * RADIUS
     hertz = 4.0 / 3.0 * 4.0 * MODULUS * math.sqrt(ball.radius) * depth**1.5
-    new = LinearisationError(RADIUS, MODULUS, ball.radius, ball.contact_radius)
+    new = LinearisationErrorEstimator(RADIUS, MODULUS, ball.radius, ball.contact_radius)
     assert new.estimate_error_of_zero_force(2e-3, 0.0, depth, 0.0) == pytest.approx(1.5 * hertz)
     flat = ts.Tool("flat", radius=RADIUS)
-    new = LinearisationError(RADIUS, MODULUS, flat.radius, flat.contact_radius)
+    new = LinearisationErrorEstimator(RADIUS, MODULUS, flat.radius, flat.contact_radius)
     assert new.estimate_error_of_zero_force(2e-3, 0.0, depth, 0.0) == pytest.approx(8.0 * MODULUS * RADIUS * depth)
 
 
 def test_the_first_model_with_contact_has_twice_the_error():
     """The Newton step from the undeformed tissue is long and may reduce the error by a third only."""
-    later, first = LinearisationError(RADIUS, MODULUS), LinearisationError(RADIUS, MODULUS)
+    later, first = LinearisationErrorEstimator(RADIUS, MODULUS), LinearisationErrorEstimator(RADIUS, MODULUS)
     later.update_estimate(0.02, 2e-3, 1e-3, 1.0, 0.1)
     first.update_estimate(0.02, 2e-3, 1e-3, 1.0, 0.1, from_rest=True)
     assert first.estimate_force_error(0.0) == pytest.approx(2.0 * later.estimate_force_error(0.0))
@@ -98,7 +98,7 @@ def test_the_first_model_with_contact_has_twice_the_error():
 def test_a_tangent_of_an_earlier_pose_adds_an_error_that_is_linear_in_the_distance():
     """The force is growth z**2; a model at 2 mm with the stiffness of 1.5 mm, used at 1.8 mm."""
     growth, made, tangent, used = 5e3, 2e-3, 1.5e-3, 1.8e-3
-    estimate = LinearisationError(RADIUS)
+    estimate = LinearisationErrorEstimator(RADIUS)
     estimate.update_estimate(growth * (4e-6 - 1e-6), 2e-3, 1e-3, 0.1, 0.1, newer=1e-3)
     estimate.base = 0.0
     error = growth * used**2 - (growth * made**2 + 2.0 * growth * tangent * (used - made))
@@ -109,9 +109,9 @@ def test_a_tangent_of_an_earlier_pose_adds_an_error_that_is_linear_in_the_distan
 
 def test_a_stiffer_material_raises_what_was_learned():
     estimate, before = learned(), learned().estimate_force_error(1e-3)
-    estimate.scale_up_for_stiffer_material(2 * MODULUS)
+    estimate.set_shear_modulus(2 * MODULUS)
     assert estimate.estimate_force_error(1e-3) == pytest.approx(2 * before)
-    estimate.scale_up_for_stiffer_material(MODULUS)
+    estimate.set_shear_modulus(MODULUS)
     assert estimate.estimate_force_error(1e-3) == pytest.approx(2 * before), "a softer one does not lower it"
 
 
@@ -121,10 +121,11 @@ def bonded():
     experiment = ts.Experiment(ts.Specimen(0.030, 0.020), ts.Protocol.ramp(2e-3, 2), friction="bonded",
                                tool=ts.Tool("flat", radius=RADIUS))
     model = ts.Model(experiment, material)
-    mesh = create_needle_mesh(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4, largest=3.0 * RADIUS,
-                              around=2)
-    bulk = SolidLinearisation(make_solver(model, mesh=mesh))
-    return MultiRateTissue(model, link=DelayedBulk(bulk, 6e-3, 30e-3))
+    mesh = create_cylinder_mesh_under_needle(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4,
+                                             largest=3.0 * RADIUS,
+                                             around=2)
+    bulk = SolidLineariser(make_solver(model, mesh=mesh))
+    return MultiRateTissue(model, link=DelayedBulkLink(bulk, 6e-3, 30e-3))
 
 
 @pytest.mark.slow
@@ -145,7 +146,7 @@ def test_the_first_converged_force_of_another_material_is_right(factor):
 
 def test_growth_is_that_of_the_difference_of_both_errors():
     """Models at 2 mm and 1 mm from the tool differ by three quarters of the error of the first one."""
-    estimate = LinearisationError(8e-3)
+    estimate = LinearisationErrorEstimator(8e-3)
     growth = 5e3
     estimate.update_estimate(growth * (4e-6 - 1e-6), 2e-3, 1e-3, 0.1, 0.1, newer=1e-3)
     assert estimate.growth == pytest.approx(growth)
@@ -159,6 +160,6 @@ def test_the_first_model_of_a_new_material_has_its_own_error():
     estimate = learned()
     estimate.set_error_of_first_model_of_material(0.1, 2.0)
     assert estimate.estimate_force_error(0.0) == pytest.approx(0.2)
-    unknown = LinearisationError(RADIUS, MODULUS)
+    unknown = LinearisationErrorEstimator(RADIUS, MODULUS)
     unknown.set_error_of_first_model_of_material(0.1, 2.0)
     assert unknown.estimate_force_error(0.0) == pytest.approx(0.2)

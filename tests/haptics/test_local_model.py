@@ -29,7 +29,7 @@ class Stiffening:
 
     def step(self, depth, dt):
         depth = depth.depth if isinstance(depth, Pose) else depth
-        return ToolForce.axial(self.force(depth), 400.0 + 18e6 * depth**2, self.status)
+        return ToolForce.from_axial_force(self.force(depth), 400.0 + 18e6 * depth**2, self.status)
 
 
 def force_of(model, depth):
@@ -213,10 +213,10 @@ def test_error_estimate_is_that_of_the_last_models():
 
 def test_solver_without_equilibrium_keeps_its_time_and_error():
     class Stuck:
-        answers = iter([ToolForce.axial(1.0, 100.0, ForceStatus.CONVERGED),
-                        ToolForce.axial(1.1, 100.0, ForceStatus.STOPPED, age=0.05, depth=1e-3),
-                        ToolForce.axial(math.nan, 100.0, ForceStatus.CONVERGED),
-                        ToolForce.axial(1.1, 100.0, ForceStatus.REFUSED)])
+        answers = iter([ToolForce.from_axial_force(1.0, 100.0, ForceStatus.CONVERGED),
+                        ToolForce.from_axial_force(1.1, 100.0, ForceStatus.STOPPED, age=0.05, depth=1e-3),
+                        ToolForce.from_axial_force(math.nan, 100.0, ForceStatus.CONVERGED),
+                        ToolForce.from_axial_force(1.1, 100.0, ForceStatus.REFUSED)])
 
         def step(self, depth, dt):
             return next(self.answers)

@@ -17,12 +17,12 @@ from child_environment import child_environment
 from waiting import wait_until
 
 from haptics.devices.contracts import AxialMotion, DeviceError, HapticDevice
-from haptics.devices.motions import HandMotion, SineMotion
+from haptics.devices.motions import SineMotion, TargetFollowingMotion
 from haptics.loop.loop import Loop, LoopSettings, read_peak_memory_bytes_or_none
 from haptics.loop.process import LoopError
 from haptics.loop.ring import PAUSED, RingReader, RingWriter
-from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
-from haptics.safety.limits import ForceLimits
+from haptics.loop.snapshot_board import SnapshotReader, SnapshotWriter
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
@@ -64,19 +64,19 @@ def run(tmp_path, tissues):
 
     def run(tissue, seconds, *, source=None, listen=None, force=10.0):
         settings = LoopSettings(seconds=seconds, real_time=False, snapshot_rate=30.0)
-        rendering = ForceRendering(ForceLimits(force=force, rate=1.0))
+        rendering = ForceRendering(ForceLimiter(force=force, rate=1.0))
         with ExitStack() as stack:
             ring = stack.enter_context(RingWriter(tmp_path / "ring"))
             reader = stack.enter_context(RingReader(tmp_path / "ring"))
             board = None
             if hasattr(tissue, "snapshot"):
-                board = stack.enter_context(SnapshotBoard(tmp_path / "snapshots", tissue.snapshot()))
+                board = stack.enter_context(SnapshotWriter(tmp_path / "snapshots", tissue.snapshot()))
                 snapshots = stack.enter_context(SnapshotReader(tmp_path / "snapshots", tissue.snapshot()))
             loop = Loop(tissue, source or Ramp(), rendering, settings, ring, snapshots=board, listen=listen,
                         clock=clock, sleep=clock.sleep)
             report = loop.run()
             run.published = snapshots.latest() if board else None
-            return report, reader.since().records
+            return report, reader.read_ticks_after().records
 
     run.clock = clock
     return run
@@ -153,7 +153,7 @@ def test_a_force_without_an_equilibrium_is_let_go_and_comes_back(run, tissues):
         def step(self, pose, dt):
             super().step(pose, dt)
             status = ForceStatus.STOPPED if 200 <= len(self.steps) < 600 else ForceStatus.CONVERGED
-            return ToolForce.axial(1.5, 300.0, status)
+            return ToolForce.from_axial_force(1.5, 300.0, status)
 
     report, ticks = run(Lost(), 0.8)
     assert answers(report)["fading"] > 340 and 0 < answers(report)["returning"] < 110
@@ -170,7 +170,7 @@ def test_statuses_and_limits_are_counted_and_shown(run, tissues):
         def step(self, pose, dt):
             answer = super().step(pose, dt)
             status = ForceStatus.LATE if len(self.steps) % 4 == 0 else ForceStatus.CONVERGED
-            return ToolForce.axial(answer.force, answer.stiffness, status, 3, 1e-3, age=0.25)
+            return ToolForce.from_axial_force(answer.force, answer.stiffness, status, 3, 1e-3, age=0.25)
 
     report, ticks = run(Doubtful(), 0.4, force=1.0)
     assert answers(report) == {"converged": 300, "late": 100}
@@ -236,10 +236,11 @@ def test_another_source_is_followed_and_a_hand_is_steered(run, tissues):
     def listen(loop):
         step = len(tissue.steps)
         if step == 50:
-            with pytest.raises(InputError, match=r"requires a steerable motion; got a Ramp\. Switch to a HandMotion"):
+            with pytest.raises(InputError,
+                               match=r"requires a steerable motion; got a Ramp\. Switch to a TargetFollowingMotion"):
                 loop.aim(1e-3)
         elif step == 100:
-            loop.switch_device(HandMotion(2e-3))
+            loop.switch_device(TargetFollowingMotion(2e-3))
             loop.aim(5e-3)
 
     tissue = tissues.Spring()
@@ -253,7 +254,7 @@ def test_a_hand_takes_the_tool_over_where_it_is(run, tissues):
     """A hand takes the tool over at its present pose, without a jump to an older one."""
     def listen(loop):
         if len(tissue.steps) == 100:
-            loop.switch_device(HandMotion(None))
+            loop.switch_device(TargetFollowingMotion(None))
             loop.aim(5e-3)
 
     tissue = tissues.Spring()
@@ -267,7 +268,7 @@ def test_another_device_can_restart_the_motion(run, tissues):
     def listen(loop):
         if len(tissue.steps) == 100 and not done:
             done.append(True)
-            loop.switch_device(HandMotion(-1e-3), restart=True)
+            loop.switch_device(TargetFollowingMotion(-1e-3), restart=True)
 
     tissue, done = tissues.Spring(), []
     _, ticks = run(tissue, 0.2, listen=listen)
@@ -332,7 +333,7 @@ def test_a_loop_changes_from_one_device_to_another_that_is_there(run, tissues):
 def test_a_tissue_without_the_ability_says_so(run, tissues):
     class Plain:
         def step(self, depth, dt):
-            return ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
+            return ToolForce.from_axial_force(0.0, 0.0, ForceStatus.CONVERGED)
 
     with pytest.raises(InputError, match=r"this tissue \(Plain\) has no method reset"):
         run(Plain(), 0.1, listen=lambda loop: loop.reset())
@@ -383,9 +384,9 @@ def test_a_process_ticks_to_its_end(tissues):
     with tissues.loop_process(seconds=0.5, real_time=True) as loop:
         loop.wait_until_ready(300, said.append)
         assert said[-1] == "running"
-        with loop.ring() as ring:
+        with loop.open_ring_reader() as ring:
             report = loop.wait(300)
-            ticks = ring.since().records
+            ticks = ring.read_ticks_after().records
         assert report.ended_by == "time" and report.ticks + report.missed >= 500
         assert len(report.real_time) == 4 and any(feature.obtained for feature in report.real_time)
         assert ring_is_right(ticks) and report.statuses["converged"] == report.ticks == len(ticks)
@@ -399,12 +400,12 @@ def test_an_unrelated_process_reads_the_ring(tissues):
     with tissues.loop_process() as loop:
         loop.wait_until_ready(300)
         assert loop.alive and loop.exit_code is None and loop.report is None
-        with loop.ring() as ring:
+        with loop.open_ring_reader() as ring:
             command = [sys.executable, HERE / "loop_tissues.py", "read", loop.ring_path, "100"]
             read, lost, _ = subprocess.run(command, env=child_environment(HERE), capture_output=True, text=True,
                                            check=True).stdout.split()
             report = loop.stop()
-            ticks = ring.since().records
+            ticks = ring.read_ticks_after().records
             assert ring.ended
     assert 100 <= int(read) <= len(ticks) and lost == "0"
     assert report.ended_by == "stop" and report.ticks == len(ticks)
@@ -424,13 +425,13 @@ def test_commands_work_and_a_refusal_does_not_end_the_loop(tissues):
         with pytest.raises(LoopError, match="not ready"):
             loop.pause()
         loop.wait_until_ready(300)
-        with loop.ring() as ring:
+        with loop.open_ring_reader() as ring:
             loop.set_parameters(stiffness=300.0)
             with pytest.raises(InputError, match="stiffness: -1 N/m is no stiffness"):
                 loop.set_parameters(stiffness=-1.0)
             loop.pause()
-            written = ring.written
-            wait_until(lambda: ring.written > written + 1)
+            written = ring.written_count
+            wait_until(lambda: ring.written_count > written + 1)
             latest = ring.latest()
             assert latest["flags"] & PAUSED and np.isnan(latest["device_depth"])
             loop.resume()
@@ -450,14 +451,14 @@ def test_commands_work_and_a_refusal_does_not_end_the_loop(tissues):
 def test_snapshots_are_published_and_follow_the_material(tissues):
     with tissues.loop_process(tissues.Gel, snapshot_rate=200.0) as loop:
         loop.wait_until_ready(300)
-        with loop.snapshots() as snapshots, loop.ring() as ring:
-            wait_until(lambda: snapshots.written > 3)
+        with loop.open_snapshot_reader() as snapshots, loop.open_ring_reader() as ring:
+            wait_until(lambda: snapshots.written_count > 3)
             seen = snapshots.latest()
             np.testing.assert_array_equal(seen.snapshot.fields.states, [[seen.snapshot.depth, 2 * seen.snapshot.depth]])
             assert seen.snapshot.fields.material == 200.0 and snapshots.latest(after=10**9) is None
             loop.set_parameters(stiffness=300.0)
             assert loop.pattern.fields.material == 300.0
-            loop.switch_device(HandMotion(0.0))
+            loop.switch_device(TargetFollowingMotion(0.0))
             loop.aim(3e-3)
             wait_until(lambda: abs(ring.latest()["tool_depth"] - 3e-3) < 1e-6)
             wait_until(lambda: abs(snapshots.latest().snapshot.depth - 3e-3) < 1e-6)
@@ -471,7 +472,7 @@ def test_snapshots_are_published_and_follow_the_material(tissues):
 def test_who_publishes_no_snapshots_has_none(tissues, tissue, rate):
     with tissues.loop_process(getattr(tissues, tissue), seconds=0.05, snapshot_rate=rate) as loop:
         loop.wait_until_ready(300)
-        assert loop.snapshots() is None and loop.pattern is None
+        assert loop.open_snapshot_reader() is None and loop.pattern is None
 
 
 def test_an_error_of_the_tissue_arrives_as_one_sentence(tissues, capfd):

@@ -49,6 +49,6 @@ def test_a_step_that_did_not_converge_teaches_nothing(transition, before, after)
              for each in (before, after)]
     transition._stepper.model = pressed
     transition.estimate.update_estimate(0.01, 1e-3, 1e-3, 0.2, 0.2)
-    transition.update_offset_for_new_model(steps[0], SimpleNamespace(material=0, pose=down(0.0), has_contact=False,
-                                                                     time=0.2), down(1e-3), down(1e-3), steps[1])
+    transition.update_for_new_model(steps[0], SimpleNamespace(material=0, pose=down(0.0), has_contact=False,
+                                                              time=0.2), down(1e-3), down(1e-3), steps[1])
     assert math.isinf(transition.estimate.estimate_force_error(0.0)) and not any(transition.offset)

@@ -12,7 +12,7 @@ from haptics.safety.motion_guard import (
     MotionGuardSettings,
     MotionLimits,
     StopReason,
-    require_stoppable_motion,
+    require_stop_within_force_margin,
 )
 from tissue_sim.errors import InputError
 
@@ -37,7 +37,8 @@ def make_guard(measures=True, ready=True, **settings):
 
 def check(guard, samples=None, stage=None, command=None, now=0.0):
     samples = [sample()] if samples is None else samples
-    return guard.check_poll(now, samples, [each.values[2] for each in samples], stage or stage_at(at=now), command)
+    return guard.find_stop_reason(now, samples, [each.values[2] for each in samples], stage or stage_at(at=now),
+                                  command)
 
 
 INWARDS = CommandedMotion(0.0, 5e-3, 1e-3, 0.0)
@@ -146,11 +147,11 @@ def test_a_faulty_stage_does_not_retract(cause, allowed):
 
 
 def test_a_motion_with_a_force_increase_above_the_margin_is_refused():
-    require_stoppable_motion(LIMITS, 1e-3, 0.9)
+    require_stop_within_force_margin(LIMITS, 1e-3, 0.9)
     with pytest.raises(InputError, match=r"got 1.1 N: .* on a specimen of 1 N/mm.*at most 0.91 mm/s"):
-        require_stoppable_motion(LIMITS, 1e-3, 1.1)
+        require_stop_within_force_margin(LIMITS, 1e-3, 1.1)
     with pytest.raises(InputError, match="Use a stage that stops when the program ends"):
-        require_stoppable_motion(LIMITS, 1e-3, math.inf)
+        require_stop_within_force_margin(LIMITS, 1e-3, math.inf)
 
 
 def test_the_old_name_stop_warns():

@@ -12,25 +12,25 @@ import pytest
 from waiting import wait_for_value
 
 import tissue_sim as ts
-from benchmarks.realtime.delayed_bulk import DelayedBulk
+from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from haptics.devices.motions import SineMotion
 from haptics.loop.bulk_process import BulkProcess
 from haptics.loop.loop import Loop, LoopSettings
 from haptics.loop.multirate import MultiRateTissue
 from haptics.loop.process import LoopProcess
 from haptics.loop.tissue_factory import make_real_time_tissue_factory
-from haptics.safety.limits import ForceLimits
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.linearisation import SolidLinearisation
+from tissue_sim.fem.solid.linearisation import SolidLineariser
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import create_needle_mesh
-from tissue_sim.pose import Pose, between
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.pose import Pose, interpolate_pose
 from tissue_sim.realtime.model_transition import TRANSITION
 from tissue_sim.tool_force import ERROR_FLOOR, ERROR_SHARE, ForceStatus
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
-MESH = create_needle_mesh(0.04, 0.07, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2)
+MESH = create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2)
 DT = 1e-3
 
 
@@ -41,8 +41,8 @@ def model(tool="round", friction=0.3, material=PHANTOM, **changes):
 
 def delayed(delay=0.016, tangent=None, **settings):
     tested = model(**settings)
-    bulk = SolidLinearisation(make_solver(tested, mesh=MESH))
-    tissue = MultiRateTissue(tested, link=DelayedBulk(bulk, delay, tangent))
+    bulk = SolidLineariser(make_solver(tested, mesh=MESH))
+    tissue = MultiRateTissue(tested, link=DelayedBulkLink(bulk, delay, tangent))
     tissue.warm_up()
     return tissue
 
@@ -113,12 +113,12 @@ def test_the_same_motion_gives_the_same_forces_also_after_a_reset():
 
 @pytest.mark.slow
 def test_a_model_that_is_too_old_is_no_equilibrium_any_more():
-    class Dead(DelayedBulk):
+    class Dead(DelayedBulkLink):
         def receive_model(self, now):
             return None
 
     tested = model()
-    link = Dead(SolidLinearisation(make_solver(tested, mesh=MESH)), 0.016)
+    link = Dead(SolidLineariser(make_solver(tested, mesh=MESH)), 0.016)
     tissue = MultiRateTissue(tested, link=link, oldest=0.1)
     pose = Pose((0.0, 0.0, -2e-4))
     statuses = [tissue.step(pose, DT).status for _ in range(150)]
@@ -199,15 +199,15 @@ def test_a_bonded_tool_feels_the_whole_solid_with_its_bulk_in_another_process():
 @pytest.mark.slow
 def test_the_loop_takes_it():
     made = partial(MultiRateTissue, model(), mesh=MESH)
-    loop = LoopProcess(made, SineMotion(1.5e-3, -5e-4, 2.0), ForceRendering(ForceLimits(5.0, 0.5)),
+    loop = LoopProcess(made, SineMotion(1.5e-3, -5e-4, 2.0), ForceRendering(ForceLimiter(5.0, 0.5)),
                        LoopSettings(real_time=False))
     with loop:
         loop.wait_until_ready(300.0)
-        with loop.ring() as ring:
+        with loop.open_ring_reader() as ring:
             deadline, number, force = time.monotonic() + 120.0, 0, 0.0
             while force <= 0.0:
                 assert loop.wait(0.02) is None and time.monotonic() < deadline, loop.message
-                ticks = ring.since(number)
+                ticks = ring.read_ticks_after(number)
                 number = ticks.number
                 if len(ticks.records):
                     force = float(ticks.records["tissue_force"].max())
@@ -278,7 +278,7 @@ def test_a_slow_bulk_is_never_wrong_and_converged(history, delay, deep):
 def test_a_step_that_waits_is_right_at_any_speed(deep):
     """The bulk takes half a second, the tool comes down in two steps."""
     tested = model()
-    link = DelayedBulk(SolidLinearisation(make_solver(tested, mesh=MESH)), 0.5)
+    link = DelayedBulkLink(SolidLineariser(make_solver(tested, mesh=MESH)), 0.5)
     tissue = MultiRateTissue(tested, link=link, waits=True)
     assert tissue.step(down(-1e-3), DT).force == 0.0
     for depth in np.linspace(0.0, 6e-3, 13):
@@ -286,18 +286,18 @@ def test_a_step_that_waits_is_right_at_any_speed(deep):
         assert answer.status is ForceStatus.CONVERGED
     assert answer.force == pytest.approx(deep, rel=0.02) and answer.force_error < 0.01 * deep
     with pytest.raises(ts.InputError, match="waits must be False in a loop"):
-        Loop(tissue, SineMotion(1e-3), ForceRendering(ForceLimits(5.0, 0.5)), LoopSettings(), None)
+        Loop(tissue, SineMotion(1e-3), ForceRendering(ForceLimiter(5.0, 0.5)), LoopSettings(), None)
 
 
 def test_waiting_for_a_process_that_has_ended_comes_to_an_end():
-    class Ended(DelayedBulk):
+    class Ended(DelayedBulkLink):
         is_alive = False
 
         def send_state_and_wait_for_model(self, state):
             return None
 
     tested = model()
-    tissue = MultiRateTissue(tested, link=Ended(SolidLinearisation(make_solver(tested, mesh=MESH)), 0.5), waits=True)
+    tissue = MultiRateTissue(tested, link=Ended(SolidLineariser(make_solver(tested, mesh=MESH)), 0.5), waits=True)
     assert tissue.step(down(1e-3), DT).status is ForceStatus.LATE
 
 
@@ -305,7 +305,7 @@ def test_waiting_for_a_process_that_has_ended_comes_to_an_end():
 @pytest.mark.parametrize("waits", [False, True])
 def test_after_changes_of_material_only_a_model_of_the_newest_one_counts(waits):
     tested = model("flat", "bonded")
-    link = DelayedBulk(SolidLinearisation(make_solver(tested, mesh=MESH)), 0.05)
+    link = DelayedBulkLink(SolidLineariser(make_solver(tested, mesh=MESH)), 0.05)
     tissue = MultiRateTissue(tested, link=link, waits=waits)
     tissue.warm_up()
     for tick in range(200):
@@ -348,9 +348,9 @@ def test_a_tool_that_holds_tissue_holds_it_where_it_touched(end):
     moved, plain = (delayed(tool="flat", friction="bonded") for _ in range(2))
     begin = Pose((0.0, 0.0, 2e-3))
     for share in np.linspace(0.0, 1.0, 50):
-        answer = moved.step(between(begin, end, float(share)), DT)
+        answer = moved.step(interpolate_pose(begin, end, float(share)), DT)
         assert not any(answer.wrench) and answer.status is ForceStatus.CONVERGED
-        plain.step(between(begin, Pose((0.0, 0.0, 1e-5)), float(share)), DT)
+        plain.step(interpolate_pose(begin, Pose((0.0, 0.0, 1e-5)), float(share)), DT)
     for tick in range(60):
         depth = 2e-5 * tick
         x, y, _ = end.position
@@ -449,7 +449,7 @@ def test_a_step_that_waits_gets_its_answers_from_the_process(deep):
 def test_a_tool_that_stops_before_the_pose_of_its_model_is_not_in_the_air(delay):
     """200 mm/s to 2 mm: models are made for where the tool would have gone, and there is no contact on them at 2 mm."""
     tissue, tested = delayed(delay), model()
-    waiting = MultiRateTissue(tested, link=DelayedBulk(SolidLinearisation(make_solver(tested, mesh=MESH)), delay),
+    waiting = MultiRateTissue(tested, link=DelayedBulkLink(SolidLineariser(make_solver(tested, mesh=MESH)), delay),
                               waits=True)
     for tick in range(-5, 800):
         pose = down(min(2e-4 * tick, 2e-3))

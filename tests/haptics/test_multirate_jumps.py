@@ -3,12 +3,12 @@
 import pytest
 
 import tissue_sim as ts
-from benchmarks.realtime.delayed_bulk import DelayedBulk
+from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.linearisation import SolidLinearisation
+from tissue_sim.fem.solid.linearisation import SolidLineariser
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
 
 #: Length of a step, s.
@@ -27,10 +27,10 @@ def make_ball(friction, delay):
     experiment = ts.Experiment(ts.Specimen(0.030, 0.020), ts.Protocol.ramp(2e-3, 2), friction=friction,
                                tool=ts.Tool("round", radius=RADIUS))
     model = ts.Model(experiment, material)
-    mesh = create_needle_mesh(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4,
-                              largest=3.0 * RADIUS, around=2)
-    bulk = SolidLinearisation(make_solver(model, mesh=mesh))
-    tissue = MultiRateTissue(model, link=DelayedBulk(bulk, delay, TANGENT))
+    mesh = create_cylinder_mesh_under_needle(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4,
+                                             largest=3.0 * RADIUS, around=2)
+    bulk = SolidLineariser(make_solver(model, mesh=mesh))
+    tissue = MultiRateTissue(model, link=DelayedBulkLink(bulk, delay, TANGENT))
     tissue.warm_up()
     return tissue
 

@@ -24,11 +24,11 @@ MODEL = LocalModel.from_axial_force(1.0, 100.0, 1e-3, 0.0)
     (HapticDevice, "take_over", "continue_from_pose"),
     (StageLimits(0.0, 0.01, 0.01), "require", "require_within_limits"),
     (StageSample(0, 0.0, False, True, 0, 0, 2.0, 1.0), "earliest", "earliest_reading_time"),
-    (HELD, "work", "compute_work_by_hand"),
+    (HELD, "work", "compute_hand_work"),
     (HELD, "velocity", "compute_mean_velocity"),
     (PassivityController(HELD, 1.0), "force", "compute_damping_force"),
     (Watchdog(), "withdraw", "set_gain_to_zero"),
-    (RenderedForce(NO_WRENCH, Pose.at_depth(0.0), 0, WatchdogState.TRACKING, 0.0, 0.0), "active", "is_active"),
+    (RenderedForce(NO_WRENCH, Pose.at_depth(0.0), 0, WatchdogState.TRACKING, 0.0, 0.0), "active", "is_port_active"),
     (RenderedForce(NO_WRENCH, Pose.at_depth(0.0), 0, WatchdogState.TRACKING, 0.0, 0.0), "invalid",
      "has_invalid_force_or_time_step"),
 ])

@@ -56,7 +56,7 @@ def test_an_elastic_tissue_returns_at_most_0_1_percent_too_much(seed):
         observe(observer, stiffening(depth), depth)
     assert observer.energy_in > 1e-3
     assert abs(observer.energy) <= 1e-3 * observer.energy_in
-    assert not observer.is_active
+    assert not observer.is_port_active
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -66,10 +66,10 @@ def test_an_elastic_tissue_behind_a_coupling_returns_at_most_0_1_percent_too_muc
     for depth in closed_motion(seed):
         proxy = coupling.step(Pose.at_depth(depth), answer, TICK).depth
         tangent = 400.0 + 18e6 * proxy**2 if proxy > 0 else 0.0
-        answer = ToolForce.axial(stiffening(proxy), tangent, ForceStatus.CONVERGED)
+        answer = ToolForce.from_axial_force(stiffening(proxy), tangent, ForceStatus.CONVERGED)
         observe(observer, coupling.force[2], depth)
     assert -observer.energy <= 1e-3 * observer.energy_in
-    assert not observer.is_active
+    assert not observer.is_port_active
 
 
 def held_energy(coupling, tissue, path):
@@ -77,7 +77,7 @@ def held_energy(coupling, tissue, path):
     observer, answer = PassivityObserver(held=True), None
     for depth in path:
         proxy = coupling.step(Pose.at_depth(depth), answer, TICK).depth
-        answer = ToolForce.axial(tissue * proxy, tissue, ForceStatus.CONVERGED)
+        answer = ToolForce.from_axial_force(tissue * proxy, tissue, ForceStatus.CONVERGED)
         observe(observer, coupling.force[2], depth)
     return observer.energy
 
@@ -118,9 +118,9 @@ def test_the_held_force_of_a_spring_is_half_a_step_late():
     assert observer.energy_in == pytest.approx(1e-3)
     assert observer.energy_out == pytest.approx(3e-3)
     assert observer.energy == pytest.approx(-1000.0 / 2 * 4 * 1e-6)
-    assert observer.is_active
+    assert observer.is_port_active
     observer.reset()
-    assert observer.energy == 0.0 and not observer.is_active
+    assert observer.energy == 0.0 and not observer.is_port_active
 
 
 def test_samples_that_are_not_finite_are_ignored():

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from haptics.loop.real_time import requested_real_time_features
+from haptics.loop.real_time import request_real_time_features
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = {"SCHED_FIFO", "locked memory", "timer slack", "no garbage collection"}
@@ -23,7 +23,7 @@ def by_name(features):
 
 def test_every_feature_holds_or_says_why_not():
     before = gc.isenabled()
-    with requested_real_time_features() as features:
+    with request_real_time_features() as features:
         assert set(by_name(features)) == NAMES
         for feature in features:
             assert feature.obtained == (feature.message == "")
@@ -33,7 +33,7 @@ def test_every_feature_holds_or_says_why_not():
 
 
 def test_nothing_is_touched_where_it_is_not_wanted():
-    with requested_real_time_features(wanted=False) as features:
+    with request_real_time_features(wanted=False) as features:
         assert gc.isenabled() and gc.get_freeze_count() == 0
         assert features == ()
 
@@ -41,7 +41,7 @@ def test_nothing_is_touched_where_it_is_not_wanted():
 def test_a_collection_that_was_off_stays_off():
     gc.disable()
     try:
-        with requested_real_time_features():
+        with request_real_time_features():
             pass
         assert not gc.isenabled()
     finally:
@@ -54,12 +54,12 @@ def test_what_linux_grants_is_seen_by_the_system_and_undone():
     code = """
 import os
 from pathlib import Path
-from haptics.loop.real_time import requested_real_time_features
+from haptics.loop.real_time import request_real_time_features
 def state():
     locked = next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmLck" in line)
     return os.sched_getscheduler(0) == os.SCHED_FIFO, int(locked) > 0, Path("/proc/self/timerslack_ns").read_text()
 before = state()
-with requested_real_time_features() as features:
+with request_real_time_features() as features:
     obtained = {feature.name for feature in features if feature.obtained}
     fifo, locked, slack = state()
     assert fifo == ("SCHED_FIFO" in obtained) and locked == ("locked memory" in obtained), features
@@ -84,7 +84,7 @@ def test_a_refusal_names_the_remedy(monkeypatch):
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: NoLibrary())
-    with requested_real_time_features() as features:
+    with request_real_time_features() as features:
         found = by_name(features)
     assert not found["SCHED_FIFO"].obtained
     for remedy in ("Operation not permitted", "ulimit -r", "/etc/security/limits.d/rtprio.conf", "SYS_NICE"):
@@ -97,7 +97,7 @@ def test_a_refusal_names_the_remedy(monkeypatch):
 def test_other_platforms_say_that_they_have_none(monkeypatch):
     monkeypatch.setattr(sys, "platform", "win32")
     monkeypatch.delattr(os, "sched_setscheduler", raising=False)
-    with requested_real_time_features() as features:
+    with request_real_time_features() as features:
         found = by_name(features)
     for name in ("SCHED_FIFO", "locked memory", "timer slack"):
         assert found[name].message.startswith(f"{name}: not available on win32")

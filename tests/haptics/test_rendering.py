@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from haptics.safety.coupling import VirtualCoupling
-from haptics.safety.limits import ForceLimits
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.passivity import ReturnedEnergyCutoff
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from haptics.safety.watchdog import Watchdog, WatchdogState
@@ -28,7 +28,7 @@ class Spring:
 
     def step(self, pose, dt):
         self.depths.append(pose.depth)
-        return ToolForce.axial(self.stiffness * pose.depth, self.stiffness, self.status)
+        return ToolForce.from_axial_force(self.stiffness * pose.depth, self.stiffness, self.status)
 
 
 def at(depth):
@@ -37,11 +37,11 @@ def at(depth):
 
 
 def run(rendering, tissue, depths):
-    return [rendering.render(tissue.step(rendering.pose_for(at(depth), DT), DT), DT) for depth in depths]
+    return [rendering.render(tissue.step(rendering.advance_proxy(at(depth), DT), DT), DT) for depth in depths]
 
 
 def generous():
-    return ForceLimits(force=100.0, rate=100.0)
+    return ForceLimiter(force=100.0, rate=100.0)
 
 
 def test_without_a_coupling_the_tissue_gets_the_pose_of_the_device():
@@ -66,7 +66,7 @@ def test_with_a_coupling_the_springs_act_in_series():
 def test_local_models_are_rendered(status):
     rendered = run(ForceRendering(generous()), Spring(status=status), [2e-3] * 200)
     assert rendered[-1].force == pytest.approx(1.0)
-    assert not rendered[-1].lost_pose
+    assert not rendered[-1].is_faded_by_watchdog
 
 
 @pytest.mark.parametrize("coupling", [None, VirtualCoupling(1500.0, 1.0)])
@@ -74,7 +74,7 @@ def test_a_missing_pose_fades_the_force(coupling):
     """None, NaN and a refusal have the same effect; the force is zero after timeout and ramp, within the rate limit."""
     for missing in (None, math.nan, "refused"):
         tissue, rate = Spring(), 0.05
-        rendering = ForceRendering(ForceLimits(10.0, rate), coupling, Watchdog(0.050, 0.100))
+        rendering = ForceRendering(ForceLimiter(10.0, rate), coupling, Watchdog(0.050, 0.100))
         forces, states = [], []
         for tick in range(1000):
             lost = 300 <= tick < 600
@@ -83,7 +83,7 @@ def test_a_missing_pose_fades_the_force(coupling):
             rendered, = run(rendering, tissue, [depth])
             forces.append(rendered.force)
             states.append(rendered.state)
-            assert rendered.lost_pose == (rendered.state in AWAY)
+            assert rendered.is_faded_by_watchdog == (rendered.state in AWAY)
         full = forces[299]
         assert full == pytest.approx(3.0 if coupling is None else 6e-3 * 375.0)
         assert forces[300:349] == pytest.approx([full] * 49)
@@ -96,20 +96,20 @@ def test_a_missing_pose_fades_the_force(coupling):
 
 
 @pytest.mark.parametrize("coupled", [False, True])
-@pytest.mark.parametrize("bad", [ToolForce.axial(9.0, 500.0, ForceStatus.REFUSED),
-                                 ToolForce.axial(math.nan, 500.0, ForceStatus.CONVERGED),
-                                 ToolForce.axial(9.0, math.inf, ForceStatus.LATE)])
+@pytest.mark.parametrize("bad", [ToolForce.from_axial_force(9.0, 500.0, ForceStatus.REFUSED),
+                                 ToolForce.from_axial_force(math.nan, 500.0, ForceStatus.CONVERGED),
+                                 ToolForce.from_axial_force(9.0, math.inf, ForceStatus.LATE)])
 def test_an_invalid_answer_keeps_force_and_proxy(bad, coupled):
     """Force and proxy stay constant until the timeout of the watchdog."""
     rendering = ForceRendering(generous(), VirtualCoupling(1500.0, 1.0) if coupled else None)
     before = run(rendering, Spring(), [2e-3] * 300)[-1]
-    rendering.pose_for(at(2e-3), DT)
+    rendering.advance_proxy(at(2e-3), DT)
     for _ in range(20):
         rendered = rendering.render(bad, DT)
         assert (rendered.force, rendered.flags) == (pytest.approx(before.force), 0)
         assert rendered.state is WatchdogState.MISSING
         if coupled:
-            assert rendering.pose_for(at(3e-3), DT).depth == pytest.approx(before.proxy_depth)
+            assert rendering.advance_proxy(at(3e-3), DT).depth == pytest.approx(before.proxy_depth)
 
 
 depths = st.none() | st.floats(-0.02, 0.02) | st.sampled_from([math.nan, math.inf])
@@ -123,12 +123,12 @@ ticks = st.sampled_from([DT, DT, DT, 5e-3, 0.0, -1.0, math.nan])
 @given(st.lists(st.tuples(depths, answers, ticks), max_size=60), st.booleans(), st.none() | st.floats(0.1, 5.0))
 def test_force_and_rate_limits_hold_for_any_input(path, coupled, damping):
     """Any pose, answer and dt: no exception, no force above the limit, no change above the rate."""
-    rendering = ForceRendering(ForceLimits(5.0, 0.1), VirtualCoupling(2000.0, 1.0, 1e-3) if coupled else None,
+    rendering = ForceRendering(ForceLimiter(5.0, 0.1), VirtualCoupling(2000.0, 1.0, 1e-3) if coupled else None,
                                controller_damping=damping)
     last = 0.0
     for depth, (force, stiffness, status, inertial), dt in path:
-        rendering.pose_for(at(depth), dt)
-        rendered = rendering.render(ToolForce.axial(force, stiffness, status, inertial=inertial), dt)
+        rendering.advance_proxy(at(depth), dt)
+        rendered = rendering.render(ToolForce.from_axial_force(force, stiffness, status, inertial=inertial), dt)
         assert abs(rendered.force) <= 5.0
         assert abs(rendered.force - last) <= 0.1 + 1e-12
         last = rendered.force
@@ -138,22 +138,22 @@ def test_force_and_rate_limits_hold_for_any_input(path, coupled, damping):
 @settings(deadline=None)
 @given(st.lists(st.tuples(depths, answers, ticks), max_size=30), st.booleans())
 def test_the_force_returns_after_any_input(path, coupled):
-    rendering = ForceRendering(ForceLimits(5.0, 0.1), VirtualCoupling(2000.0, 1.0) if coupled else None)
+    rendering = ForceRendering(ForceLimiter(5.0, 0.1), VirtualCoupling(2000.0, 1.0) if coupled else None)
     for depth, (force, stiffness, status, inertial), dt in path:
-        rendering.pose_for(at(depth), dt)
-        rendering.render(ToolForce.axial(force, stiffness, status, inertial=inertial), dt)
+        rendering.advance_proxy(at(depth), dt)
+        rendering.render(ToolForce.from_axial_force(force, stiffness, status, inertial=inertial), dt)
     rendered = run(rendering, Spring(500.0), [2e-3] * 1500)
     assert rendered[-1].force == pytest.approx(1.0 if not coupled else 2e-3 * 400.0)
-    assert not rendered[-1].lost_pose and not rendered[-1].limited
+    assert not rendered[-1].is_faded_by_watchdog and not rendered[-1].limited
 
 
 def test_flags_name_the_events_of_a_tick():
-    rendering, tissue = ForceRendering(ForceLimits(force=1.0, rate=0.6)), Spring()
+    rendering, tissue = ForceRendering(ForceLimiter(force=1.0, rate=0.6)), Spring()
     first, second = run(rendering, tissue, [4e-3] * 2)
     assert RenderFlag(first.flags) == RenderFlag.LIMITED | RenderFlag.RATE_LIMITED
     assert first.limited and first.rate_limited
     assert RenderFlag(second.flags) == RenderFlag.LIMITED
-    rendering.pose_for(at(4e-3), DT)
+    rendering.advance_proxy(at(4e-3), DT)
     bad = rendering.render(tissue.step(at(4e-3), DT), math.nan)
     assert bad.has_invalid_force_or_time_step and bad.force == pytest.approx(0.4)
 
@@ -163,7 +163,7 @@ def test_the_flag_active_refers_to_the_held_force():
     path = [2e-3 * (1 - math.cos(2 * math.pi * 4 * tick * DT)) for tick in range(251)]
     rendered = run(ForceRendering(generous()), Spring(1000.0), path)[-1]
     assert rendered.energy == pytest.approx(0.0, abs=1e-12)
-    assert rendered.held_energy < 0 and rendered.is_active
+    assert rendered.held_energy < 0 and rendered.is_port_active
 
 
 def test_an_active_tissue_is_detected_and_can_be_damped():
@@ -173,11 +173,11 @@ def test_an_active_tissue_is_detected_and_can_be_damped():
         rendering, late, steps, last = ForceRendering(generous(), controller_damping=damping), [0.0, 0.0], 0.0, 0.0
         for tick in range(1001):
             depth = 2e-3 * (1 - math.cos(2 * math.pi * 4 * tick * DT))
-            late.append(stiffness * rendering.pose_for(at(depth), DT).depth)
-            rendered = rendering.render(ToolForce.axial(late.pop(0), stiffness, ForceStatus.LATE), DT)
+            late.append(stiffness * rendering.advance_proxy(at(depth), DT).depth)
+            rendered = rendering.render(ToolForce.from_axial_force(late.pop(0), stiffness, ForceStatus.LATE), DT)
             steps, last = steps + (depth - last) ** 2, depth
         energies.append(rendered.held_energy)
-        active.append(rendered.is_active)
+        active.append(rendered.is_port_active)
     assert energies[0] == pytest.approx(-2.5 * stiffness * steps, rel=0.01)
     assert active[0]
     assert abs(energies[1]) < 0.05 * abs(energies[0])
@@ -199,7 +199,7 @@ def test_a_local_model_blend_can_be_rendered():
 
 
 def test_reset_restores_the_initial_state_of_separate_instances():
-    one, other = (ForceRendering(ForceLimits(5.0, 0.1), VirtualCoupling(1000.0)) for _ in range(2))
+    one, other = (ForceRendering(ForceLimiter(5.0, 0.1), VirtualCoupling(1000.0)) for _ in range(2))
     path = [0.0, 1e-3, 3e-3, None, 2e-3]
     first = run(one, Spring(), path)
     assert run(other, Spring(), path) == first
@@ -212,7 +212,7 @@ def test_reset_restores_the_initial_state_of_separate_instances():
 def test_torque_reaches_the_hand_and_the_tool_turns_with_the_device(coupled):
     rendering = ForceRendering(generous(), VirtualCoupling(1500.0, 1.0) if coupled else None)
     device = Pose((1e-3, 2e-3, -3e-3), (0.6, 0.0, 0.8, 0.0))
-    tool = rendering.pose_for(device, DT)
+    tool = rendering.advance_proxy(device, DT)
     assert tool == device
     answer = ToolForce((0.1, 0.2, 0.3, 0.04, 0.05, 0.06), ((0.0,) * 6,) * 6, ForceStatus.CONVERGED)
     rendered = rendering.render(answer, DT)
@@ -223,12 +223,12 @@ def test_torque_reaches_the_hand_and_the_tool_turns_with_the_device(coupled):
 def test_tissue_that_drives_a_hand_is_let_go_for_good():
     """Wrong sign: 500 N/m over 0.1 m would return 2.5 J; with a limit of 0.2 J little more than 0.2 J is returned."""
     for energy, most in ((math.inf, 2.0), (0.2, 0.3)):
-        rendering = ForceRendering(ForceLimits(100.0, 5.0), energy_limit=ReturnedEnergyCutoff(energy))
+        rendering = ForceRendering(ForceLimiter(100.0, 5.0), energy_limit=ReturnedEnergyCutoff(energy))
         rendered = run(rendering, Spring(-500.0), [1e-4 * k for k in range(1001)])
-        assert rendered[-1].out_of_energy == (energy < math.inf)
+        assert rendered[-1].has_exceeded_energy_limit == (energy < math.inf)
         assert (rendered[-1].force == 0.0) == (energy < math.inf)
         assert most / 2 < -rendered[-1].held_energy < most * 1.5
     flagged = [tick.flags & RenderFlag.ENERGY for tick in rendered]
     assert flagged == sorted(flagged), "until a reset"
     rendering.reset()
-    assert not run(rendering, Spring(), [0.0, 1e-3])[-1].out_of_energy
+    assert not run(rendering, Spring(), [0.0, 1e-3])[-1].has_exceeded_energy_limit

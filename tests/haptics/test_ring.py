@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from haptics.loop.ring import TICK, RingReader, RingWriter
-from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, get_runtime_folder
-from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, get_or_create_runtime_folder
+from haptics.loop.snapshot_board import SnapshotReader, SnapshotWriter
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
@@ -37,12 +37,13 @@ def path(tmp_path):
 
 def test_a_tick_comes_back_as_it_was_written(path, tissues):
     with RingWriter(path) as ring, RingReader(path) as reader:
-        assert reader.latest() is None and reader.since().records.shape == (0,)
+        assert reader.latest() is None and reader.read_ticks_after().records.shape == (0,)
         ring.append_tick(*tissues.record(41))
         ring.append_tick(*tissues.record(42))
         assert tissues.flat(reader.latest()) == tissues.fields_of(42)
         assert reader.latest().dtype == TICK
-        assert [tissues.flat(record) for record in reader.since().records] == [tissues.fields_of(n) for n in (41, 42)]
+        assert [tissues.flat(record) for record in reader.read_ticks_after().records] == [tissues.fields_of(n)
+                                                                                          for n in (41, 42)]
 
 
 def test_what_stands_twice_in_a_tick_is_the_same(path, tissues):
@@ -84,7 +85,7 @@ def test_ticks_of_a_loop_without_ages_are_read(path, tissues):
     path.unlink(missing_ok=True)
     with SlotWriter(path, b"tsTICKS\0", 4, len(record)) as old, RingReader(path) as reader:
         old.write(record)
-        tick, = reader.since().records
+        tick, = reader.read_ticks_after().records
         assert tick.dtype == TICK and reader.latest() is not None
         assert tissues.flat(tick)[:-5] == tissues.fields_of(5)[:-5] and tick["on_axis"] == 1
         assert all(np.isnan(tick[name]) for name in ("stiffness_age", "force_error", "error_age", "least_tool_mass"))
@@ -168,7 +169,7 @@ def test_no_torn_record_is_seen_from_a_writer_at_full_speed(tmp_path, tissues):
             number = seen = lost = published = 0
             while number < 100_000:
                 for _ in range(20):
-                    answer = ticks.since(number)
+                    answer = ticks.read_ticks_after(number)
                     for record in answer.records:
                         assert tissues.flat(record) == tissues.fields_of(int(record["tick"]))
                     assert (np.diff(answer.records["tick"].astype(int)) > 0).all()
@@ -194,7 +195,7 @@ def test_a_snapshot_comes_back_with_its_stresses(path, tissues):
     pattern = Snapshot(Pose.at_depth(0.0), 0.0, tissues.gel_fields(200.0, np.zeros((1, 7)), np.zeros((1, 2, 3, 4))))
     pose = Pose((1e-3, 2e-3, -3e-3), (0.6, 0.0, 0.8, 0.0))
     sent = Snapshot(pose, -1e-4, tissues.gel_fields(200.0, np.arange(7.0)[None], np.arange(24.0).reshape(1, 2, 3, 4)))
-    with SnapshotBoard(path, pattern) as board, SnapshotReader(path, pattern) as reader:
+    with SnapshotWriter(path, pattern) as board, SnapshotReader(path, pattern) as reader:
         assert reader.latest() is None
         board.publish(0.25, sent)
         seen = reader.latest()
@@ -238,7 +239,7 @@ def test_a_file_is_whole_when_its_name_appears(path, monkeypatch):
 
     def look(source, target, **options):
         with RingReader(source) as reader:
-            assert (reader.written, reader.count, reader.ended) == (0, 4, False)
+            assert (reader.written_count, reader.count, reader.ended) == (0, 4, False)
         link(source, target, **options)
         looked.append(target)
 
@@ -251,7 +252,7 @@ def test_a_file_is_whole_when_its_name_appears(path, monkeypatch):
 def test_files_of_a_loop_are_this_users_alone(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = find_unused_path("ring")
-    assert path.parent == get_runtime_folder() == tmp_path / "tissue_sim" and path != find_unused_path("ring")
+    assert path.parent == get_or_create_runtime_folder() == tmp_path / "tissue_sim" and path != find_unused_path("ring")
     with RingWriter(path, 2) as ring:
         if os.name != "nt":
             assert path.stat().st_mode & 0o077 == 0 and path.parent.stat().st_mode & 0o077 == 0
@@ -261,6 +262,6 @@ def test_files_of_a_loop_are_this_users_alone(tmp_path, monkeypatch):
     blocked.touch()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(blocked))
     with pytest.raises(InputError, match="set XDG_RUNTIME_DIR to a folder that you own"):
-        get_runtime_folder()
+        get_or_create_runtime_folder()
     monkeypatch.delenv("XDG_RUNTIME_DIR")
-    assert get_runtime_folder().is_dir()
+    assert get_or_create_runtime_folder().is_dir()

@@ -34,7 +34,8 @@ class MaxwellTissue:
         assert self.gate.wait(300.0)
         self.viscous_force = (self.viscous_force + 500.0 * (pose.depth - self.depth)) * (1.0 - dt / (0.1 + dt))
         self.depth = pose.depth
-        return ToolForce.axial(1e3 * pose.depth + self.viscous_force, 1.5e3, ForceStatus.CONVERGED, depth=pose.depth)
+        return ToolForce.from_axial_force(1e3 * pose.depth + self.viscous_force, 1.5e3, ForceStatus.CONVERGED,
+                                          depth=pose.depth)
 
 
 @contextmanager

@@ -39,7 +39,7 @@ class SettableTissue:
     def step(self, pose, dt):
         self.threads.add(threading.get_ident())
         self.deepest = max(self.deepest, pose.depth)
-        return ToolForce.axial(self.stiffness * self.deepest, self.stiffness, ForceStatus.CONVERGED)
+        return ToolForce.from_axial_force(self.stiffness * self.deepest, self.stiffness, ForceStatus.CONVERGED)
 
     def reset(self):
         self.threads.add(threading.get_ident())
@@ -200,7 +200,7 @@ def test_an_invalid_line_is_answered_and_the_connection_stays_open(line, content
 def test_a_tissue_without_a_method_gives_an_error():
     class Plain:
         def step(self, pose, dt):
-            return ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
+            return ToolForce.from_axial_force(0.0, 0.0, ForceStatus.CONVERGED)
 
         def reset(self):
             pass

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.safety.force_release import ForceRelease
-from haptics.server.scene_limits import SceneLimits
+from haptics.safety.force_release import ForceFader
+from haptics.server.scene_limits import ServerLimits
 from haptics.server.steps import StepService
 from haptics.server.wire import VERSION, Request, RequestFlags, RequestKind, Status, decode_reply, encode_request
 from tissue_sim.errors import InputError
@@ -26,8 +26,9 @@ class RecordingTissue:
 
     def step(self, pose, dt):
         self.steps.append((pose.depth, dt))
-        return ToolForce.axial(1e3 * pose.depth, 1e3, ForceStatus.CONVERGED, iterations=2, residual=1e-7, inertial=True,
-                         compute_time=3e-4)
+        return ToolForce.from_axial_force(1e3 * pose.depth, 1e3, ForceStatus.CONVERGED, iterations=2, residual=1e-7,
+                                          inertial=True,
+                                          compute_time=3e-4)
 
     def reset(self):
         self.resets += 1
@@ -52,7 +53,7 @@ def ask(service, *packets, address=A, now=0.0):
     if answer is None:
         return None if immediate is None else decode_reply(immediate)
     assert answer[1] == address
-    service.restart_owner_silence(now)
+    service.restart_owner_silence_timer(now)
     return decode_reply(answer[0])
 
 
@@ -110,7 +111,8 @@ def test_a_refused_pose_keeps_the_state_and_the_last_force(service, changes):
 
 def test_a_refusal_by_the_tissue_does_not_advance_time(service):
     ask(service, packet(0, 0.0))
-    step, service.tissue.step = service.tissue.step, lambda pose, dt: ToolForce.axial(1.0, 2.0, ForceStatus.REFUSED)
+    step, service.tissue.step = service.tissue.step, lambda pose, dt: ToolForce.from_axial_force(1.0, 2.0,
+                                                                                                 ForceStatus.REFUSED)
     assert ask(service, packet(1, 0.1)).status == Status.REFUSED
 
     def refuse(pose, dt):
@@ -136,7 +138,8 @@ def test_the_reset_flag_resets_before_the_step_and_is_never_skipped(service):
 
 def test_a_reset_applies_even_if_its_step_is_refused(service):
     ask(service, packet(0, 5.0, depth=0.003))
-    step, service.tissue.step = service.tissue.step, lambda pose, dt: ToolForce.axial(1.0, 2.0, ForceStatus.REFUSED)
+    step, service.tissue.step = service.tissue.step, lambda pose, dt: ToolForce.from_axial_force(1.0, 2.0,
+                                                                                                 ForceStatus.REFUSED)
     ask(service, packet(1, 6.0, flags=RequestFlags.RESET))
     service.tissue.step = step
     assert ask(service, packet(2, math.nan)).force == (0.0, 0.0, 0.0)
@@ -172,7 +175,7 @@ def test_a_silent_owner_loses_the_tissue_to_another_client(service):
 def test_the_silence_starts_with_the_reply(service):
     service.receive(packet(0), A, 0.0)
     service.step(0.0)
-    service.restart_owner_silence(5.0)  # a long step
+    service.restart_owner_silence_timer(5.0)  # a long step
     assert ask(service, packet(0), address=B, now=5.9).status == Status.BUSY
 
 
@@ -216,7 +219,7 @@ def test_a_reply_has_the_version_of_its_request(service, version):
 def test_statuses_are_counted(service):
     statuses = [ForceStatus.CONVERGED, ForceStatus.LATE, ForceStatus.LATE, ForceStatus.STOPPED, ForceStatus.REFUSED]
     for number, status in enumerate(statuses):
-        service.tissue.step = lambda pose, dt, status=status: ToolForce.axial(1.0, 2.0, status)
+        service.tissue.step = lambda pose, dt, status=status: ToolForce.from_axial_force(1.0, 2.0, status)
         assert ask(service, packet(number)).status == status
     counters = service.counters
     assert (counters.steps, counters.converged, counters.late, counters.stopped, counters.refused) == (5, 1, 2, 1, 1)
@@ -224,7 +227,7 @@ def test_statuses_are_counted(service):
 
 class TestSceneLimits:
     def test_a_depth_beyond_the_limit_is_refused(self):
-        service = StepService(RecordingTissue(), limits=SceneLimits(deepest=0.07))
+        service = StepService(RecordingTissue(), limits=ServerLimits(deepest=0.07))
         assert ask(service, packet(0, 0.0, depth=0.05)).status == Status.CONVERGED
         for number, depth in enumerate((0.071, 0.1, 1e3, 1e300, 1.7e308), start=1):
             assert ask(service, packet(number, 0.1, depth=depth)).status == Status.REFUSED
@@ -245,7 +248,7 @@ class TestSceneLimits:
         assert ask(service, packet(1, 1.0, depth=0.02)).status == Status.CONVERGED
 
     def test_no_reply_has_more_than_the_largest_force(self):
-        service = StepService(RecordingTissue(), limits=SceneLimits(force=2.5))
+        service = StepService(RecordingTissue(), limits=ServerLimits(force=2.5))
         reply = ask(service, packet(0, depth=0.002))
         assert (reply.force[2], reply.flags, service.counters.limited) == (2.0, 1, 0)
         reply = ask(service, packet(1, depth=0.009))
@@ -255,7 +258,7 @@ class TestSceneLimits:
     @pytest.mark.parametrize("bad", [{"deepest": 0.0}, {"force": -1.0}, {"speed": math.nan}])
     def test_an_invalid_limit_is_refused(self, bad):
         with pytest.raises(InputError, match=f"^{next(iter(bad))}: must be positive"):
-            SceneLimits(**bad)
+            ServerLimits(**bad)
 
 
 class TestFailure:
@@ -284,7 +287,7 @@ class TestFailure:
         assert service.tissue.steps == [(0.001, 0.0)] and service.counters.failed == 1
 
     def test_a_force_that_is_not_finite_is_a_failure(self, service):
-        service.tissue.step = lambda pose, dt: ToolForce.axial(math.nan, 1.0, ForceStatus.CONVERGED)
+        service.tissue.step = lambda pose, dt: ToolForce.from_axial_force(math.nan, 1.0, ForceStatus.CONVERGED)
         assert ask(service, packet(0)).status == Status.FAILED and service.tissue.resets == 1
 
     def test_a_failed_rebuild_is_repeated(self):
@@ -310,11 +313,11 @@ class TestFailure:
 class TestRelease:
     @pytest.fixture
     def service(self):
-        return StepService(RecordingTissue(), release=ForceRelease())
+        return StepService(RecordingTissue(), release=ForceFader())
 
     def drive(self, service, depths, start=0, status=ForceStatus.CONVERGED):
         """Step through depths at 1 kHz, and return the replies."""
-        service.tissue.step = lambda pose, dt: ToolForce.axial(1e3 * pose.depth, 1e3, status)
+        service.tissue.step = lambda pose, dt: ToolForce.from_axial_force(1e3 * pose.depth, 1e3, status)
         return [ask(service, packet(start + k, depth=depth), now=1e-3 * (start + k)) for k, depth in enumerate(depths)]
 
     def test_a_client_that_starts_in_the_air_gets_the_forces_of_the_tissue(self, service):
@@ -324,14 +327,14 @@ class TestRelease:
 
     def test_a_client_that_starts_inside_starts_without_force(self, service):
         for first in (0, 1000):  # the second time after a reset by a command
-            service.discard_last_step()
+            service.clear_last_step_record()
             replies = self.drive(service, [0.003] * 100, start=first)
             assert (replies[0].status, replies[0].force[2]) == (Status.RETURNING, 0.0)
             assert replies[-1].status == Status.CONVERGED and replies[-1].force[2] == 3.0
 
     def test_a_frozen_force_fades_whatever_the_client_says_of_time(self, service):
         self.drive(service, [0.0, 0.001, 0.002, 0.003])
-        service.tissue.step = lambda pose, dt: ToolForce.axial(3.0, 1e3, ForceStatus.STOPPED)
+        service.tissue.step = lambda pose, dt: ToolForce.from_axial_force(3.0, 1e3, ForceStatus.STOPPED)
         replies = [ask(service, packet(4 + k, 0.003, depth=0.003), now=1e-3 * (4 + k)) for k in range(200)]
         assert replies[0].force[2] == 3.0 and replies[0].status == Status.STOPPED
         assert replies[-1].force[2] == replies[-1].stiffness[2][2] == 0.0 and replies[-1].status == Status.FADING
@@ -368,7 +371,7 @@ def test_each_packet_is_counted_once(events):
     for event, sequence in events:
         if event == "step":
             service.step(now)
-            service.restart_owner_silence(now)
+            service.restart_owner_silence_timer(now)
         elif event == "wait":
             now += sequence / 10
         else:
@@ -381,7 +384,7 @@ def test_each_packet_is_counted_once(events):
     counters = service.counters
     assert counters.steps == len(service.tissue.steps)
     assert received == (counters.steps + counters.skipped + counters.stale + counters.turned_away + counters.malformed
-                     + goodbyes)
+                        + goodbyes)
 
 
 @given(st.lists(st.integers(0, 2**64 - 1), min_size=1, max_size=30))

@@ -9,7 +9,7 @@ from benchmarks.realtime.oscillation import measure_sustained_peak_to_peak, simu
 from haptics.devices.contracts import AxialMotion
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.safety.coupling import VirtualCoupling
-from haptics.safety.limits import ForceLimits
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
@@ -22,8 +22,8 @@ class Spring:
 
     def step(self, pose, dt):
         depth = pose.depth
-        return (ToolForce.axial(self.stiffness * depth, self.stiffness, ForceStatus.CONVERGED) if depth > 0
-                else ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED))
+        return (ToolForce.from_axial_force(self.stiffness * depth, self.stiffness, ForceStatus.CONVERGED) if depth > 0
+                else ToolForce.from_axial_force(0.0, 0.0, ForceStatus.CONVERGED))
 
 
 class Step(AxialMotion):
@@ -36,7 +36,7 @@ class Step(AxialMotion):
 def shakes(stiffness, mass, damping, grip, delay, *, coupling=None, controller=None, jitter=0.0, loss=0.0):
     """Return the oscillation of a hand that rests at a depth of 1 mm."""
     hand = VirtualHand(Step(), mass, damping, grip, push=stiffness * 1e-3)
-    rendering = ForceRendering(ForceLimits(50.0, 5.0), coupling, controller_damping=controller)
+    rendering = ForceRendering(ForceLimiter(50.0, 5.0), coupling, controller_damping=controller)
     depths = simulate_device_depths(Spring(stiffness), DelayedHand(hand, delay, jitter, loss), rendering, 2.0)
     return measure_sustained_peak_to_peak(depths)
 
@@ -115,7 +115,7 @@ def test_a_heavy_hand_behind_a_coupling_does_not_shake_a_tissue_with_mass(presse
             return 5.733e-3 if time <= 0 else 6.233e-3
 
     hand = DelayedHand(VirtualHand(Deeper(), 0.5, damping, 400.0, push=1.2), 0.0)
-    rendering = ForceRendering(ForceLimits(10.0, 1.0), VirtualCoupling(1000.0, 1.0), controller_damping=2.0)
+    rendering = ForceRendering(ForceLimiter(10.0, 1.0), VirtualCoupling(1000.0, 1.0), controller_damping=2.0)
     assert measure_sustained_peak_to_peak(simulate_device_depths(pressed(), hand, rendering, 2.0)) == 0.0
 
 

@@ -16,7 +16,7 @@ import tissue_sim as ts
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX27P1
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.mesh.tetrahedra import TET15P1
 from tissue_sim.pose import Pose
 
@@ -35,8 +35,9 @@ ORDER = [0, 2, 8, 6, 18, 20, 26, 24, 1, 5, 7, 3, 19, 23, 25, 21, 9, 11, 17, 15]
 def test_force_off_the_axis(degrees, off, tmp_path):
     """The force lies in the plane of the motion by symmetry; sign, size and direction equal those of CalculiX."""
     approach = ts.Approach(OFFSET, math.radians(degrees))
-    mesh = create_needle_mesh(0.04, 0.05, 8e-3, HEX27P1, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2,
-                              centre=(OFFSET, 0.0))
+    mesh = create_cylinder_mesh_under_needle(0.04, 0.05, 8e-3, HEX27P1, smallest=2.4e-3, growth=2.2, largest=20e-3,
+                                             around=2,
+                                             centre=(OFFSET, 0.0))
     solver = SolidSolver(mesh, MATERIAL, {"base": "xyz"}, mesh.sets["face"], start=approach.pose(0.0))
     for share in (0.5, 1.0):
         step = solver.step(approach.pose(share * DEPTH))

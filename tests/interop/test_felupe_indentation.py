@@ -10,7 +10,7 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh import needle_mesh
+from tissue_sim.mesh import cylinder_mesh_refined_under_needle
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 #: Pa. The second set is the one that a warm start meets: other moduli and another ratio of them.
@@ -35,7 +35,8 @@ def our_forces(mesh, C10, C20):
 
 @pytest.fixture(params=[Q4P0, Q9P1], ids=["Q4/P0", "Q9/P-1"])
 def mesh(request):
-    return needle_mesh(0.04, 0.07, 0.008, request.param, smallest=4e-3, growth=1.8, largest=15e-3)
+    return cylinder_mesh_refined_under_needle(0.04, 0.07, 0.008, request.param, smallest=4e-3, growth=1.8,
+                                              largest=15e-3)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from waiting import wait_until
 from haptics.devices.contracts import Bench, StageLimits
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.devices.virtual.stage import VirtualStage
-from haptics.emulators.emulator import open_emulator
+from haptics.emulators.emulator import make_emulator
 
 COMMAND_TIMEOUT = 1 << 6
 SAFE_START = 1 << 7
@@ -27,7 +27,7 @@ def rig(request):
     settings, options = request.param
     stage = VirtualStage(StageLimits(-0.01, 0.01, 0.01))
     bench = Bench(VirtualForceSensor(no_load), stage)
-    with open_emulator(f"tic:steps_per_mm=1000,timeout_ms=600{settings}", bench) as emulator, serial.Serial(
+    with make_emulator(f"tic:steps_per_mm=1000,timeout_ms=600{settings}", bench) as emulator, serial.Serial(
             emulator.path, 9600, timeout=5.0, write_timeout=5.0) as port:
         yield emulator, stage, ticlib.TicSerial(port, **options)
 
@@ -110,7 +110,7 @@ def test_variables_and_settings_are_those_that_it_knows(rig):
 
 def test_commands_with_a_wrong_check_or_for_another_are_ignored():
     stage = VirtualStage(StageLimits(-0.01, 0.01, 0.01))
-    with open_emulator("tic:crc=1", Bench(VirtualForceSensor(no_load), stage)) as emulator, serial.Serial(
+    with make_emulator("tic:crc=1", Bench(VirtualForceSensor(no_load), stage)) as emulator, serial.Serial(
             emulator.path, 9600, timeout=0.3) as port:
         with pytest.raises(RuntimeError):
             ticlib.TicSerial(port).get_operation_state()

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from calibration import Design, design_experiments
+from calibration import Design, evaluate_planned_experiments
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.diagnosis.decision_limits import LIMITS
 from calibration.effects.backlash import Backlash
@@ -72,11 +72,11 @@ def test_json_contains_detectable_sizes(tmp_path, capsys):
 
 def test_more_recordings_and_a_hold_improve_the_design(tmp_path):
     path = write(tmp_path)
-    one, four = (design_experiments(path, replicates=n, samples=60) for n in (1, 4))
+    one, four = (evaluate_planned_experiments(path, replicates=n, samples=60) for n in (1, 4))
     assert isinstance(four, Design) and [test.recordings for test in four.tests] == [4]
     # Noise, contact and zero of the recordings are independent.
     assert one.standard_errors["C10"] == pytest.approx(2.0 * four.standard_errors["C10"], rel=0.05)
-    ramp = design_experiments(write(tmp_path, RAMP, "ramp.toml"), replicates=4, samples=60)
+    ramp = evaluate_planned_experiments(write(tmp_path, RAMP, "ramp.toml"), replicates=4, samples=60)
     held, ramped = ({each.name: each for each in design.candidates} for design in (four, ramp))
     assert held["backlash"].testable and not ramped["backlash"].testable
     assert "has an unloading" in ramped["backlash"].reason
@@ -94,10 +94,11 @@ def test_tables_use_display_units(tmp_path, capsys):
 
 
 def test_default_scatter_is_proportional_to_the_force(tmp_path):
-    unstated = design_experiments(write(tmp_path, PLAN.replace("zero_jitter_N = 0.005\n", "")), samples=60)
+    unstated = evaluate_planned_experiments(write(tmp_path, PLAN.replace("zero_jitter_N = 0.005\n", "")), samples=60)
     share = OFFSET_DEFAULTS.first_zero * unstated.tests[0].force_N
-    stated = design_experiments(write(tmp_path, PLAN.replace("zero_jitter_N = 0.005", f"zero_jitter_N = {share}")),
-                                samples=60)
+    stated = evaluate_planned_experiments(write(tmp_path,
+                                                PLAN.replace("zero_jitter_N = 0.005", f"zero_jitter_N = {share}")),
+                                          samples=60)
     assert unstated.standard_errors["C10"] == pytest.approx(stated.standard_errors["C10"], rel=1e-3)
 
 
@@ -119,4 +120,4 @@ def test_too_few_samples_or_replicates_are_refused(tmp_path):
     for wrong, words in (({"samples": 3}, "samples must be at least 20; got 3"),
                          ({"replicates": 0}, "replicates must be at least 1; got 0")):
         with pytest.raises(InputError, match=words):
-            design_experiments(write(tmp_path), **wrong)
+            evaluate_planned_experiments(write(tmp_path), **wrong)

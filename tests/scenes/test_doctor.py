@@ -35,7 +35,7 @@ def test_the_text_output_has_one_line_per_check(capsys):
 
 def test_a_failed_check_fails_the_command(monkeypatch, capsys):
     broken = CheckResult("numpy", "fail", "not installed", "python -m pip install numpy")
-    monkeypatch.setattr("scenes.doctor.iterate_check_results", lambda clock_seconds: iter([broken]))
+    monkeypatch.setattr("scenes.doctor.run_checks", lambda clock_seconds: iter([broken]))
     assert main(["doctor"]) == 1
     text = capsys.readouterr().out
     assert "fail  numpy: not installed" in text and "python -m pip install numpy" in text

@@ -46,14 +46,14 @@ def test_each_effect_changes_its_tests_and_has_a_description(hideable):
     hidden = HiddenEffect(hideable.name, {path: ends[1] for path, ends in hideable.sizes.items()}, hideable.tests)
     models = build_plain_models()
     for test, model in models.items():
-        assert (hidden.make_test_model(test, model) != model) == (test in hideable.tests)
+        assert (hidden.add_effect_to_test_model(test, model) != model) == (test in hideable.tests)
     assert " = " in hidden.describe_values(models)
     assert HiddenEffect().describe_values(models) == "nothing"
 
 
 def test_friction_is_applied_to_both_plates():
     friction = HiddenEffect("plate_friction", {"experiment.friction": 0.05}, (PLATES,))
-    model = friction.make_test_model(PLATES, build_plain_models()[PLATES])
+    model = friction.add_effect_to_test_model(PLATES, build_plain_models()[PLATES])
     assert model.experiment.resolved_base_interface == model.experiment.friction == 0.05
 
 
@@ -134,7 +134,7 @@ def test_a_rig_effect_is_part_of_the_curve_of_the_session(demo, monkeypatch):
     session = Session(replace(scene, rig=ts.Rig(backlash=1e-4)))
     try:
         assert asked[0].rig.backlash == 1e-4
-        assert session.frame().curves.compared is scene.compared
+        assert session.update_and_make_frame().curves.compared is scene.compared
     finally:
         session.close()
 

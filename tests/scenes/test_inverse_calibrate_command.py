@@ -18,7 +18,7 @@ from scipy.interpolate import PchipInterpolator
 import calibration.fit.generalised as generalised
 import tissue_sim as ts
 from calibration.tasks.errors import WorkerError
-from calibration.tasks.executors import open_tasks
+from calibration.tasks.executors import open_task_executor
 from scenes.cli import main
 from scenes.commands.shared.progress import CampaignProgressDisplay
 from scenes.commands.shared.text_table import PrintedTableLimits
@@ -397,10 +397,10 @@ def test_number_of_workers_reaches_the_calibration(joint, tmp_path, monkeypatch)
     @contextlib.contextmanager
     def inline(workers):
         asked.append(workers)
-        with open_tasks(type(workers)()) as tasks:
+        with open_task_executor(type(workers)()) as tasks:
             yield tasks
 
-    monkeypatch.setattr("calibration.pipeline.open_tasks", inline)
+    monkeypatch.setattr("calibration.pipeline.open_task_executor", inline)
     assert run(joint, "-o", tmp_path / "out", "--workers", "3") == 0
     assert [(workers.count, workers.dask) for workers in asked] == [(3, None)]
 

@@ -38,7 +38,7 @@ def writer_of(ring, ticks=50, seconds=600.0, alive=lambda: True):
 
     wait_until(lambda: while_alive(ring.exists), "the ring buffer", seconds)
     with RingReader(ring) as reader:
-        wait_until(lambda: while_alive(lambda: reader.written >= ticks), f"{ticks} ticks", seconds)
+        wait_until(lambda: while_alive(lambda: reader.written_count >= ticks), f"{ticks} ticks", seconds)
         return reader.writer
 
 
@@ -241,9 +241,9 @@ def test_flags_reach_the_coupling_and_the_controller(asked):
 def test_the_force_at_a_device_stays_within_its_limit(capsys):
     """Needle in silicone, moved 12 mm deep by the emulated hand of a Haply device with a limit of 1 N."""
     from haptics.devices.virtual.faults import Faults
-    from haptics.emulators.haply import emulate_haply
+    from haptics.emulators.haply import make_haply_emulator
 
-    with emulate_haply(None, "port=0,depth_mm=12,frequency_hz=1,grip_N_m=800", Faults()) as service:
+    with make_haply_emulator(None, "port=0,depth_mm=12,frequency_hz=1,grip_N_m=800", Faults()) as service:
         device = f"{service.address},x_mm=0,y_mm=-150,z_mm=148,largest_force_N=1"
         assert main(["loop", "--seconds", "1.5", "--device", device, "--passivity-damping-N-s-m", "2", "--budget-us",
                      "0", "--no-real-time", "--json"]) == 0
@@ -255,14 +255,14 @@ def test_the_force_at_a_device_stays_within_its_limit(capsys):
 
 def test_the_status_line_is_read_from_the_ring(tmp_path):
     with RingWriter(tmp_path / "ring") as ring, RingReader(tmp_path / "ring") as reader:
-        live, answer = LoopStatusLine(reader, 60.0), ToolForce.axial(0.25, 200.0, ForceStatus.CONVERGED)
-        assert live.format_ticks_since_last_call() == "waiting for the next tick"
+        live, answer = LoopStatusLine(reader, 60.0), ToolForce.from_axial_force(0.25, 200.0, ForceStatus.CONVERGED)
+        assert live.format_status_line() == "waiting for the next tick"
         for n in range(1, 101):
             ring.append_tick(n, n * 1e-3, Pose.at_depth(0.0), Pose.at_depth(1.5e-3), answer.wrench, answer, 1e-6 * n,
                              2e-6 * n, 3, 7, 0)
-        assert live.format_ticks_since_last_call() == (
+        assert live.format_status_line() == (
             "0 of 60 s: 1.50 mm, 0.250 N; p99 compute 99, lateness 198 us; late 3, missed 7")
-        assert live.format_ticks_since_last_call() \
+        assert live.format_status_line() \
             == "waiting for the next tick", "a line covers the ticks since the line before"
 
 

@@ -9,7 +9,7 @@ import pytest
 from haptics.devices.tic import TIMING
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.rdt import RdtEmulator
-from haptics.emulators.tic import emulate_tic
+from haptics.emulators.tic import make_tic_emulator
 from haptics.protocols.rdt import BoxSettings
 from scenes.cli import main
 from scenes.commands.record.bench import make_virtual_rig
@@ -109,7 +109,7 @@ def test_recordings_over_device_protocols_recover_the_specimen(protocol, tmp_pat
         # Emulate sensor and stage of this specimen with the protocols of an ATI box and of a Tic.
         rig = make_virtual_rig(read, test)
         sensor = RdtEmulator(rig.sensor, port=rdt, http_port=http, settings=BoxSettings(1e6, 1e6, rate=250.0))
-        stage = emulate_tic(rig.bench, "steps_per_mm=1000,timeout_ms=30000", Faults())
+        stage = make_tic_emulator(rig.bench, "steps_per_mm=1000,timeout_ms=30000", Faults())
         with sensor, stage:
             (tmp_path / "port").symlink_to(stage.path)
             words = ["record", str(path), "-o", str(run), "--test", test.name, "--json"]

@@ -9,7 +9,7 @@ import tissue_sim as ts
 from scenes import draw_simulation
 from scenes.cli import main
 from scenes.commands.shared.text_table import TABLES
-from scenes.commands.simulate.report import select_segment_ends_and_even_samples
+from scenes.commands.simulate.report import select_printed_sample_indices
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.rig.file import write_rig
 from tissue_sim.rig.rig import Rig
@@ -99,18 +99,18 @@ def curve(samples: int, segments=None) -> ts.Recording:
 
 class TestLongTables:
     def test_short_curves_are_printed_completely(self):
-        assert select_segment_ends_and_even_samples(curve(TABLES.max_curve_rows)).tolist() \
+        assert select_printed_sample_indices(curve(TABLES.max_curve_rows)).tolist() \
             == list(range(TABLES.max_curve_rows))
 
     def test_ends_and_changes_of_segment_are_kept(self):
-        rows = select_segment_ends_and_even_samples(curve(1000, ["ramp"] * 333 + ["hold"] * 300 + ["unload"] * 367))
+        rows = select_printed_sample_indices(curve(1000, ["ramp"] * 333 + ["hold"] * 300 + ["unload"] * 367))
         assert {0, 332, 632, 999} <= set(rows) and TABLES.max_curve_rows - 2 <= rows.size <= TABLES.max_curve_rows
         assert np.diff(rows).max() < 20
 
     @pytest.mark.parametrize("samples", [61, 1000])
     def test_many_segments_are_thinned_too(self, samples):
-        rows = select_segment_ends_and_even_samples(curve(samples, ["ramp", "unload"] * (samples // 2) + ["ramp"]
-                                                          * (samples % 2)))
+        rows = select_printed_sample_indices(curve(samples, ["ramp", "unload"] * (samples // 2) + ["ramp"]
+                                                   * (samples % 2)))
         assert rows[0] == 0 and rows[-1] == samples - 1 and rows.size == TABLES.max_curve_rows
 
     def test_omitted_samples_are_reported(self, simulate):

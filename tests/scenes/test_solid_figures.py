@@ -18,7 +18,7 @@ from scenes.solid_figures import (
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_needle_mesh
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
@@ -40,8 +40,9 @@ def bent(mesh):
 
 @pytest.fixture(params=(HEX8P0, HEX27P1), ids=lambda element: element.name)
 def cylinder(request):
-    mesh = create_needle_mesh(0.04, 0.07, 8e-3, request.param, smallest=3e-3, growth=2.2, largest=20e-3, around=2,
-                              centre=(10e-3, 0.0))
+    mesh = create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, request.param, smallest=3e-3, growth=2.2, largest=20e-3,
+                                             around=2,
+                                             centre=(10e-3, 0.0))
     return fields_of(mesh, bent(mesh))
 
 

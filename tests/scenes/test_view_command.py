@@ -57,7 +57,7 @@ class Staged:
         self.refuses, self.on_frame = None, lambda number: None
         Staged.newest = self
 
-    def frame(self):
+    def update_and_make_frame(self):
         self.frames += 1
         self.on_frame(self.frames)
         return SimpleNamespace(phase=Phase.STARTING if self.frames < 3 else Phase.RUNNING, message="running",
@@ -70,7 +70,7 @@ class Staged:
 
     def run(self, viewer, stop, seconds=None):
         if not stop.is_set():
-            viewer.show(self.frame())
+            viewer.show(self.update_and_make_frame())
 
     def close(self):
         self.closed = True
@@ -116,8 +116,8 @@ def test_a_crashed_simulation_is_exit_code_1(staged, monkeypatch, capsys):
         seen.phase, seen.message = Phase.DIED, "The simulation has stopped: killed."
         return seen
 
-    frame = Staged.frame
-    monkeypatch.setattr(Staged, "frame", died)
+    frame = Staged.update_and_make_frame
+    monkeypatch.setattr(Staged, "update_and_make_frame", died)
     assert main(HEADLESS) == 1
     assert json.loads(capsys.readouterr().out)["phase"] == "stopped"
     assert main(HEADLESS[:-1]) == 1
@@ -127,7 +127,7 @@ def test_a_crashed_simulation_is_exit_code_1(staged, monkeypatch, capsys):
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_ctrl_c_before_the_first_frame_is_no_traceback(staged, monkeypatch, capsys):
-    monkeypatch.setattr(Staged, "frame", interrupted(Staged.frame))
+    monkeypatch.setattr(Staged, "update_and_make_frame", interrupted(Staged.update_and_make_frame))
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     assert main(HEADLESS) in (0, 130)
     assert staged.newest.closed and "Traceback" not in capsys.readouterr().err

@@ -7,14 +7,20 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
-from tissue_sim.fem.taichi.array_tables import LANE_INTEGERS, LANE_REALS, ArrayLayout, integer_array, real_array
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
+from tissue_sim.fem.taichi.array_tables import (
+    LANE_INTEGERS,
+    LANE_REALS,
+    ArrayLayout,
+    integer_array_type,
+    real_array_type,
+)
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES
 
-LAYOUT = ArrayLayout(lanes=LANE_REALS, dofs=LANE_INTEGERS, x=real_array(), pairs=integer_array(2),
-                     tensors=real_array(3))
+LAYOUT = ArrayLayout(lanes=LANE_REALS, dofs=LANE_INTEGERS, x=real_array_type(), pairs=integer_array_type(2),
+                     tensors=real_array_type(3))
 #: Vectors of 64 bytes before and after each array, which no kernel may change.
 GUARD = 64
 
@@ -133,7 +139,8 @@ def test_a_material_whose_kernel_fails_leaves_the_solver_with_valid_memory(monke
     bulk = ts.Bulk("bulk_ratio", 1e3)
     one = ts.Material("neo_hooke", {"C10": 1000.0}, bulk)
     two = ts.Material("ogden_1", {"mu1": 2000.0, "alpha1": 2.0}, bulk)
-    solver, other = (build_solver(ts.Model(experiment, one), build_mesh(experiment, "realtime")) for _ in range(2))
+    solver, other = (build_solver_on_mesh(ts.Model(experiment, one), build_mesh(experiment, "realtime"))
+                     for _ in range(2))
     for each in (solver, other):
         assert each.step(1e-4, 0.1).status is ts.StepStatus.CONVERGED
 

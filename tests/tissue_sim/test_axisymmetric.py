@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh import cylinder_mesh, graded_line, structured_mesh
+from tissue_sim.mesh import cylinder_mesh, divide_into_graded_intervals, structured_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 LAWS = {
@@ -108,7 +108,7 @@ def test_tangent_is_the_derivative_of_the_residual(element, law):
     solver = AxisymmetricSolver(mesh, stuff, {"base": "rz"}, {"top": "rz"})
     depth = 8e-3
     assert solver.step(depth).status is StepStatus.CONVERGED
-    tangent = _full(solver.equations.tangent())
+    tangent = _full(solver.equations.assemble_committed_tangent())
 
     state = solver.state[: 2 * len(mesh.nodes)]
     shared = np.unique(mesh.connectivity[:, : element.boundary_nodes])
@@ -175,13 +175,12 @@ class TestStepping:
         with pytest.raises(ts.InputError, match=r"K/mu0 must be .* got 1\.5"):
             AxisymmetricSolver(cylinder_mesh(0.04, 0.07, (2, 2), Q9P1), material(ratio=1.5), {}, {"top": "z"})
 
-
     def test_band_is_narrow_in_flat_and_in_tall_specimens(self):
         """The half band follows the shorter side of the mesh, and the answer does not depend on the numbering."""
         flat, tall = (AxisymmetricSolver(cylinder_mesh(0.04, 0.07, counts, Q9P1), material(), {"base": "rz"},
                                          {"top": "rz"}) for counts in ((12, 3), (3, 12)))
         assert flat.equations.half_band < 40 and tall.equations.half_band < 40
-        dense = np.linalg.solve(_full(flat.equations.tangent()), np.ones(flat.equations.free))
+        dense = np.linalg.solve(_full(flat.equations.assemble_committed_tangent()), np.ones(flat.equations.free))
         assert np.isfinite(dense).all() and flat.step(3e-3).force == pytest.approx(tall.step(3e-3).force, rel=0.02)
 
 
@@ -197,17 +196,17 @@ def _full(lower):
 
 class TestMesh:
     def test_graded_line(self):
-        line = graded_line(10.0, 5, 16.0, "last")
+        line = divide_into_graded_intervals(10.0, 5, 16.0, "last")
         np.testing.assert_allclose(np.diff(line)[:-1] / np.diff(line)[1:], 2.0)
-        both = np.diff(graded_line(10.0, 6, 1.5, "both"))
+        both = np.diff(divide_into_graded_intervals(10.0, 6, 1.5, "both"))
         np.testing.assert_allclose(both, both[::-1])
         assert both.max() / both.min() == pytest.approx(1.5)
-        assert graded_line(10.0, 5, 2.0, "first")[-1] == 10.0
+        assert divide_into_graded_intervals(10.0, 5, 2.0, "first")[-1] == 10.0
 
     @pytest.mark.parametrize(("count", "grading", "ends"), [(0, 1.0, "last"), (3, 0.5, "last"), (3, 1.0, "left")])
     def test_bad_grading(self, count, grading, ends):
         with pytest.raises(ts.InputError):
-            graded_line(1.0, count, grading, ends)
+            divide_into_graded_intervals(1.0, count, grading, ends)
 
     @every_element
     def test_volume(self, element):

@@ -8,7 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.recording.formats.cell_units import UnitRowExtractedFromCells, move_cell_units_to_unit_row
-from tissue_sim.recording.formats.guesses import ColumnHints
+from tissue_sim.recording.formats.guesses import InterpretationOverrides
 from tissue_sim.recording.formats.number_text import (
     is_number_with_either_mark,
     parse_number_or_nan,
@@ -34,7 +34,7 @@ def quantities(units=("s", "mm", "N"), decimal="."):
 def understood(tmp_path, content, **stated):
     path = tmp_path / "gel.csv"
     path.write_text(content, encoding="utf-8")
-    found = interpret_file(path, ColumnHints(**stated))
+    found = interpret_file(path, InterpretationOverrides(**stated))
     return found.readings[0], path
 
 

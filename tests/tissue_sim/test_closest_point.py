@@ -49,7 +49,7 @@ def test_kernels_and_arrays_have_the_same_closest_points(find_in_kernel, name, i
         points = make_points(first)
         # Points at vertices, at which two line segments are equally close.
         points[: len(profile.vertices)] = profile.vertices
-        line, distance, normal, curvature = profile.find_closest_points(points, first, is_endless)
+        line, distance, normal, curvature = profile.compute_distances_to_polyline(points, first, is_endless)
         found = find_in_kernel(profile, points, first, is_endless)
         np.testing.assert_allclose(found[:, 1], distance, rtol=1e-13, atol=1e-16)
         clear = np.abs(distance) > 1e-12
@@ -67,7 +67,7 @@ def test_distance_and_normal_are_those_of_the_closest_sampled_point(name):
     ends = [(a, np.minimum(b, 40e-3)) for a, b in zip(profile.vertices[:-1], profile.vertices[1:], strict=True)]
     samples = np.concatenate([a + positions * (b - a) for a, b in ends])
     spacing = 0.5 * max(np.linalg.norm(b - a) for a, b in ends) / (len(positions) - 1)
-    line, distance, normal, _ = profile.find_closest_points(points)
+    line, distance, normal, _ = profile.compute_distances_to_polyline(points)
     for point, d, n in zip(points[:200], distance[:200], normal[:200], strict=True):
         nearest = samples[np.argmin(np.linalg.norm(samples - point, axis=1))]
         # The closest sample is at most half a spacing from the closest point.
@@ -75,5 +75,5 @@ def test_distance_and_normal_are_those_of_the_closest_sampled_point(name):
         np.testing.assert_allclose(point - d * n, nearest, atol=spacing + 1e-12)
     assert set(line.tolist()) <= set(range(len(profile.lines)))
     # The body is to the left of its outline: the axis above the tip is inside, points below the tip are outside.
-    inside = profile.find_closest_points(np.array([[0.0, 2e-3], [0.0, -1e-3]])).distance
+    inside = profile.compute_distances_to_polyline(np.array([[0.0, 2e-3], [0.0, -1e-3]])).distance
     assert inside[0] - profile.rounding < 0.0 < inside[1]

@@ -65,8 +65,8 @@ def test_without_weight_it_is_the_law(law, values):
     np.testing.assert_allclose(column.nominal_stress(law, displacement, values), expected, rtol=1e-5, atol=1e-9)
     slope = -law.nominal_stress_slope(stretch, values) / 0.07
     np.testing.assert_allclose(column.nominal_stress_slope(law, displacement, values), slope, rtol=2e-5)
-    np.testing.assert_allclose(column.nominal_stress_derivatives(law, displacement, values),
-                               law.nominal_stress_derivatives(stretch, values), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(column.nominal_stress_parameter_derivatives(law, displacement, values),
+                               law.nominal_stress_parameter_derivatives(stretch, values), rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("height_is", ["moulded", "placed"])
@@ -75,7 +75,7 @@ def test_derivatives_against_central_differences(law, values, height_is):
     law, column, values = ts.find_law(law), Column(replace(STUDY, height_is=height_is)), np.array(values)
     # The range is fixed, so that both sides of a difference stand on equal states.
     displacement = np.linspace(0.0, 0.012, 13)
-    derivatives = column.nominal_stress_derivatives(law, displacement, values)
+    derivatives = column.nominal_stress_parameter_derivatives(law, displacement, values)
     for i, value in enumerate(values):
         step = np.zeros(values.size)
         step[i] = 1e-4 * abs(value)
@@ -118,7 +118,7 @@ def test_a_small_sag_is_that_of_linear_elasticity():
 def test_before_contact_the_plate_feels_nothing():
     column = Column(STUDY)
     before = np.array([-3e-3, -1e-9])
-    for answer in (column.nominal_stress, column.nominal_stress_slope, column.nominal_stress_derivatives):
+    for answer in (column.nominal_stress, column.nominal_stress_slope, column.nominal_stress_parameter_derivatives):
         assert not answer(POLYNOMIAL, before, PHANTOM).any()
     assert column.base_stretch_at_displacement(POLYNOMIAL, before, PHANTOM) == pytest.approx(
         column.settle(POLYNOMIAL, PHANTOM).base_stretch)
@@ -131,7 +131,7 @@ def test_beyond_what_the_law_carries_there_is_no_number():
     stress = column.nominal_stress(POLYNOMIAL, displacement, softening)
     lost = int(np.argmax(np.isnan(stress)))
     assert 0 < lost < 200 and np.isnan(stress[lost:]).all()
-    assert np.isnan(column.nominal_stress_derivatives(POLYNOMIAL, displacement[lost:], softening)).all()
+    assert np.isnan(column.nominal_stress_parameter_derivatives(POLYNOMIAL, displacement[lost:], softening)).all()
     # The base has come to the largest pressure of the law.
     stretch = np.linspace(0.3, 1.0, 100_000)
     largest = -POLYNOMIAL.nominal_stress(stretch, softening).min()

@@ -13,19 +13,19 @@ from tissue_sim.fem.condensed.model import (
     compute_packed_state_size,
     max_packed_linearisation_size,
 )
-from tissue_sim.fem.condensed.predictive_linearisation import PredictiveLinearisation
+from tissue_sim.fem.condensed.predictive_linearisation import PredictiveLineariser
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.linearisation import SolidLinearisation
+from tissue_sim.fem.solid.linearisation import SolidLineariser
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
 TIP = ts.Tool("round", radius=8e-3)
 FLAT = ts.Tool("flat", radius=8e-3)
-MESH = create_needle_mesh(0.04, 0.07, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2)
+MESH = create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2)
 CASES = {"frictionless tip": (TIP, "frictionless"), "bonded punch": (FLAT, "bonded"),
          "punch that sticks": (ts.Tool("flat", radius=8e-3, edge_radius=1e-3), "stick")}
 
@@ -36,7 +36,7 @@ def model(tool=TIP, friction=0.3, material=PHANTOM, **changes):
 
 
 def two_rates(tool=TIP, friction=0.3, **changes):
-    bulk = SolidLinearisation(make_solver(model(tool, friction, **changes), mesh=MESH))
+    bulk = SolidLineariser(make_solver(model(tool, friction, **changes), mesh=MESH))
     return bulk, CondensedStepper(bulk.surface)
 
 
@@ -59,7 +59,7 @@ def test_at_the_pose_of_the_solve_wrench_and_stiffness_are_those_of_the_whole_so
     tool, friction = CASES[case]
     bulk, stepper = two_rates(tool, friction)
     solver = make_solver(model(tool, friction), mesh=MESH)
-    solver.ask_for_stiffness()
+    solver.enable_stiffness_output()
     # What sticks and turns would meet more nodes, whose place remembers the way.
     turn = 0.0 if friction == "stick" else 0.02
     for pose in (Pose((0.0, 0.0, -1e-3)), Pose((0.0, 0.0, -2e-3)), Pose((3e-4, 1e-4, -2e-3), turned(turn))):
@@ -102,7 +102,7 @@ def test_a_drag_with_lift_off_and_touch_is_that_of_the_whole_solid():
     poses = [pose for start, end in pairwise(way)
              for pose in drag(start, end, round(20 * np.linalg.norm(np.subtract(end, start))))]
     bulk, stepper = two_rates()
-    predictive, solver = PredictiveLinearisation(bulk), make_solver(model(), mesh=MESH)
+    predictive, solver = PredictiveLineariser(bulk), make_solver(model(), mesh=MESH)
     stepper.set_linearisation(
         predictive.linearise_at_predicted_pose_or_none(stepper.export_state(0.0, poses[0], 0.0, poses[0]), 0.0, 0.0))
     coming, found, exact = None, [], []

@@ -47,7 +47,7 @@ def test_zero_and_drift_of_the_air_are_found_with_the_contact():
     assert contact.drift == pytest.approx(1e-4, abs=1e-4)
     assert contact.noise == pytest.approx(2e-3, rel=0.3)
     assert displacement[contact.index - 1] <= contact.displacement < displacement[contact.index]
-    way, load = contact.get_motion_and_force_from_contact(displacement, force, time)
+    way, load = contact.subtract_contact_zero_and_drift(displacement, force, time)
     assert way[contact.index] == pytest.approx(0.0, abs=1e-5) and abs(load[:contact.index].mean()) < 5e-4
 
 

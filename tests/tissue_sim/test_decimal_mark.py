@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tissue_sim import InputError, read_recordings
 from tissue_sim.recording.formats import long_text
-from tissue_sim.recording.formats.decimal_mark import detect_number_marks
+from tissue_sim.recording.formats.decimal_mark import detect_decimal_and_thousands_marks
 from tissue_sim.recording.formats.number_text import TextOfNumericCell, is_number_with_either_mark, parse_number_or_nan
 
 #: Decimal mark and thousands separator of English, German, French (three blanks), Swiss and plain numbers.
@@ -45,7 +45,7 @@ def test_groups_that_are_not_of_three_digits_are_no_thousands(cell, decimal):
 
 def test_a_number_stored_as_a_number_has_a_decimal_point():
     assert parse_number_or_nan(TextOfNumericCell("1.466"), ",") == 1.466
-    assert detect_number_marks([[TextOfNumericCell("1.466"), TextOfNumericCell("2.5")]]).example == ""
+    assert detect_decimal_and_thousands_marks([[TextOfNumericCell("1.466"), TextOfNumericCell("2.5")]]).example == ""
 
 
 #: A smooth ramp in micrometres and millinewtons, so that integers pass 1000.

@@ -53,7 +53,7 @@ def test_a_damaged_source_is_derived_again(folder, content):
 def test_a_printed_formula_is_kept_too(folder, monkeypatch):
     printed = ReducedPolynomial(2).formula(), ReducedPolynomial(2).latex()
     assert len(list(folder.iterdir())) == 2
-    monkeypatch.setattr(ReducedPolynomial, "_print_in_parameter_order", None)  # printing would need it
+    monkeypatch.setattr(ReducedPolynomial, "_format_in_parameter_order", None)  # printing would need it
     assert (ReducedPolynomial(2).formula(), ReducedPolynomial(2).latex()) == printed
 
 
@@ -90,5 +90,5 @@ def test_once_derived_a_simulation_needs_neither_sympy_nor_scipy():
 def test_polynomial_laws_share_one_energy_and_others_have_their_own():
     energies = [ts.find_law(name).kernel_energy for name in ("neo_hooke", "mooney_rivlin", "biderman")]
     assert len(set(energies)) == 1
-    assert energies[0].count == len(energies[0].coefficients)
+    assert energies[0].coefficient_count == len(energies[0].coefficients)
     assert ts.find_law("ogden_1").kernel_energy == ts.find_law("ogden_2").kernel_energy != energies[0]

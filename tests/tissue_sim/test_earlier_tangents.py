@@ -9,16 +9,16 @@ import tissue_sim as ts
 from tissue_sim.fem.condensed.model import CondensedBulk, max_packed_linearisation_size
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.linearisation import SolidLinearisation
+from tissue_sim.fem.solid.linearisation import SolidLineariser
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
 TIP = ts.Tool("round", radius=8e-3)
 FLAT = ts.Tool("flat", radius=8e-3)
-MESH = create_needle_mesh(0.04, 0.07, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2)
+MESH = create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2)
 TURNED = (float(np.cos(0.01)), 0.0, float(np.sin(0.01)), 0.0)
 
 
@@ -36,7 +36,7 @@ class Later:
 def two_rates(tool, friction):
     model = ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(3e-3, 3), tool=tool, friction=friction),
                      PHANTOM)
-    bulk, solver = SolidLinearisation(make_solver(model, mesh=MESH)), make_solver(model, mesh=MESH)
+    bulk, solver = SolidLineariser(make_solver(model, mesh=MESH)), make_solver(model, mesh=MESH)
     stepper = CondensedStepper(bulk.surface)
     return bulk, stepper, solver
 

@@ -13,7 +13,7 @@ from tissue_sim.force_error import (
     FORCE_ERROR,
     RelativeForceErrorEstimate,
     estimate_error_from_two_forces_or_none,
-    select_samples_for_doubled_steps,
+    select_fractional_samples_for_longer_steps,
 )
 
 STUDY = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
@@ -128,10 +128,10 @@ def test_a_sensor_keeps_the_warning():
 
 def test_coarse_samples_contain_turns_and_the_step_after_them():
     motion = np.array([0.0, 1, 2, 3, 4, 5, 5, 5, 5, 3, 1, 0])
-    assert select_samples_for_doubled_steps(motion).tolist() == [0, 2, 4, 5, 7, 8, 8.5, 9, 11]
-    assert select_samples_for_doubled_steps(np.array([0.0, 1, 2, 1, 0])).tolist() == [0, 2, 2.5, 3, 4]
-    assert select_samples_for_doubled_steps(np.array([0.0, 1, 0])).tolist() == [0, 1, 1.5, 2]
-    assert select_samples_for_doubled_steps(np.array([0.0])).tolist() == [0]
+    assert select_fractional_samples_for_longer_steps(motion).tolist() == [0, 2, 4, 5, 7, 8, 8.5, 9, 11]
+    assert select_fractional_samples_for_longer_steps(np.array([0.0, 1, 2, 1, 0])).tolist() == [0, 2, 2.5, 3, 4]
+    assert select_fractional_samples_for_longer_steps(np.array([0.0, 1, 0])).tolist() == [0, 1, 1.5, 2]
+    assert select_fractional_samples_for_longer_steps(np.array([0.0])).tolist() == [0]
 
 
 def test_warning_names_where_the_error_is():
@@ -164,9 +164,9 @@ def test_quarter_steps_replace_double_steps_that_end_early(monkeypatch):
     model, counts = study(points=5, **PLATES), []
 
     class EndsEarly(simulation._ToolDrive):
-        def iterate_positions_times_and_steps(self, samples):
+        def iterate_positions_durations_and_steps(self, samples):
             counts.append(samples.size)
-            for number, (position, dt, steps) in enumerate(super().iterate_positions_times_and_steps(samples)):
+            for number, (position, dt, steps) in enumerate(super().iterate_positions_durations_and_steps(samples)):
                 steps = list(steps)
                 if counts == [5, 3] and number == 2:
                     steps[-1] = replace(steps[-1], status=StepStatus.SLOW)

@@ -11,7 +11,7 @@ import tissue_sim as ts
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.contact import PENALTY
 from tissue_sim.fem.axisymmetric.contact_kernels import TOUCHED
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.simulation import _iterate_adaptive_steps_to_pose
@@ -33,7 +33,7 @@ def model(friction, tool=None, *, depth=10e-3, points=21, protocol=None, **optio
 def stepped(friction, tool=None, depth=6e-3, steps=24):
     """A solver that was taken down in even steps."""
     tested = model(friction, tool)
-    solver = build_solver(tested, build_mesh(tested.experiment))
+    solver = build_solver_on_mesh(tested, build_mesh(tested.experiment))
     for place in np.linspace(0.0, depth, steps + 1)[1:]:
         *_, step = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(place)))
         assert step.status is StepStatus.CONVERGED
@@ -152,7 +152,7 @@ class TestEnergy:
     def cycle(steps):
         """Rows of work of the plate, friction's loss and stored energy, J, after each step down to 10 mm and back."""
         tested = model(0.1)
-        solver = build_solver(tested, build_mesh(tested.experiment))
+        solver = build_solver_on_mesh(tested, build_mesh(tested.experiment))
         surface, freedoms = solver.equations.surface, 2 * len(solver.mesh.nodes)
         rows, work, loss, depth, force = [], 0.0, 0.0, 0.0, 0.0
         radii, tractions = surface.places[:, 0].copy(), surface.forces[:, 0].copy()
@@ -280,7 +280,7 @@ class TestTangent:
 
 def whole(solver):
     """The condensed tangent as a full matrix: lower blocks, and upper ones behind the first row where points slip."""
-    solver.equations.tangent()
+    solver.equations.assemble_committed_tangent()
     rows, width = solver.equations.entries.shape[:2]
     full = np.zeros((rows * band.BLOCK,) * 2)
     unsymmetric = bool(solver.equations.counts[newton.StepIntegerIndex.UNSYMMETRIC])

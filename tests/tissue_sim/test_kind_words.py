@@ -3,8 +3,8 @@
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.recording.formats.guesses import ColumnHints
-from tissue_sim.recording.formats.kind_words import KindHint, find_named_tests, normalize_text
+from tissue_sim.recording.formats.guesses import InterpretationOverrides
+from tissue_sim.recording.formats.kind_words import KindHint, find_named_tests, normalize_and_truncate_line
 from tissue_sim.recording.formats.understanding import interpret_file
 from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS
 
@@ -50,7 +50,7 @@ def test_words_that_name_no_test(text):
 
 
 def test_plain_text_has_no_accents_and_single_blanks():
-    assert normalize_text("Ermüdung_PureShear-3pt") == "ermudung pure shear 3 pt"
+    assert normalize_and_truncate_line("Ermüdung_PureShear-3pt") == "ermudung pure shear 3 pt"
 
 
 @pytest.mark.parametrize(("name", "above", "header"), [
@@ -61,7 +61,7 @@ def test_a_file_of_such_a_test_is_refused_until_the_user_states_a_kind(tmp_path,
     path.write_text(above + TABLE.replace("Load", f"{header}Load"), encoding="utf-8")
     with pytest.raises(ts.InputError, match=r"there is no such kind of test\. --kind overrules the word"):
         interpret_file(path)
-    reading, = interpret_file(path, ColumnHints(kind="uniaxial_tension")).readings
+    reading, = interpret_file(path, InterpretationOverrides(kind="uniaxial_tension")).readings
     assert reading.kind.kind == "uniaxial_tension" and "names" in reading.kind.against[0]
     assert "as stated" in reading.remarks[0]
 

@@ -83,7 +83,7 @@ def test_a_history_that_has_no_closed_form_is_refused():
 
     material = ts.Material("neo_hooke", {"C10": 500.0}, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0),)))
     with pytest.raises(ts.InputError, match="exist for uniaxial and simple_shear; got planar"):
-        PLANAR.history(material, np.arange(3.0), np.array([1.0, 1.1, 1.1]), 0.01)
+        PLANAR.stress_history(material, np.arange(3.0), np.array([1.0, 1.1, 1.1]), 0.01)
 
 
 def test_names_and_sizes_need_no_numpy():

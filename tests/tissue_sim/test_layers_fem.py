@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh, element_layers
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, find_element_layer_indices
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q9P1
 
@@ -100,7 +100,7 @@ class TestLayers:
         """Elements belong to the layer in which their centres lie."""
         mesh = cylinder_mesh(RADIUS, HEIGHT, (10, 35), Q9P1, grading=(10.0, 1.0))
         layers = (ts.Layer(4e-3, 3.0), ts.Layer(6e-3, 0.5))
-        assert np.bincount(element_layers(mesh, layers)).tolist() == [20, 30, 300]
+        assert np.bincount(find_element_layer_indices(mesh, layers)).tolist() == [20, 30, 300]
         np.testing.assert_allclose(force(layers, mesh=mesh), force(layers, resolution="accurate"), rtol=5e-3)
 
     def test_interfaces_are_lines_of_the_mesh(self):

@@ -61,7 +61,7 @@ def test_everything_comes_back(tmp_path):
 
 def test_stability_is_that_of_the_law():
     softening = ts.Material("reduced_polynomial_2", {"C10": 1000.0, "C20": -200.0})
-    stability = ts.check_stability(softening.energy_law, softening.values)
+    stability = ts.find_stability_range(softening.energy_law, softening.values)
     entry = ts.MaterialFile.of(softening).stability
     assert (entry.stable_from, entry.stable_to) == (stability.stable_from, stability.stable_to)
     assert entry.stable_to < entry.stretch_range[1] and "unstable" in entry.text

@@ -60,7 +60,7 @@ def test_covariance_reaches_beyond_the_law(tmp_path):
     assert again.covariance.order == ("C10", "C20", "C30", "viscoelastic.terms[0].g", "layers[1].thickness_mm")
     in_file = np.array(again.covariance.matrix)
     np.testing.assert_allclose(in_file[4, 4], matrix[4, 4] * 1e6, rtol=1e-15)  # mm2
-    paths, back = again.covariance_SI
+    paths, back = again.paths_and_covariance_SI
     assert paths == ("C10", "C20", "C30", *others)
     np.testing.assert_allclose(back, matrix, rtol=1e-15)
     assert again.standard_errors["layers[1].thickness"] == pytest.approx(0.5e-3)
@@ -187,7 +187,7 @@ def test_refused_by_its_path(case):
 
 def test_five_relaxing_terms_are_too_many():
     four = Prony(tuple(PronyTerm(0.1, 10.0**i) for i in range(4)))
-    assert dataclasses.replace(YEOH, viscoelastic=four).relaxation(1e-2) == four
+    assert dataclasses.replace(YEOH, viscoelastic=four).make_prony_series(1e-2) == four
     with pytest.raises(ts.InputError, match="drainage is one of the at most 4 relaxing terms"):
         dataclasses.replace(LOSSY, viscoelastic=four)
 

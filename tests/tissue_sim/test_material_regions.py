@@ -56,7 +56,7 @@ def test_units_and_covariance_reach_into_regions(data):
     data["covariance"] = {"order": ["C10", "regions.part:1.mu1"], "matrix": [[4.0, 0.5], [0.5, 0.25]]}
     file = make_material_file_from_json_data(data)
     assert file.material == MATERIAL and file.standard_errors == {"regions.part:1.mu1": 500.0}
-    paths, covariance = file.covariance_SI
+    paths, covariance = file.paths_and_covariance_SI
     assert paths == ("C10", "regions.part:1.mu1")
     np.testing.assert_allclose(covariance, [[4.0, 500.0], [500.0, 250000.0]], rtol=1e-15)
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import trapezoid
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver, element_layers
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh, find_element_layer_indices
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh import cylinder_mesh
@@ -206,7 +206,7 @@ class TestStepping:
 
         def short(solver, pose, *args, **options):
             if abs(pose.depth - solver.depth) > 1.5e-3:
-                return Step.axial(StepStatus.SLOW, 1, 1.0, 0.0)
+                return Step.from_axial_force(StepStatus.SLOW, 1, 1.0, 0.0)
             return step(solver, pose, *args, **options)
 
         monkeypatch.setattr(AxisymmetricSolver, "step", short)
@@ -218,7 +218,7 @@ class TestStepping:
                              ids=["bonded plate", "friction", "needle"])
     def test_restored_state_goes_on_as_before(self, tool, friction):
         m = model(self.PROTOCOL, tool, friction, **self.MEMORY)
-        solver = build_solver(m, build_mesh(m.experiment))
+        solver = build_solver_on_mesh(m, build_mesh(m.experiment))
 
         def go(depth, dt):
             *_, step = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(depth), dt)
@@ -238,7 +238,7 @@ class TestStepping:
         m = model(self.PROTOCOL, **self.MEMORY)
         forces = []
         for fails in (False, True):
-            solver = build_solver(m, build_mesh(m.experiment))
+            solver = build_solver_on_mesh(m, build_mesh(m.experiment))
             assert solver.step(5e-3, 1.0).status is StepStatus.CONVERGED
             if fails:
                 assert solver.step(69e-3, 1.0).status is not StepStatus.CONVERGED
@@ -254,12 +254,12 @@ def test_tangent_is_the_derivative_of_the_residual(element):
     mesh = cylinder_mesh(RADIUS, HEIGHT, (2, 2), element)
     stuff = ts.Material(LAW, STUDY, ts.Bulk("bulk_ratio", 1e3), viscoelastic=SERIES, softening=SOFT,
                         layers=(ts.Layer(HEIGHT / 2, 2.5),))
-    layers = element_layers(mesh, stuff.layers)
+    layers = find_element_layer_indices(mesh, stuff.layers)
     solver = AxisymmetricSolver(mesh, stuff, {"base": "rz"}, {"top": "rz"}, element_layers=layers)
     for depth, dt in ((5e-3, 0.5), (10e-3, 1.0), (8e-3, 0.3)):
         assert solver.step(depth, dt).status is StepStatus.CONVERGED
     assert (solver.equations.memory.energies < solver.equations.memory.largest).mean() > 0.5, "softened in most places"
-    lower = solver.equations.tangent()
+    lower = solver.equations.assemble_committed_tangent()
     tangent = np.zeros((solver.equations.free, solver.equations.free))
     for d in range(lower.shape[0]):
         i = np.arange(solver.equations.free - d)

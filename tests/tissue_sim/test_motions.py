@@ -108,7 +108,7 @@ class TestJudge:
         lost = course.Move(Pose.at_depth(float("nan")), 1e-3, None)
         motion = replace(motion, operations=(*motion.operations, lost))
         assert judge.judged(motion).outcome == "right"
-        answer = ts.ToolForce.axial(1.0, 0.0, ts.ForceStatus.CONVERGED)
+        answer = ts.ToolForce.from_axial_force(1.0, 0.0, ts.ForceStatus.CONVERGED)
         sound = judge.tissue_of
         monkeypatch.setattr(judge, "tissue_of", lambda scene: FaultyTissue(
             sound(scene), lambda each: answer if each.status is ts.ForceStatus.REFUSED else each))
@@ -117,7 +117,8 @@ class TestJudge:
     def test_a_stale_stiffness_must_be_marked(self, generator, bonded, monkeypatch):
         judge = generator.judge
         motion = replace(press(generator, bonded, [1e-3, 2e-3, 3e-3]), checks_stiffness=True)
-        sound, stale = judge.tissue_of, ts.ToolForce.axial(0.0, 1.0, ts.ForceStatus.CONVERGED).stiffness_matrix
+        sound, stale = judge.tissue_of, ts.ToolForce.from_axial_force(0.0, 1.0,
+                                                                      ts.ForceStatus.CONVERGED).stiffness_matrix
         for age, outcome in ((0.0, "silently wrong"), (1e-3, "right")):
             monkeypatch.setattr(judge, "tissue_of", lambda scene, age=age: FaultyTissue(
                 sound(scene), lambda answer: replace(answer, stiffness_matrix=stale, stiffness_age=age)))

@@ -22,7 +22,7 @@ MAPS = Path("/proc/self/maps")
 def double_and_count():
     """Kernel that doubles the vectors at an offset, and then adds 1, 2, 3 ... to their numbers, one by one."""
     ti = get_initialised_taichi()
-    vectors = origins.get_origin().field
+    vectors = origins.get_address_origin().field
 
     @ti.kernel
     def run(offset: ti.i32, count: ti.i32):
@@ -43,7 +43,7 @@ def check_kernel_on_array(double_and_count, guarded):
     guarded[:] = 7.0
     inner = guarded[1:-1]
     inner[:] = np.arange(inner.size).reshape(inner.shape)
-    double_and_count(origins.compute_offset(inner), count)
+    double_and_count(origins.compute_array_offset(inner), count)
     np.testing.assert_array_equal(inner.ravel(), 3.0 * np.arange(inner.size) + 1.0)
     assert (guarded[[0, -1]] == 7.0).all()
 
@@ -60,8 +60,8 @@ def test_an_array_may_be_far_from_the_origin(double_and_count):
                for _ in range(2)]
     # The first arrays fill gaps between older maps.
     arrays = [origins.allocate_array((500_000, BLOCK)) for _ in range(40)]
-    far = max(arrays, key=lambda array: abs(array.ctypes.data - origins.get_origin().address))
-    assert abs(far.ctypes.data - origins.get_origin().address) > 20 << 30
+    far = max(arrays, key=lambda array: abs(array.ctypes.data - origins.get_address_origin().address))
+    assert abs(far.ctypes.data - origins.get_address_origin().address) > 20 << 30
     check_kernel_on_array(double_and_count, far[:4000])
     for one in between:
         one.close()
@@ -70,7 +70,7 @@ def test_an_array_may_be_far_from_the_origin(double_and_count):
 def test_arrays_are_zero_writeable_and_aligned_to_cache_lines():
     array = origins.allocate_array((3, 2, BLOCK))
     assert array.shape == (3, 2, BLOCK) and array.dtype == float and not array.any() and array.flags.writeable
-    assert origins.get_origin().address % 64 == 0 and array.ctypes.data % 64 == 0
+    assert origins.get_address_origin().address % 64 == 0 and array.ctypes.data % 64 == 0
 
 
 def count_maps(address):
@@ -95,15 +95,15 @@ def test_memory_is_freed_with_the_last_view():
 def test_an_array_that_a_kernel_cannot_address_is_refused():
     array = origins.allocate_array((16, BLOCK))
     with pytest.raises(ValueError, match="multiple of 64 bytes"):
-        origins.compute_offset(array.ravel()[1:9])
+        origins.compute_array_offset(array.ravel()[1:9])
     with pytest.raises(ValueError, match="must be C-contiguous"):
-        origins.compute_offset(array[:, ::2])
+        origins.compute_array_offset(array[:, ::2])
     with pytest.raises(ValueError, match="must be C-contiguous"):
-        origins.compute_offset(array.astype(np.float32))
+        origins.compute_array_offset(array.astype(np.float32))
 
 
 def test_an_array_too_far_away_is_refused(monkeypatch):
     array = origins.allocate_array((1, BLOCK))
-    monkeypatch.setattr(origins, "MAX_OFFSET", abs(origins.compute_offset(array)) - 1)
+    monkeypatch.setattr(origins, "MAX_OFFSET", abs(origins.compute_array_offset(array)) - 1)
     with pytest.raises(OverflowError, match="distance of an array from the origin must be at most"):
-        origins.compute_offset(array)
+        origins.compute_array_offset(array)

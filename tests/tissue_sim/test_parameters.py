@@ -16,11 +16,11 @@ from tissue_sim.material.parts import (
     with_changed_or_added_parameters,
 )
 from tissue_sim.parameters import (
+    get_parameter_value,
     get_parameters_at_paths,
     list_field_declarations,
     parameter_values,
     parameters,
-    value,
     with_values,
 )
 
@@ -59,7 +59,7 @@ def test_one_path_changes_one_number(path, share):
     except ts.InputError:
         assert path == "rig.sampling_rate"  # which nothing states
         return
-    assert after.pop(path) == new and value(with_values(MODEL, {path: new}), path) == new
+    assert after.pop(path) == new and get_parameter_value(with_values(MODEL, {path: new}), path) == new
     before.pop(path)
     assert after == before
 
@@ -74,7 +74,7 @@ def test_several_change_at_once():
 
 def test_a_path_may_start_at_any_part():
     starts = ((MODEL, "experiment.tool.radius"), (EXPERIMENT, "tool.radius"), (EXPERIMENT.tool, "radius"))
-    assert {value(part, path) for part, path in starts} == {8e-3}
+    assert {get_parameter_value(part, path) for part, path in starts} == {8e-3}
     assert [each.path for each in get_parameters_at_paths(MODEL, ["layers[0].ratio"])] == ["material.layers[0].ratio"]
     for name, words in (("experiment.tool.raduis", "did you mean 'experiment.tool.radius'"),
                         ("experiment.friction_base", "must be a number to be changed; got 'bonded'"),

@@ -10,7 +10,7 @@ import tissue_sim as ts
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
 
 #: Length of a step, s.
@@ -38,17 +38,17 @@ def pressed():
             for depth in (0.0, DEPTH, start):
                 assert simulator.step(depth, DT).status is ts.ForceStatus.CONVERGED
         solver = simulator._solver
-        solve, press_again, is_lifted = solver.step, solver.lift_off, []
+        solve, press_again, is_lifted = solver.step, solver.reset_to_first_touch, []
 
         def step(*given, **options):
             found = solve(*given, **options)
             return found if is_lifted else replace(found, status=StepStatus.DIVERGED)
 
-        def lift_off():
+        def reset_to_first_touch():
             is_lifted.append(True)
             press_again()
 
-        solver.step, solver.lift_off, solver.step_with_damping = step, lift_off, no_creep
+        solver.step, solver.reset_to_first_touch, solver.step_with_damping = step, reset_to_first_touch, no_creep
         return simulator
     return make
 
@@ -99,11 +99,12 @@ def minimum_jerk(keys, counts):
 @pytest.mark.slow
 def test_friction_of_nodes_that_hardly_slip_may_turn(monkeypatch):
     """The tool turns round slowly: Newton's method converges, and the tool is not pressed again from above."""
-    mesh = create_needle_mesh(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4, largest=3.0 * RADIUS,
-                              around=2)
+    mesh = create_cylinder_mesh_under_needle(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4,
+                                             largest=3.0 * RADIUS,
+                                             around=2)
     simulator = ts.Simulator(model(0.3), solver="solid", mesh=mesh, inertia="off")
-    restarts, press_again = [], SolidSolver.lift_off
-    monkeypatch.setattr(SolidSolver, "lift_off", lambda solver: restarts.append(press_again(solver)))
+    restarts, press_again = [], SolidSolver.reset_to_first_touch
+    monkeypatch.setattr(SolidSolver, "reset_to_first_touch", lambda solver: restarts.append(press_again(solver)))
     keys = [(0.0, 0.0, 0.0), (-1e-4, 7e-4, -1e-3), (-4e-4, -7e-4, -1.5e-3), (-3e-4, 3e-4, -1e-3)]
     poses = minimum_jerk(keys, (19, 24, 17))
     answers = [simulator.step(pose, DT) for pose in (Pose(keys[0]), *poses)]

@@ -26,7 +26,7 @@ def path(depths, times=None):
 
 
 def merged(made, tolerance=TOLERANCE, timed=True):
-    made.merge_straight_ticks(START, RADIUS, tolerance, 0.1, timed=timed)
+    made.merge_straight_or_excess_ticks(START, RADIUS, tolerance, 0.1, timed=timed)
     return [(round(1e3 * tick.pose.depth, 6), round(1e3 * tick.dt, 6)) for tick in made.ticks]
 
 

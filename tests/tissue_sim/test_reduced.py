@@ -15,7 +15,7 @@ from tissue_sim.fem.reduced.solver import TOLERANCE, ReducedSolver
 from tissue_sim.fem.reduced.training_paths import make_training_path
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.pose import between, rotate_pose_about_its_position
+from tissue_sim.pose import interpolate_pose, rotate_pose_about_its_position
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
 DEPTH = 3e-3
@@ -84,7 +84,6 @@ class TestStrokes:
         first, second = (make_training_path(7, box, start, holds=True, reach=5e-3) for _ in range(2))
         assert first == second
 
-
     @pytest.mark.slow
     def test_none_knows_of_those_before_it(self, touched):
         """A strong one does not make the next one coarser."""
@@ -132,7 +131,7 @@ class TestForces:
         reduced = request.getfixturevalue(which)
         simulator = ReducedSolver(reduced, MATERIAL)
         simulator.least_tolerance = 1e-10
-        simulator.ask_for_stiffness()
+        simulator.enable_stiffness_output()
         for depth in (0.5e-3, 1e-3, 1.5e-3, 2e-3):
             step = simulator.step(ts.Pose.at_depth(depth), tolerance=1e-10)
         # Where nothing has moved since the last equilibrium, and with the stiffness of this state alone.
@@ -165,7 +164,7 @@ class TestForces:
     def test_what_has_slipped_is_as_stiff_when_the_tool_stands(self, touched):
         """Nodes at the limit of friction would slip on, and do not hold the tissue as if it turned round."""
         solver = ReducedSolver(touched, MATERIAL)
-        solver.ask_for_stiffness()
+        solver.enable_stiffness_output()
         for depth in np.linspace(0.0, 0.9 * DEPTH, 400):
             arriving = solver.step(ts.Pose.at_depth(depth))
         assert arriving.status is StepStatus.CONVERGED and solver.contact.slipping_count
@@ -223,11 +222,11 @@ class TestEstimate:
         """True and estimated ones, N."""
         solver, true, estimated = ReducedSolver(reduced, MATERIAL), [], []
         for poses, forces in followed:
-            solver.lift_off()
+            solver.reset_to_first_touch()
             here = poses[0]
             for pose, force in zip(poses, forces, strict=True):
                 for k in range(8):
-                    step = solver.step(between(here, pose, (k + 1) / 8))
+                    step = solver.step(interpolate_pose(here, pose, (k + 1) / 8))
                 here = pose
                 true.append(np.linalg.norm(np.subtract(step.wrench[:3], force)))
                 estimated.append(step.force_error)
@@ -503,11 +502,11 @@ def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_l
     for pose, elsewhere in zip(*ways, strict=False):
         before = solver.pose
         for number, part in enumerate(np.linspace(0.05, 1.0, 20)):
-            to = between(before, pose, part)
+            to = interpolate_pose(before, pose, part)
             if number % 7 == 0 and between_steps != "nothing":
                 failed = solver.step(elsewhere, max_iterations=1 if between_steps == "one that fails" else 60)
                 assert failed.status in (StepStatus.SLOW, StepStatus.INVERTED, StepStatus.CONVERGED)
-                solver.step(between(before, to, 0.99), max_iterations=60)
+                solver.step(interpolate_pose(before, to, 0.99), max_iterations=60)
             looks.clear()
             step = solver.step(to, max_iterations=60)
             if step.status is not StepStatus.CONVERGED:
@@ -544,7 +543,7 @@ def test_a_state_that_is_put_back_is_stepped_as_a_fresh_one(held):
     """Whatever was done between."""
     fresh, used = ReducedSolver(held, MATERIAL), ReducedSolver(held, MATERIAL)
     for each in (fresh, used):
-        each.ask_for_stiffness()
+        each.enable_stiffness_output()
     start = used.save()
     for depth in (1e-3, 2e-3, 3e-3):
         used.step(ts.Pose.at_depth(depth))
@@ -556,7 +555,7 @@ def test_a_state_that_is_put_back_is_stepped_as_a_fresh_one(held):
 
 def test_where_the_box_has_no_size_no_stiffness_is_made_up(touched):
     solver = ReducedSolver(touched, MATERIAL)
-    solver.ask_for_stiffness()
+    solver.enable_stiffness_output()
     step = solver.step(ts.Pose.at_depth(1e-3))
     assert step.stiffness > 0.0 and step.stiffness_matrix[0] == (0.0,) * 6
 

@@ -7,11 +7,11 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.acceptance import add_calibrated_compliance
-from tissue_sim.fem.reduced.compliance_table import ContactCompliance, calibrate_accepted_missing_forces
+from tissue_sim.fem.reduced.acceptance import with_calibrated_compliance_table
+from tissue_sim.fem.reduced.compliance_table import ContactNodeComplianceTable, calibrate_accepted_missing_forces
 from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training_paths import make_boundary_training_paths, make_training_path
-from tissue_sim.pose import motion
+from tissue_sim.pose import compute_rigid_motion
 
 pytestmark = pytest.mark.slow
 
@@ -47,7 +47,7 @@ def central(fine_ball):
     taken = [training.simulate_snapshots(solver, each) for each in poses]
     made = training.build_reduced_model(fine_ball.model, fine_ball.mesh, BOX, taken, poses, count=20, tolerance=6e-3,
                                         softness=fine_ball.softness, bulk_ratio=fine_ball.bulk_ratio)
-    return add_calibrated_compliance(made, solver, poses, taken, [MATERIAL] * len(poses))
+    return with_calibrated_compliance_table(made, solver, poses, taken, [MATERIAL] * len(poses))
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ class TestStrokes:
         assert len(strokes) == 8 and all(box.contains_pose(pose, START) for pose in poses if pose.depth >= 0.0)
         deepest = {tuple(np.round(pose.position, 6)) for pose in poses if pose.depth > 0.999e-3}
         assert {(x, y, -1e-3) for x in (-2e-3, 0.0, 2e-3) for y in (-2e-3, 0.0, 2e-3)} <= deepest
-        assert max(np.linalg.norm(motion(START, pose)[3:]) for pose in poses) == pytest.approx(0.1)
+        assert max(np.linalg.norm(compute_rigid_motion(START, pose)[3:]) for pose in poses) == pytest.approx(0.1)
 
     def test_images_are_not_followed(self, ball):
         solver = training.make_full_order_solver(ball.model, ball.mesh)
@@ -164,7 +164,8 @@ class TestFile:
 
 
 def test_accepted_missing_force_grows_with_the_force():
-    table = ContactCompliance(np.arange(1), np.array([0.0, 0.0, 1.0]), np.eye(1), np.eye(1), np.zeros(1), np.zeros(1))
+    table = ContactNodeComplianceTable(np.arange(1), np.array([0.0, 0.0, 1.0]), np.eye(1), np.eye(1), np.zeros(1),
+                                       np.zeros(1))
     assert table.get_accepted_missing_force_at_tool_force(1.0) == 0.0
     known = calibrate_accepted_missing_forces(table, [2.0, 1.0, 3.0], [0.3, 0.2, 0.4], [0.1, 0.0, 0.5])
     np.testing.assert_allclose(known.accepted, [0.0, 0.2, 0.2, 0.2])

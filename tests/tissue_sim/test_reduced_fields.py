@@ -66,7 +66,7 @@ def test_what_is_published_is_where_the_nodes_are(solver, fields):
     assert isinstance(shown.fields, SolidFields) and shown.is_three_dimensional and shown.skin is None
     (displacement,) = shown.arrays()
     np.testing.assert_array_equal(displacement[0], solver.displacement())
-    again = shown.at(shown.pose, shown.datum, (0.5 * displacement,))
+    again = shown.with_pose_and_arrays(shown.pose, shown.datum, (0.5 * displacement,))
     assert again.fields.at_nodes("displacement").max() == pytest.approx(
         0.5 * fields.at_nodes("displacement").max(), rel=1e-12)
     part = fields.with_selected_elements(np.arange(5)).with_one_mean_point_per_element()

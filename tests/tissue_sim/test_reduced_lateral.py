@@ -9,11 +9,11 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.path_steps import iterate_reduced_steps
+from tissue_sim.fem.reduced.path_steps import simulate_reduced_path
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.training_paths import make_reversing_paths
-from tissue_sim.pose import between
+from tissue_sim.pose import interpolate_pose
 
 pytestmark = pytest.mark.slow
 
@@ -36,7 +36,7 @@ def ball(coarse):
 
 def there_and_back(deepest):
     """Return poses from the start obliquely to a deepest pose and back."""
-    loading = [between(START, deepest, k / COUNT) for k in range(COUNT + 1)]
+    loading = [interpolate_pose(START, deepest, k / COUNT) for k in range(COUNT + 1)]
     return loading + loading[-2::-1]
 
 
@@ -48,7 +48,7 @@ def lateral(force):
 def test_the_stated_error_covers_the_error_after_a_reversal(ball):
     path = there_and_back(DEEPEST)
     true = training.simulate_snapshots(training.make_full_order_solver(ball.model, ball.mesh), path).wrenches[:, :3]
-    steps = list(iterate_reduced_steps(ReducedSolver(ball, MATERIAL), path))
+    steps = list(simulate_reduced_path(ReducedSolver(ball, MATERIAL), path))
     errors = np.linalg.norm(np.array([step.wrench[:3] for step in steps]) - true, axis=1)
     negligible = VERIFICATION.negligible_error * np.sqrt(np.mean(np.sum(true**2, axis=1)))
     unloading = slice(COUNT + 1, 2 * COUNT)
@@ -61,7 +61,7 @@ def test_the_stated_error_covers_the_error_after_a_reversal(ball):
 def test_indentation_along_the_axis_has_hardly_any_lateral_error(ball):
     path = [ts.Pose((0.0, 0.0, -z)) for z in np.linspace(0.0, BOX.depth, COUNT)]
     without = replace(ball, error_factors=(*ball.error_factors[:2], 0.0))
-    with_lateral, axial = (list(iterate_reduced_steps(ReducedSolver(each, MATERIAL), path)) for each in (ball, without))
+    with_lateral, axial = (list(simulate_reduced_path(ReducedSolver(each, MATERIAL), path)) for each in (ball, without))
     for one, other in zip(with_lateral[1:], axial[1:], strict=True):
         assert one.force_error - other.force_error <= 0.01 * np.linalg.norm(one.wrench[:3])
 
@@ -69,13 +69,13 @@ def test_indentation_along_the_axis_has_hardly_any_lateral_error(ball):
 def test_the_largest_lateral_force_is_stored_until_the_tool_lifts_off(ball):
     solver = ReducedSolver(ball, MATERIAL)
     forces, largest = [], []
-    for step in iterate_reduced_steps(solver, there_and_back(DEEPEST)[: -COUNT // 2]):
+    for step in simulate_reduced_path(solver, there_and_back(DEEPEST)[: -COUNT // 2]):
         forces.append(lateral(step.wrench[:3]))
         largest.append(solver.contact.largest_lateral_tool_force_since_touch)
     assert largest[-1] >= max(forces) > 1.5 * forces[-1]
     assert (np.diff(largest) >= 0.0).all()
     saved = solver.save()
-    solver.lift_off()
+    solver.reset_to_first_touch()
     assert solver.contact.largest_lateral[0] == 0.0
     solver.restore(saved)
     assert solver.contact.largest_lateral[0] == largest[-1]

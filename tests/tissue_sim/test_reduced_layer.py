@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.reduced.contact import LayerContact
+from tissue_sim.fem.reduced.contact import PenaltyContact
 from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.pose import rotate_pose_about_its_position
@@ -17,10 +17,10 @@ class TestLayer:
     MU = 0.3
     SPRING = 1e5 * 1e-6 / (1e-3 * 5e-3)
 
-    def contact(self, tool: ts.Tool, mu: float) -> LayerContact:
+    def contact(self, tool: ts.Tool, mu: float) -> PenaltyContact:
         body = RigidBody(tool.profile, np.array([0]), (mu, mu))
-        layer = LayerContact([body], np.zeros((1, 3)), np.array([1e-6]), np.eye(3), reach=5e-3, softness=1e-3)
-        layer.set_penalty_from_moduli_and_get_smallest(np.array([1e5]))
+        layer = PenaltyContact([body], np.zeros((1, 3)), np.array([1e-6]), np.eye(3), reach=5e-3, softness=1e-3)
+        layer.set_penalty_and_get_smallest_modulus(np.array([1e5]))
         return layer
 
     @staticmethod

@@ -15,7 +15,7 @@ from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training_paths import make_training_path
 from tissue_sim.fem.reduced.verification import verify_and_get_report_and_factors
-from tissue_sim.fem.solid.tissue import Tissue, element_layers
+from tissue_sim.fem.solid.tissue import Tissue, find_element_layer_indices
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.tetrahedra import TET8P0
@@ -94,7 +94,7 @@ class TestElements:
         mesh = replace(mesh, regions={"lump": np.flatnonzero(middle[:, 0] > 0.012),
                                       "rest": np.flatnonzero(middle[:, 0] < 0.005)})
         material = replace(SOFT, layers=(ts.Layer(5e-3, 3.0), ts.Layer(5e-3, 0.5)), regions={"lump": STIFF})
-        layers = element_layers(mesh, material.layers)
+        layers = find_element_layer_indices(mesh, material.layers)
         rng, count = np.random.default_rng(3), len(mesh.connectivity)
         basis = rng.normal(size=(mesh.nodes.size, 6))
         x = np.zeros(mesh.nodes.size)
@@ -234,7 +234,7 @@ class TestLayers:
             solver = ReducedSolver(skinned, replace(SOFT, layers=(replace(SKIN, ratio=ratio),)))
             modes = skinned.basis[:, skinned.lifting] * 1e-4
             found.append(solver.fields([modes.reshape(-1, 3)]).at_points("von_mises"))
-        skin = element_layers(skinned.mesh, (SKIN,)) == 0
+        skin = find_element_layer_indices(skinned.mesh, (SKIN,)) == 0
         np.testing.assert_allclose(found[1][skin], 2.0 * found[0][skin], rtol=1e-6)
         np.testing.assert_allclose(found[1][~skin], found[0][~skin], rtol=1e-6)
 
@@ -284,7 +284,7 @@ class TestMeshesOfFiles:
 
     def test_the_file_of_the_mesh_is_not_needed(self, organ):
         made, read = organ
-        assert read.model.experiment.specimen.digest == made.model.experiment.specimen.digest
+        assert read.model.experiment.specimen.digest_of_files == made.model.experiment.specimen.digest_of_files
         assert read.model.experiment.specimen.in_words == "liver.vtu of 40 x 30 x 20 mm"
         np.testing.assert_array_equal(reduced_forces(read, read.model.material, POSES),
                                       reduced_forces(made, made.model.material, POSES))

@@ -12,7 +12,7 @@ from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.symmetry import find_symmetries, split_into_involutions_and_cosets
 from tissue_sim.fem.reduced.training_paths import make_training_path
 from tissue_sim.fem.reduced.verification import verify_and_get_report_and_factors
-from tissue_sim.pose import motion
+from tissue_sim.pose import compute_rigid_motion
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
 DEPTH = 2e-3
@@ -74,7 +74,7 @@ def test_a_rotation_turns_as_poses_do():
         for other in group:
             both = next(each for each in group if (each.matrix == other.matrix @ one.matrix).all())
             image = other.map_pose(one.map_pose(pose, start), start)
-            np.testing.assert_allclose(motion(both.map_pose(pose, start), image), 0.0, atol=1e-12)
+            np.testing.assert_allclose(compute_rigid_motion(both.map_pose(pose, start), image), 0.0, atol=1e-12)
             np.testing.assert_array_equal(both.nodes, other.nodes[one.nodes])
 
 

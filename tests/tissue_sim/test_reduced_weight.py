@@ -12,11 +12,11 @@ from tissue_sim.fem.reduced.model import SelfWeightEquilibriumFields
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.training import build_training_mesh
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.tissue import element_layers
+from tissue_sim.fem.solid.tissue import find_element_layer_indices
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.file import MaterialFile, write_material_file
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
 
 pytestmark = pytest.mark.slow
@@ -64,14 +64,15 @@ def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bu
     """All of them, with the tissue's own bulk modulus: forces on motions that spare the base are those of the whole
     solid, its weight among them. With a softer one the pressures that bear the weight stay what they are."""
     of, rng = model(), np.random.default_rng(0)
-    mesh = create_needle_mesh(0.025, 0.02, 6e-3, element, smallest=4e-3, growth=2.5, largest=15e-3, around=2)
+    mesh = create_cylinder_mesh_under_needle(0.025, 0.02, 6e-3, element, smallest=4e-3, growth=2.5, largest=15e-3,
+                                             around=2)
     solver = make_solver(of, mesh=mesh)
     standing = solver.field_sample()
     basis = rng.normal(size=(*mesh.nodes.shape, 5)) * 1e-4
     basis[np.concatenate([mesh.sets["base"], mesh.sets["face"]])] = 0.0
     basis = basis.reshape(-1, 5)
     count = len(mesh.connectivity)
-    found = SampledElements(mesh, basis, np.arange(count), np.ones(count), layers=element_layers(mesh, ()),
+    found = SampledElements(mesh, basis, np.arange(count), np.ones(count), layers=find_element_layer_indices(mesh, ()),
                             rest=SelfWeightEquilibriumFields(standing.displacement.ravel(), standing.pressures))
     found.set_material(of.material, bulk_ratio)
     found.initialise_rest_state()
@@ -115,7 +116,7 @@ def test_layers_lie_where_they_are_stated_in_a_specimen_as_placed():
     reduced = ts.reduce_solid(of, BOX, strokes=4, modes=16, tried=1)
     assert np.ptp(reduced.mesh.nodes[:, 2]) > 1.05 * of.experiment.specimen.height
     mesh = build_training_mesh(of, BOX, "realtime")
-    np.testing.assert_array_equal(reduced.element_layers, element_layers(mesh, of.material.layers))
+    np.testing.assert_array_equal(reduced.element_layers, find_element_layer_indices(mesh, of.material.layers))
     poses = way(12)
     assert off(forces(ReducedSolver(reduced, of.material), poses), forces(make_solver(of, mesh=mesh), poses)) < 0.02
 
@@ -162,7 +163,7 @@ def test_it_keeps_its_material(heavy, tmp_path, capsys):
     """Another one would let it stand elsewhere."""
     simulator = ts.Simulator(heavy.model, solver="reduced", mesh=heavy)
     simulator.warm_up()
-    heavy.require_material(replace(CREEPING, name="of another file", density=900.0))
+    heavy.require_supported_material(replace(CREEPING, name="of another file", density=900.0))
     with pytest.raises(ts.InputError, match="must equal the material of the training"):
         simulator.set_parameters(C10=300.0)
     answer = simulator.step(Pose.at_depth(0.5e-3), 1e-3)

@@ -57,7 +57,8 @@ class TestIdeal:
     @pytest.mark.parametrize("rig", [Rig(), Rig(seed=3), Rig(step_loss_depth=5e-3), Rig(noise_correlation_time=1.0)])
     def test_returns_the_recording_itself(self, rig):
         assert rig.is_ideal
-        assert rig.measure(ELASTIC) is ELASTIC and rig.apply(ELASTIC) is ELASTIC and rig.read(ELASTIC) is ELASTIC
+        for effect in (rig.measure, rig.apply_motion_effects, rig.read):
+            assert effect(ELASTIC) is ELASTIC
 
     @pytest.mark.parametrize("field", ["contact_offset", "displacement_gain", "backlash", "step_loss", "compliance",
                                        "guide_friction", "rate_damping", "latency", "sensor_gain", "zero_offset",
@@ -83,9 +84,10 @@ def test_motion_only():
               "force_noise": 0.1, "noise_correlation_time": 1.0, "force_resolution": 0.1,
               "displacement_resolution": 1e-4, "seed": 3}
     assert {*stated, "faults"} == {entry.name for entry in dataclasses.fields(Rig)}
-    rig, moving = Rig(**stated), Rig(**stated).motion_only
-    np.testing.assert_array_equal(moving.tool_motion(WAY), rig.tool_motion(WAY))
-    np.testing.assert_array_equal(moving.apply(ELASTIC).force, rig.apply(ELASTIC).force)
+    rig, moving = Rig(**stated), Rig(**stated).with_motion_effects_only
+    np.testing.assert_array_equal(moving.compute_unloaded_tool_displacement(WAY),
+                                  rig.compute_unloaded_tool_displacement(WAY))
+    np.testing.assert_array_equal(moving.apply_motion_effects(ELASTIC).force, rig.apply_motion_effects(ELASTIC).force)
     read = moving.read(ELASTIC)
     np.testing.assert_array_equal(read.force, ELASTIC.force)
     np.testing.assert_array_equal(read.displacement, WAY)
@@ -96,20 +98,20 @@ class TestCompliance:
     def test_linear_spring(self, stiffness):
         """F = k x / (1 + c k), on the ramp, in the hold and during unloading."""
         c = 0.05e-3
-        soft = Rig(compliance=c).apply(compression(lambda d: stiffness * d))
+        soft = Rig(compliance=c).apply_motion_effects(compression(lambda d: stiffness * d))
         np.testing.assert_allclose(soft.force, stiffness * WAY / (1 + c * stiffness), rtol=1e-9, atol=1e-12)
         np.testing.assert_array_equal(soft.displacement, WAY)
 
     @pytest.mark.parametrize("compliance", [0.02e-3, 0.2e-3])
     @pytest.mark.parametrize("offset", [0.0, 0.3e-3])
     def test_lubricated_compression_against_a_root_finder(self, compliance, offset):
-        force = Rig(compliance=compliance, contact_offset=offset).apply(ELASTIC).force
+        force = Rig(compliance=compliance, contact_offset=offset).apply_motion_effects(ELASTIC).force
         expected = [lubricated(brentq(lambda d, D=D: d + compliance * lubricated(d) - (D - offset), -1e-3, DEPTH,
                                       xtol=1e-15)) for D in WAY]
         np.testing.assert_allclose(force, expected, atol=3e-5)
 
     def test_displacement_error_is_proportional_to_force(self):
-        force = Rig(compliance=0.05e-3).apply(ELASTIC).force[RAMP]
+        force = Rig(compliance=0.05e-3).apply_motion_effects(ELASTIC).force[RAMP]
         depth = np.interp(force, lubricated(np.linspace(0, DEPTH, 100_001)), np.linspace(0, DEPTH, 100_001))
         np.testing.assert_allclose((WAY[RAMP] - depth) / force, 0.05e-3, rtol=1e-3)
 
@@ -120,7 +122,7 @@ class TestCompliance:
 
         punctured = compression(needle)
         c = 2e-3
-        force = Rig(compliance=c).apply(punctured).force
+        force = Rig(compliance=c).apply_motion_effects(punctured).force
         depth = WAY - c * force
         assert depth.min() > -1e-12
         before, after = depth < 5e-3 - 1e-9, depth > 5.3e-3
@@ -130,7 +132,7 @@ class TestCompliance:
 
     def test_bonded_plate_that_pulls(self):
         way = np.concatenate([np.linspace(0, -2e-3, 21), np.linspace(-2e-3, 0, 21)[1:]])
-        soft = Rig(compliance=0.1e-3).apply(compression(lambda d: 700 * d, way, np.arange(41.0)))
+        soft = Rig(compliance=0.1e-3).apply_motion_effects(compression(lambda d: 700 * d, way, np.arange(41.0)))
         np.testing.assert_allclose(soft.force, 700 * way / 1.07, rtol=1e-9, atol=1e-12)
 
 
@@ -172,8 +174,9 @@ class TestHistory:
     def test_effect_without_a_new_solve(self, prony_g, softening, effect, ramp, hold, unload, last_mm):
         rig = Rig(**effect)
         ideal = closed_form_with_history(WAY, TIME, 0.0, prony_g, softening)
-        full = closed_form_with_history(rig.tool_motion(WAY), TIME, rig.compliance, prony_g, softening)
-        found = rig.apply(compression(lambda d: ideal)).force
+        full = closed_form_with_history(rig.compute_unloaded_tool_displacement(WAY), TIME, rig.compliance, prony_g,
+                                        softening)
+        found = rig.apply_motion_effects(compression(lambda d: ideal)).force
         size = abs(full - ideal).max()
         assert size > 0.04
         for part, share in ((RAMP, ramp), (HOLD, hold), (slice(51, 87), unload), (slice(87, 91), last_mm)):
@@ -185,7 +188,7 @@ class TestHistory:
         relaxed = np.where(np.arange(91) < 41, 1.0, 0.7)
         way = WAY + np.where(SEGMENT == "hold", 2e-6 * (np.arange(91) % 3), 0.0)
         c, k = 0.05e-3, 760.0
-        found = Rig(compliance=c).apply(compression(lambda d: relaxed * k * d, way, labels=labels)).force
+        found = Rig(compliance=c).apply_motion_effects(compression(lambda d: relaxed * k * d, way, labels=labels)).force
         np.testing.assert_allclose(found, relaxed * k * way / (1 + c * relaxed * k), rtol=1e-6, atol=1e-12)
 
 
@@ -197,43 +200,48 @@ class TestMotion:
         assert measured.force[0] == measured.force[-1] == 0.0
 
     def test_negative_contact_offset_goes_deeper_than_the_curve(self):
-        force = Rig(contact_offset=-0.2e-3).apply(ELASTIC).force
+        force = Rig(contact_offset=-0.2e-3).apply_motion_effects(ELASTIC).force
         np.testing.assert_allclose(force, lubricated(WAY + 0.2e-3), rtol=2e-4)
 
     def test_contact_offset_after_an_approach_in_air(self):
         way = np.linspace(-2e-3, 8e-3, 41)
-        force = Rig(contact_offset=0.1e-3).apply(compression(displacement=way, time=np.arange(41.0))).force
+        recording = compression(displacement=way, time=np.arange(41.0))
+        force = Rig(contact_offset=0.1e-3).apply_motion_effects(recording).force
         np.testing.assert_allclose(force, lubricated(way - 0.1e-3), atol=2e-4)
         assert (force[way <= 0.1e-3] == 0).all()
 
     def test_displacement_gain_scales_the_axis_about_the_touch(self):
         rig = Rig(displacement_gain=0.01, contact_offset=0.2e-3)
-        np.testing.assert_allclose(rig.tool_motion(WAY), 1.01 * (WAY - 0.2e-3), rtol=1e-12, atol=1e-18)
-        np.testing.assert_allclose(rig.apply(ELASTIC).force, lubricated(1.01 * (WAY - 0.2e-3)), atol=5e-4)
+        np.testing.assert_allclose(rig.compute_unloaded_tool_displacement(WAY), 1.01 * (WAY - 0.2e-3), rtol=1e-12,
+                                   atol=1e-18)
+        np.testing.assert_allclose(rig.apply_motion_effects(ELASTIC).force, lubricated(1.01 * (WAY - 0.2e-3)),
+                                   atol=5e-4)
 
     def test_backlash_shifts_after_every_reversal(self):
         way = np.concatenate([np.linspace(0, 8e-3, 33), np.linspace(8e-3, 4e-3, 17)[1:],
                               np.linspace(4e-3, 9e-3, 21)[1:]])
         b = 0.6e-3
-        motion = Rig(backlash=b).tool_motion(way)
+        motion = Rig(backlash=b).compute_unloaded_tool_displacement(way)
         np.testing.assert_array_equal(motion[:33], way[:33])
         np.testing.assert_allclose(motion[33:49], np.minimum(way[33:49] + b, 8e-3))
         np.testing.assert_allclose(motion[49:], np.maximum(way[49:], 4e-3 + b))
-        force = Rig(backlash=b).apply(compression(displacement=way, time=np.arange(way.size) * 1.0)).force
+        recording = compression(displacement=way, time=np.arange(way.size) * 1.0)
+        force = Rig(backlash=b).apply_motion_effects(recording).force
         np.testing.assert_allclose(force, lubricated(motion), atol=2e-5)
 
     def test_backlash_holds_what_the_specimen_remembers(self):
         """While the play is taken up the tool rests at the peak and the force of a lossy specimen stays there."""
         loss = np.where(np.arange(91) < 51, 1.0, 0.6)
-        force = Rig(backlash=0.5e-3).apply(compression(lambda d: loss * lubricated(d))).force
+        force = Rig(backlash=0.5e-3).apply_motion_effects(compression(lambda d: loss * lubricated(d))).force
         assert force[52] == pytest.approx(force[50], rel=1e-9)      # two samples of 0.25 mm: just taken up
         np.testing.assert_allclose(force[53:], 0.6 * lubricated(WAY[53:] + 0.5e-3), atol=1e-4)
 
     def test_step_loss_is_a_jump_that_stays(self):
         rig = Rig(step_loss=0.1e-3, step_loss_depth=5e-3)
         reached = np.arange(91) > 20                                 # sample 20 is at 5 mm
-        np.testing.assert_allclose(rig.tool_motion(WAY), WAY - 0.1e-3 * reached, atol=1e-18)
-        np.testing.assert_allclose(rig.apply(ELASTIC).force, lubricated(WAY - 0.1e-3 * reached), atol=1e-4)
+        np.testing.assert_allclose(rig.compute_unloaded_tool_displacement(WAY), WAY - 0.1e-3 * reached, atol=1e-18)
+        np.testing.assert_allclose(rig.apply_motion_effects(ELASTIC).force, lubricated(WAY - 0.1e-3 * reached),
+                                   atol=1e-4)
 
     @given(st.lists(st.integers(-20, 20), min_size=1, max_size=40), st.integers(1, 10))
     def test_play_is_never_exceeded_and_the_history_is_one_that_was(self, steps, play):
@@ -348,7 +356,7 @@ class TestInertia:
         true = Recording({"time": TIME[RAMP], "displacement": WAY[RAMP], "force": WAY[RAMP]})
         rig = Rig(faults=[ts.FAULTS["inertia"](0.3)])
         np.testing.assert_allclose(rig.read(true).force, true.force, atol=1e-12)
-        assert rig.needs_time and not rig.motion_only.faults
+        assert rig.needs_time and not rig.with_motion_effects_only.faults
 
     def test_no_mass(self):
         with pytest.raises(ts.InputError, match=r"must be finite and 0 or more; got -0\.1 kg"):

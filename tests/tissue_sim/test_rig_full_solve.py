@@ -47,7 +47,7 @@ class TestFullSolve:
         hold and return included."""
         found = simulated(rig=rig, tool=tool, **case)
         np.testing.assert_array_equal(found.displacement, CYCLE.displacement)
-        true = rig.tool_motion(CYCLE.displacement) - rig.compliance * found.force
+        true = rig.compute_unloaded_tool_displacement(CYCLE.displacement) - rig.compliance * found.force
         driven = simulated(ts.Protocol(CYCLE.time, true), tool=tool, **case)
         np.testing.assert_allclose(found.force, driven.force, atol=2e-6 * found.force.max())
 
@@ -83,7 +83,7 @@ class TestFullSolve:
 
 
 class TestWithoutANewSolve:
-    """`Rig.apply` against full solves, in shares of what the rig changes at most."""
+    """`Rig.apply_motion_effects` against full solves, in shares of what the rig changes at most."""
 
     @pytest.mark.parametrize(("rig", "share"), [
         (ts.Rig(compliance=0.05e-3), 1e-4), (ts.Rig(compliance=0.5e-3), 1e-4), (ts.Rig(displacement_gain=-0.01), 1e-3),
@@ -92,7 +92,7 @@ class TestWithoutANewSolve:
     def test_elastic(self, ideal, rig, share):
         """Exact but for the interpolation; the last sample, where a bonded plate pulls above the touch, was not
         computed."""
-        full, found = simulated(rig=rig, **ELASTIC).force, rig.apply(ideal["elastic"]).force
+        full, found = simulated(rig=rig, **ELASTIC).force, rig.apply_motion_effects(ideal["elastic"]).force
         size = abs(full - ideal["elastic"].force).max()
         assert size > 0.05
         assert abs(found - full)[:-1].max() < share * size
@@ -104,7 +104,7 @@ class TestWithoutANewSolve:
     ], ids=["stiff", "soft", "gain", "offset", "backlash"])
     def test_first_order_with_history(self, ideal, rig, ramp, hold, unload):
         """Friction 0.3 at both plates and a relaxing specimen."""
-        full, found = simulated(rig=rig, **LOSSY).force, rig.apply(ideal["lossy"]).force
+        full, found = simulated(rig=rig, **LOSSY).force, rig.apply_motion_effects(ideal["lossy"]).force
         size = abs(full - ideal["lossy"].force).max()
         assert size > 0.05
         for name, share in (("ramp", ramp), ("hold", hold), ("unload", unload)):

@@ -6,12 +6,12 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.errors import InputError
 from tissue_sim.recording.cleaning import remove_outliers_and_saturation
-from tissue_sim.recording.control import analyse_control_and_creep
+from tissue_sim.recording.control import detect_controlled_quantity_and_creep
 from tissue_sim.recording.measures import MEASURES, convert_recording_to_stretch_and_nominal
 from tissue_sim.recording.oscillation import find_final_oscillation_or_none
 from tissue_sim.recording.outliers import find_outliers_of_motion_and_load
 from tissue_sim.recording.preload import estimate_load_at_zero_displacement
-from tissue_sim.recording.saturation import find_common_divisor_or_zero
+from tissue_sim.recording.saturation import find_last_digit_step_or_zero
 
 TIME = np.arange(126) * 0.2
 WAY = 1e-4 * TIME
@@ -185,10 +185,10 @@ class TestSaturationOfStress:
 
     def test_the_last_digit_of_a_column_in_any_unit(self):
         column = np.round(np.random.default_rng(6).normal(0.0, 30.0, 100), 3)
-        assert find_common_divisor_or_zero(column) == pytest.approx(1e-3)
-        assert find_common_divisor_or_zero(4.4482216152605 * column) == pytest.approx(4.4482216152605e-3, rel=1e-4)
-        assert find_common_divisor_or_zero(np.random.default_rng(6).normal(0.0, 30.0, 100)) < 1e-4
-        assert find_common_divisor_or_zero(np.full(5, 3.0)) == 0.0
+        assert find_last_digit_step_or_zero(column) == pytest.approx(1e-3)
+        assert find_last_digit_step_or_zero(4.4482216152605 * column) == pytest.approx(4.4482216152605e-3, rel=1e-4)
+        assert find_last_digit_step_or_zero(np.random.default_rng(6).normal(0.0, 30.0, 100)) < 1e-4
+        assert find_last_digit_step_or_zero(np.full(5, 3.0)) == 0.0
 
 
 class TestControl:
@@ -196,7 +196,7 @@ class TestControl:
         time = np.arange(0.0, 200.0)
         way = np.where(time > 0, 2.8e-3 * (1 + 0.6 * (1 - np.exp(-time / 20))), 0.0)
         load = np.where(time > 0, 0.3, 0.0) + 0.001 * np.random.default_rng(1).normal(size=time.size)
-        found = analyse_control_and_creep(way, load, time)
+        found = detect_controlled_quantity_and_creep(way, load, time)
         assert (found.quantity, found.pattern, found.loading) == ("force", "creep", 2)
         assert found.creep == pytest.approx(0.56, abs=0.06)
         assert "viscoelastic.terms[0].g" in found.sentence
@@ -204,10 +204,10 @@ class TestControl:
     def test_a_relaxing_staircase_is_not_elastic_and_an_elastic_one_is(self):
         time = np.arange(0.0, 240.0)
         way = 6e-4 * (np.floor(time / 60) + np.clip((time % 60) / 5, 0, 1))
-        found = analyse_control_and_creep(way, relax(force(way), time, 0.4, 15.0), time)
+        found = detect_controlled_quantity_and_creep(way, relax(force(way), time, 0.4, 15.0), time)
         assert found.pattern == "staircase" and found.relaxation == pytest.approx(0.35, abs=0.06)
         assert not found.can_elastic_law_describe_loading and "relaxes in holds by up to" in found.sentence
-        assert analyse_control_and_creep(way, force(way), time).can_elastic_law_describe_loading
+        assert detect_controlled_quantity_and_creep(way, force(way), time).can_elastic_law_describe_loading
 
     def test_relaxation_of_a_staircase_adds_up_over_the_holds(self):
         # In each hold only the last step of the force relaxes: 4 % of the force or less, but the force at the end is
@@ -216,7 +216,7 @@ class TestControl:
         way = 6e-4 * (np.floor(time / 40) + np.clip((time % 40) / 2, 0, 1))
         elastic = 1500.0 * way
         load = relax(elastic, time, 0.15, 8.0)
-        found = analyse_control_and_creep(way, load, time)
+        found = detect_controlled_quantity_and_creep(way, load, time)
         assert found.relaxation == pytest.approx(1 - load[-1] / elastic[-1], abs=0.02)
         assert not found.can_elastic_law_describe_loading
 
@@ -225,7 +225,7 @@ class TestControl:
         cycle = np.interp(np.arange(0.0, 48.0, 0.5), [0.0, 4.0, 24.0, 28.0, 48.0], [0.0, 2e-3, 2e-3, 0.0, 0.0])
         way = np.tile(cycle, 8)
         time = 0.5 * np.arange(way.size)
-        found = analyse_control_and_creep(way, relax(1500.0 * way, time, 0.04, 5.0), time)
+        found = detect_controlled_quantity_and_creep(way, relax(1500.0 * way, time, 0.04, 5.0), time)
         assert found.relaxation == pytest.approx(0.04, abs=0.02)
         assert found.can_elastic_law_describe_loading
 
@@ -234,14 +234,14 @@ class TestControl:
         for duration, is_elastic in ((1.0, True), (30.0, False)):
             way = 2e-3 * np.clip(time / duration, 0, 1)
             load = force(way) * (1 - 0.4 * (1 - np.exp(-np.clip(time - duration, 0, None) / 15)))
-            assert analyse_control_and_creep(way, load, time).can_elastic_law_describe_loading == is_elastic
+            assert detect_controlled_quantity_and_creep(way, load, time).can_elastic_law_describe_loading == is_elastic
 
     @pytest.mark.parametrize("phase", [0.0, 0.2])
     def test_an_oscillation_with_its_loss_factor(self, phase):
         time = np.arange(0.0, 5.0, 0.02)
         way = 1e-3 + 2e-4 * np.sin(2 * np.pi * time)
         load = 2.0 + 0.4 * np.sin(2 * np.pi * time + phase)
-        found = analyse_control_and_creep(way, load, time)
+        found = detect_controlled_quantity_and_creep(way, load, time)
         assert found.pattern == "oscillation" and found.frequency == pytest.approx(1.0, rel=0.01)
         assert found.loss_factor == pytest.approx(np.tan(phase), abs=0.01)
         assert found.can_elastic_law_describe_loading == (phase == 0.0)
@@ -299,21 +299,21 @@ class TestFirstSample:
 
     def test_creep_is_recognised_where_the_recording_begins_in_the_hold(self):
         load = np.full(self.HELD.size, 2.0) + 0.1 * NOISE[:self.HELD.size]
-        assert analyse_control_and_creep(self.CREPT[1:], load).pattern == "creep"
+        assert detect_controlled_quantity_and_creep(self.CREPT[1:], load).pattern == "creep"
 
     def test_air_at_an_even_speed_is_no_creep(self):
         way = 1e-3 + WAY
-        assert analyse_control_and_creep(way, 2.0 + force(way - 2e-3) + NOISE).creep == 0.0
+        assert detect_controlled_quantity_and_creep(way, 2.0 + force(way - 2e-3) + NOISE).creep == 0.0
 
     def test_a_hold_below_the_last_digit_of_the_load_is_no_creep(self):
         way = np.concatenate([WAY[:40], np.full(30, WAY[39]), WAY[40:]])
-        assert analyse_control_and_creep(way, np.round(force(way) / 0.4) * 0.4).creep == 0.0
+        assert detect_controlled_quantity_and_creep(way, np.round(force(way) / 0.4) * 0.4).creep == 0.0
 
     def test_two_pauses_with_a_short_motion_between_are_no_creep(self):
         """The force changes by 3 % of its range between the pauses, less than the band in which it counts as held."""
         way = np.concatenate([WAY[:70], np.full(9, WAY[69]), WAY[70:72], np.full(9, WAY[71]), WAY[72:]])
         load = force(way) + 0.3 * np.random.default_rng(2).normal(0.0, 0.01, way.size)
-        found = analyse_control_and_creep(way, load)
+        found = detect_controlled_quantity_and_creep(way, load)
         assert found.creep == 0.0 and found.quantity == "displacement"
 
     def test_a_stage_whose_answers_come_late_does_not_rest(self):
@@ -323,7 +323,7 @@ class TestFirstSample:
         way = true.copy()
         way[1224:1236] = true[1224] + 0.2 * (true[1224:1236] - true[1224])
         load = 0.83 * np.clip(true, 0.0, None) + np.random.default_rng(3).normal(0.0, 0.01, time.size)
-        assert analyse_control_and_creep(1e-3 * way, load, time).relaxation == 0.0
+        assert detect_controlled_quantity_and_creep(1e-3 * way, load, time).relaxation == 0.0
 
     @pytest.mark.parametrize("seed", [1, 4, 60, 61])
     def test_a_noisy_ramp_is_no_creep(self, seed):
@@ -331,14 +331,14 @@ class TestFirstSample:
         depth = np.linspace(0.0, 10.0, 401)
         noise = np.random.default_rng(seed).normal(0.0, 0.02, depth.size)
         load = np.polyval([8e-4, -2.7e-3, 0.1856, 0.0], depth) + noise
-        assert analyse_control_and_creep(1e-3 * depth, load).creep == 0.0
+        assert detect_controlled_quantity_and_creep(1e-3 * depth, load).creep == 0.0
 
     def test_the_number_of_equal_loads_does_not_depend_on_the_thinning(self):
         held = np.arange(1.0, 60.0, 0.002)
         way = np.concatenate([np.linspace(0.0, 1e-3, 40), 1e-3 * (1 + 0.4 * (1 - np.exp(-held / 12)))])
         load = np.concatenate([np.linspace(0.0, 2.0, 40), np.full(held.size, 2.0)])
         load[:40] += 1e-3 * np.sin(np.arange(40.0))
-        found = analyse_control_and_creep(way, load)
+        found = detect_controlled_quantity_and_creep(way, load)
         assert found.pattern == "creep" and found.equal_samples == pytest.approx(held.size, rel=0.01)
 
     def test_the_zero_of_a_staircase_after_a_wrong_first_displacement(self):

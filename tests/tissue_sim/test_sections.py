@@ -5,8 +5,12 @@ import pytest
 from solid_meshes import block as solid_block
 
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.sections import cut_tetrahedra, intersect_triangles, split_triangles_below_and_above
-from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_needle_mesh
+from tissue_sim.mesh.sections import (
+    intersect_tetrahedra_at_zero_level,
+    intersect_triangles_at_zero_level,
+    split_triangles_below_and_above,
+)
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
 from tissue_sim.mesh.subdivision import (
     find_outline_edges_of_face,
     subdivide_face_into_triangles,
@@ -109,7 +113,7 @@ def test_section_of_a_block_has_the_exact_area_and_linear_values(element, normal
     mesh = block(element)
     middle = [0.0, 0.0, 0.5 * (mesh.nodes[:, 2].max() + mesh.nodes[:, 2].min())]
     nodes = mesh.nodes - middle
-    crossings, triangles = cut_tetrahedra(cells_of(mesh), nodes @ normal - distance)
+    crossings, triangles = intersect_tetrahedra_at_zero_level(cells_of(mesh), nodes @ normal - distance)
     points = crossings.interpolate_nodal_values(nodes)
     np.testing.assert_allclose(points @ normal, distance, atol=1e-15)
     pieces = normals(points, triangles)
@@ -130,7 +134,7 @@ def test_section_along_the_sides_of_elements_is_there_once(element, axis):
     for place, expected in ((lines[0], area), (lines[element.order], area), (lines[-1], 0.0)):
         heights = mesh.nodes[:, axis] - place
         heights[abs(heights) < 1e-12] = 0.0
-        crossings, triangles = cut_tetrahedra(cells_of(mesh), heights)
+        crossings, triangles = intersect_tetrahedra_at_zero_level(cells_of(mesh), heights)
         areas = np.linalg.norm(normals(crossings.interpolate_nodal_values(mesh.nodes), triangles), axis=1)
         assert areas.sum() == pytest.approx(expected)
 
@@ -138,8 +142,9 @@ def test_section_along_the_sides_of_elements_is_there_once(element, axis):
 @every_element
 def test_a_clipped_surface_and_the_section_close_the_body(element):
     """Below the plane the outward areas of surface and section add up to nothing, and enclose the volume."""
-    mesh = create_needle_mesh(0.04, 0.07, 8e-3, element, smallest=3e-3, growth=2.2, largest=20e-3, around=2,
-                              centre=(6e-3, 0))
+    mesh = create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, element, smallest=3e-3, growth=2.2, largest=20e-3,
+                                             around=2,
+                                             centre=(6e-3, 0))
     normal = np.array([0.3, -0.9, 0.2]) / np.linalg.norm([0.3, -0.9, 0.2])
     heights = (mesh.nodes - [6e-3, 0.0, -0.02]) @ normal
     outside = triangulate_surface_faces(element, np.concatenate(list(mesh.faces.values())))
@@ -148,12 +153,12 @@ def test_a_clipped_surface_and_the_section_close_the_body(element):
     np.testing.assert_allclose(crossings.interpolate_nodal_values(heights), 0.0, atol=1e-16)
     both = normals(points, below).sum(axis=0) + normals(points, above).sum(axis=0)
     np.testing.assert_allclose(both, 0.0, atol=1e-15)
-    ends, triangles = cut_tetrahedra(cells_of(mesh), heights)
+    ends, triangles = intersect_tetrahedra_at_zero_level(cells_of(mesh), heights)
     cut = normals(ends.interpolate_nodal_values(mesh.nodes), triangles)
     np.testing.assert_allclose(normals(points, below).sum(axis=0) + cut.sum(axis=0), 0.0, atol=1e-12)
     assert np.linalg.norm(cut.sum(axis=0)) == pytest.approx(np.linalg.norm(cut, axis=1).sum())
     # The line in which the surface meets the plane runs around the section.
-    line = intersect_triangles(outside, heights)
+    line = intersect_triangles_at_zero_level(outside, heights)
     segments = line.interpolate_nodal_values(mesh.nodes).reshape(-1, 2, 3)
     corners, counts = np.unique(segments.reshape(-1, 3).round(9), axis=0, return_counts=True)
     assert len(corners) > 10 and (counts == 2).all()

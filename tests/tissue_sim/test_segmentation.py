@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 import tissue_sim as ts
 from tissue_sim.recording.segmentation import (
     ReversalDetector,
+    append_numbers_to_repeated_runs,
     label_reloads_and_cycles,
     label_samples_ramp_hold_unload,
-    number_repeated_runs,
 )
 
 CYCLES = "ramp 5mm @0.5mm/s; hold 20s; unload 1mm; hold 5s; reload; unload"
@@ -48,11 +48,12 @@ def test_reversals_one_by_one_are_the_turns_of_the_labels(turns):
         reversals.add_sample(index, value)
     ways = [direction for direction, *_ in reversals.list_branch_directions_and_ranges(time.size - 1)]
     labels = label_samples_ramp_hold_unload(time, displacement, 0.025e-3)
-    runs = list(dict.fromkeys(number_repeated_runs(labels).tolist()))
+    runs = list(dict.fromkeys(append_numbers_to_repeated_runs(labels).tolist()))
     assert [1 if run.startswith("ramp") else -1 for run in runs] == ways
 
 
 def test_a_short_stop_is_no_hold_of_a_hand():
     _, time, displacement = moved("ramp 5mm @1mm/s; hold 0.5s; unload 2mm @1mm/s; hold 3s; unload @1mm/s", 0.02)
     labels = label_samples_ramp_hold_unload(time, displacement, 0.025e-3, shortest_hold=1.0)
-    assert list(dict.fromkeys(number_repeated_runs(labels).tolist())) == ["ramp", "unload", "hold", "unload 2"]
+    assert list(dict.fromkeys(append_numbers_to_repeated_runs(labels).tolist())) == ["ramp", "unload", "hold",
+                                                                                     "unload 2"]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.differentiation import DifferenceSettings
+from tissue_sim.differentiation import FiniteDifferenceSettings
 from tissue_sim.fem.axisymmetric import contact_pairs, sensitivity
 from tissue_sim.fem.contact_settings import RelativeContactTolerances
 from tissue_sim.parameters import parameter_values, with_values
@@ -183,7 +183,7 @@ def test_geometry_has_one_derivative_whatever_the_width(path, options, material,
     model = ts.Model(experiment("ramp 3mm", 4, **options), elastic(**material))
     slopes = []
     for width in (1e-2, 1e-3, 1e-4):
-        monkeypatch.setattr("tissue_sim.differentiation.DIFFERENCES", DifferenceSettings(simulation_width=width))
+        monkeypatch.setattr("tissue_sim.differentiation.DIFFERENCES", FiniteDifferenceSettings(simulation_width=width))
         slopes.append(ts.sensitivities(model, [path], resolution=resolution).values[1:, 0])
     for slope in slopes[:2]:
         np.testing.assert_allclose(slope, slopes[2], rtol=0.01)

@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import tissue_sim as ts
-from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
+from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 #: Density, kg/m3.
@@ -46,7 +46,7 @@ def test_the_study_s_column():
 def test_sag_of_a_tall_column(resolution):
     """Slender: what the one-dimensional theory leaves out is of second order in radius over height."""
     m = model(radius=0.010, height=0.100)
-    solver = build_solver(m, build_mesh(m.experiment, resolution))
+    solver = build_solver_on_mesh(m, build_mesh(m.experiment, resolution))
     assert solver.sag == pytest.approx(column_sag(0.100), rel=1e-3)
 
 
@@ -82,7 +82,7 @@ def test_the_sensor_is_zeroed_after_settling(friction, tool):
 
 def test_placed_height_is_what_the_specimen_stands():
     m = model("bonded", height_is="placed")
-    solver = build_solver(m, build_mesh(m.experiment))
+    solver = build_solver_on_mesh(m, build_mesh(m.experiment))
     moulded = -solver.mesh.nodes[:, 1].min()
     assert moulded > 0.072
     assert moulded - solver.sag == pytest.approx(0.070, abs=1e-9)
@@ -98,7 +98,7 @@ def test_no_weight_is_the_weightless_solver():
 def test_base_carries_the_weight():
     """The reaction of the base is the weight of the whole specimen."""
     m = model("bonded")
-    solver = build_solver(m, build_mesh(m.experiment))
+    solver = build_solver_on_mesh(m, build_mesh(m.experiment))
     assert solver.step(0.0).status.name == "CONVERGED"
     base = solver.equations.equation[2 * solver.mesh.sets["base"] + 1]
     weight = DENSITY * GRAVITY * np.pi * 0.040**2 * 0.070

@@ -166,7 +166,7 @@ class TestRecordingOfASimulation:
             def step(self, trial, dt, predictor_order, max_iterations):
                 good = abs(trial.depth - self.pose.depth) <= 3.0
                 self.pose = trial if good else self.pose
-                return Step.axial(StepStatus.CONVERGED if good else StepStatus.SLOW, 1, 0.0, 0.0)
+                return Step.from_axial_force(StepStatus.CONVERGED if good else StepStatus.SLOW, 1, 0.0, 0.0)
 
         solver, trials = Slow(), []
         for _step in _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(10.0)):
@@ -184,7 +184,7 @@ class TestRecordingOfASimulation:
 
         class Stuck(Slow):
             def step(self, trial, dt, predictor_order, max_iterations):
-                return Step.axial(StepStatus.SLOW, 1, 0.0, 0.0)
+                return Step.from_axial_force(StepStatus.SLOW, 1, 0.0, 0.0)
 
             def step_with_damping(self, trial, dt, max_iterations):
                 self.crept += 1
@@ -201,12 +201,12 @@ class TestRecordingOfASimulation:
             highest_order = 2
 
             def step(self, trial, dt, predictor_order, max_iterations):
-                return Step.axial(StepStatus.SLOW, 1, 0.0, 0.0)
+                return Step.from_axial_force(StepStatus.SLOW, 1, 0.0, 0.0)
 
             def step_with_damping(self, trial, dt, max_iterations):
-                yield Step.axial(StepStatus.INVERTED, 1, 0.0, 0.0)
+                yield Step.from_axial_force(StepStatus.INVERTED, 1, 0.0, 0.0)
                 self.pose = trial
-                yield Step.axial(StepStatus.CONVERGED, 1, 0.0, 1.0)
+                yield Step.from_axial_force(StepStatus.CONVERGED, 1, 0.0, 1.0)
 
         solver = Snaps()
         *_, last = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(8.0))
@@ -270,7 +270,7 @@ class TestFields:
     def test_linear_field_reaches_the_nodes_unchanged(self, accurate):
         fields = accurate.fields
         mesh = fields.mesh
-        shapes, _ = mesh.element.evaluate_shape_functions(mesh.element.quadrature[0])
+        shapes, _ = mesh.element.evaluate_shape_functions_and_gradients(mesh.element.quadrature[0])
         linear = 3.0 + mesh.nodes @ np.array([2.0, -5.0])
         at_points = np.einsum("qa,ea->eq", shapes, linear[mesh.connectivity])
         np.testing.assert_allclose(extrapolate_to_nodes_and_average(mesh, at_points), linear, rtol=1e-12)

@@ -42,8 +42,8 @@ def work(monkeypatch) -> list[int]:
 
     def count_solve(self, *arguments, **options):
         solve(self, *arguments, **options)
-        is_converged = self.report[newton.ReportIndex.STATUS] == StepStatus.CONVERGED
-        counted[0] += int(self.report[newton.ReportIndex.ITERATIONS]) + is_converged
+        is_converged = self.report[newton.StepReportIndex.STATUS] == StepStatus.CONVERGED
+        counted[0] += int(self.report[newton.StepReportIndex.ITERATIONS]) + is_converged
 
     def count_evaluation(self, *arguments, **options):
         evaluate(self, *arguments, **options)

@@ -28,7 +28,7 @@ class Barred:
         step, self.barred_from = type(self.solver).step, BARRED
 
         def fail(pose, dt=0.0, **options):
-            return Step.axial(StepStatus.DIVERGED, 1, 1.0, np.nan) if pose.depth >= self.barred_from \
+            return Step.from_axial_force(StepStatus.DIVERGED, 1, 1.0, np.nan) if pose.depth >= self.barred_from \
                 else step(self.solver, pose, dt, **options)
 
         monkeypatch.setattr(self.solver, "step", fail)

@@ -13,7 +13,7 @@ from tissue_sim.fem.reduced.model import require_reducible
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_needle_mesh
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
 from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose
 
@@ -75,7 +75,8 @@ def test_plates_are_those_of_the_axisymmetric_solid(laws, precision):
     """Forces are equal in loading, unloading and separation; with a film the base is bonded and the top slips."""
     places = 1e-3 * np.array([0.0, 1.0, 0.3, 0.0, -0.1, -0.3, -1.1])
     tested = model(places, base="bonded" if "contact_laws" in laws else None, **laws)
-    mesh = create_needle_mesh(0.03, 0.03, 0.018, HEX27P1, smallest=3.5e-3, growth=1.8, largest=10e-3, around=2)
+    mesh = create_cylinder_mesh_under_needle(0.03, 0.03, 0.018, HEX27P1, smallest=3.5e-3, growth=1.8, largest=10e-3,
+                                             around=2)
     expected, found = force(tested, solver="axisymmetric", resolution="fast"), force(tested, mesh)
     np.testing.assert_allclose(found, expected, rtol=precision, atol=precision * 0.02)
     assert expected.min() < -2e-3 or "adhesion" not in laws
@@ -137,10 +138,11 @@ def test_a_stickier_ball_is_between_the_limits():
 @pytest.mark.parametrize("friction", ["frictionless", 0.3, "stick"])
 def test_stiffness_knows_the_pull(friction):
     """The stiffness of a ball during separation, along and across the axis, predicts the next steps."""
-    mesh = create_needle_mesh(0.03, 0.03, 5e-3, HEX8P0, smallest=1.2e-3, growth=1.8, largest=8e-3, around=3)
+    mesh = create_cylinder_mesh_under_needle(0.03, 0.03, 5e-3, HEX8P0, smallest=1.2e-3, growth=1.8, largest=8e-3,
+                                             around=3)
     solver = make_solver(model([0.0, 2e-3], tool=BALL, friction=friction, base="bonded",
                                adhesion=ts.Adhesion(0.02, 3e-4)), mesh=mesh)
-    solver.ask_for_stiffness()
+    solver.enable_stiffness_output()
     for depth in (0.1e-3, 0.5e-3, 1e-3, 0.5e-3, 0.06e-3):  # on a way on which nothing slips at the end
         step = solver.step(Pose.at_depth(depth), tolerance=1e-11)
         assert step.status is StepStatus.CONVERGED

@@ -10,7 +10,7 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,8 @@ def test_a_ball_that_slips_in_part_is_that_of_cattaneo_and_mindlin(solid_checks)
 @pytest.mark.slow
 def test_a_mesh_has_no_direction_of_its_own(solid_checks):
     """A needle that is dragged aside from the axis, to places turned about it by what is no symmetry of the mesh."""
-    mesh = create_needle_mesh(0.04, 0.07, 8e-3, HEX27P1, smallest=3e-3, growth=3.0, largest=30e-3, around=2)
+    mesh = create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, HEX27P1, smallest=3e-3, growth=3.0, largest=30e-3,
+                                             around=2)
     found = solid_checks.dragged(mesh, 3e-3, 4e-3)
     assert found["vertical_changes"] < 0.005
     assert found["radial_changes"] < 0.005 and found["around_over_radial"] < 0.005

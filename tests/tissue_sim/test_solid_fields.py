@@ -12,7 +12,7 @@ from tissue_sim.fem.solid.fields import SOLID_UNITS, compute_stretches_of_cauchy
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import SharedFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_needle_mesh
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
 
 C10 = 1500.0
@@ -87,7 +87,7 @@ def test_components_by_r_and_z_turn_with_the_point():
     stress = MU * (stretch**2 - 1.0 / stretch)
     p = MU * (stretch**2 + 2.0 / stretch) / 3.0 - MU / stretch
     fields = uniform(HEX8P0, np.diag([stretch, stretch**-0.5, stretch**-0.5]), p)
-    values, _ = HEX8P0.evaluate_shape_functions(HEX8P0.quadrature[0])
+    values, _ = HEX8P0.evaluate_shape_functions_and_gradients(HEX8P0.quadrature[0])
     place = np.einsum("qa,eai->eqi", values, (fields.mesh.nodes + fields.displacement())[fields.mesh.connectivity])
     angle = np.arctan2(place[..., 1], place[..., 0])
     for name, expected in {"cauchy_rr": stress * np.cos(angle)**2, "cauchy_hoop": stress * np.sin(angle)**2,
@@ -126,7 +126,8 @@ def punched():
     experiment = ts.Experiment(SPECIMEN, ts.Protocol.ramp(3e-3, 2), tool=ts.Tool("flat", radius=8e-3))
     model = ts.Model(experiment, ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4},
                                              ts.Bulk("bulk_ratio", 1e3)))
-    mesh = create_needle_mesh(0.04, 0.07, 8e-3, HEX27P1, smallest=2e-3, growth=2.0, largest=15e-3, around=2)
+    mesh = create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, HEX27P1, smallest=2e-3, growth=2.0, largest=15e-3,
+                                             around=2)
     return (ts.simulate(model, solver="solid", mesh=mesh, fields=True),
             ts.simulate(model, fields=True))
 

@@ -12,7 +12,7 @@ from tissue_sim.fem.solid.mass import compute_lumped_volumes
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import SOLVERS, Solver, StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import SOLID_ELEMENTS, create_needle_mesh
+from tissue_sim.mesh.solid import SOLID_ELEMENTS, create_cylinder_mesh_under_needle
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
 from tissue_sim.pose import Pose
 
@@ -99,7 +99,7 @@ def test_lumped_masses_are_positive_and_keep_mass_and_its_middle(name):
     line = np.linspace(0.0, 1.0, 3)
     mesh = block(line, line, line, SOLID_ELEMENTS[name], lambda x: x + 0.08 * np.sin(5 * x[:, [1, 2, 0]]))
     points, weights = mesh.element.quadrature
-    values, slopes = mesh.element.evaluate_shape_functions(points)
+    values, slopes = mesh.element.evaluate_shape_functions_and_gradients(points)
     places = mesh.nodes[mesh.connectivity]
     weights = weights * np.linalg.det(np.einsum("eai,qaj->eqij", places, slopes))
     lumped = compute_lumped_volumes(mesh, weights)
@@ -118,7 +118,8 @@ def needle(friction="bonded", tool=None):
 
 
 def coarse(element=HEX8P0):
-    return create_needle_mesh(0.04, 0.07, 8e-3, element, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2)
+    return create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, element, smallest=2.4e-3, growth=2.2, largest=20e-3,
+                                             around=2)
 
 
 def simulator(**options):

@@ -6,7 +6,7 @@ from solid_meshes import block
 
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import SOLID_ELEMENTS, create_cylinder_mesh, create_needle_mesh
+from tissue_sim.mesh.solid import SOLID_ELEMENTS, create_cylinder_mesh, create_cylinder_mesh_under_needle
 
 every_element = pytest.mark.parametrize("element", SOLID_ELEMENTS.values(), ids=lambda element: element.name)
 NEEDLE = {"smallest": 1.3e-3, "growth": 1.8, "largest": 15e-3}
@@ -14,7 +14,7 @@ NEEDLE = {"smallest": 1.3e-3, "growth": 1.8, "largest": 15e-3}
 
 def volume(mesh):
     points, weights = mesh.element.quadrature
-    _, slopes = mesh.element.evaluate_shape_functions(points)
+    _, slopes = mesh.element.evaluate_shape_functions_and_gradients(points)
     determinants = np.linalg.det(np.einsum("eai,qaj->eqij", mesh.nodes[mesh.connectivity], slopes))
     assert (determinants > 0.0).all()
     return (determinants * weights).sum()
@@ -28,17 +28,17 @@ def normals(mesh, name):
 
 @every_element
 def test_shape_functions_are_one_at_their_node_and_add_up_to_one(element):
-    values, _ = element.evaluate_shape_functions(element.reference_nodes)
+    values, _ = element.evaluate_shape_functions_and_gradients(element.reference_nodes)
     np.testing.assert_allclose(values, np.eye(element.node_count), atol=1e-14)
     points = np.random.default_rng(1).uniform(-1, 1, (20, 3))
     np.testing.assert_allclose(element.evaluate_corner_functions(element.reference_nodes[element.local_corner_indices]),
                                np.eye(len(element.local_corner_indices)), atol=1e-14)
-    values, slopes = element.evaluate_shape_functions(points)
+    values, slopes = element.evaluate_shape_functions_and_gradients(points)
     np.testing.assert_allclose(values.sum(axis=1), 1.0, atol=1e-14)
     np.testing.assert_allclose(slopes.sum(axis=1), 0.0, atol=1e-13)
     h = 1e-6
     for axis, step in enumerate(np.eye(3) * h):
-        ahead, behind = (element.evaluate_shape_functions(points + sign * step)[0] for sign in (1, -1))
+        ahead, behind = (element.evaluate_shape_functions_and_gradients(points + sign * step)[0] for sign in (1, -1))
         np.testing.assert_allclose(slopes[..., axis], (ahead - behind) / (2 * h), atol=1e-9)
 
 
@@ -56,7 +56,7 @@ def test_a_block_has_its_volume_and_its_surface_points_outwards(element):
 
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (0.015, -0.01)])
 def test_a_cylinder_under_a_needle(centre):
-    mesh = create_needle_mesh(0.04, 0.07, 0.008, HEX27P1, around=3, centre=centre, **NEEDLE)
+    mesh = create_cylinder_mesh_under_needle(0.04, 0.07, 0.008, HEX27P1, around=3, centre=centre, **NEEDLE)
     # Two points of a quadratic side lie on the circle next to each midpoint.
     assert volume(mesh) == pytest.approx(np.pi * 0.04**2 * 0.07, rel=3e-4)
     side = np.hypot(*mesh.nodes[mesh.sets["side"], :2].T)
@@ -71,7 +71,7 @@ def test_a_cylinder_under_a_needle(centre):
 def test_finer_rings_of_linear_elements_come_to_the_volume_with_order_two():
     errors = []
     for around in (3, 6):
-        mesh = create_needle_mesh(0.04, 0.07, 0.008, HEX8P0, around=around, **NEEDLE)
+        mesh = create_cylinder_mesh_under_needle(0.04, 0.07, 0.008, HEX8P0, around=around, **NEEDLE)
         errors.append(abs(volume(mesh) / (np.pi * 0.04**2 * 0.07) - 1.0))
     assert errors[1] == pytest.approx(errors[0] / 4.0, rel=0.05)
 

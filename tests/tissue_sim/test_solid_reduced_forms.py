@@ -5,7 +5,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 
 #: Name of the law.
 LAW = "reduced_polynomial_2"
@@ -25,8 +25,9 @@ WET = ts.Poroelasticity(phi=0.3, diffusivity=1e-6)
 
 
 def cylinder(centre=(0.0, 0.0)):
-    return create_needle_mesh(RADIUS, HEIGHT, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2,
-                              centre=centre)
+    return create_cylinder_mesh_under_needle(RADIUS, HEIGHT, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3,
+                                             around=2,
+                                             centre=centre)
 
 
 def simulated(protocol, *, tool=NEEDLE, friction="bonded", specimen=CYLINDER, approach=None, mesh=None,

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.differentiation import DifferenceSettings
+from tissue_sim.differentiation import FiniteDifferenceSettings
 from tissue_sim.fem.contact_settings import RelativeContactTolerances
 from tissue_sim.fem.solid import discretisation
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.mesh_mapping import CylinderWithTopCircle, map_cylinder
-from tissue_sim.mesh.solid import create_needle_mesh
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.parameters import parameter, parameter_values, with_values
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
@@ -56,9 +56,10 @@ class Gel(ts.ContactLaw):
 
 
 def solid_mesh(centre=(0.0, 0.0), interfaces=()):
-    return create_needle_mesh(0.04, 0.05, 8e-3, HEX8P0, smallest=4e-3, growth=2.5, largest=30e-3, around=2,
-                              centre=centre,
-                              interfaces=np.cumsum(interfaces))
+    return create_cylinder_mesh_under_needle(0.04, 0.05, 8e-3, HEX8P0, smallest=4e-3, growth=2.5, largest=30e-3,
+                                             around=2,
+                                             centre=centre,
+                                             interfaces=np.cumsum(interfaces))
 
 
 def model(tool=FLAT, friction="bonded", way=(0.0, 1.5, 3.0), approach=None, specimen=None, laws=(), base="bonded",
@@ -73,7 +74,8 @@ def model(tool=FLAT, friction="bonded", way=(0.0, 1.5, 3.0), approach=None, spec
 def mesh_of(of):
     """Return a mesh with boundaries on the interfaces of layers, and a lateral region if the material has one."""
     if of.experiment.tool.is_plate:
-        return create_needle_mesh(0.04, 0.05, 0.024, HEX8P0, smallest=9e-3, growth=2.2, largest=20e-3, around=2)
+        return create_cylinder_mesh_under_needle(0.04, 0.05, 0.024, HEX8P0, smallest=9e-3, growth=2.2, largest=20e-3,
+                                                 around=2)
     mesh = solid_mesh((5e-3, 0.0) if of.experiment.approach else (0.0, 0.0), [
         layer.thickness for layer in of.material.layers])
     middle = mesh.nodes[mesh.connectivity].mean(axis=1)
@@ -202,7 +204,7 @@ def test_geometry_moves_the_nodes_of_one_mesh():
     slopes = []
     for width in (1e-2, 1e-4):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("tissue_sim.differentiation.DIFFERENCES", DifferenceSettings(simulation_width=width))
+            patch.setattr("tissue_sim.differentiation.DIFFERENCES", FiniteDifferenceSettings(simulation_width=width))
             answer = ts.sensitivities(model(approach=OBLIQUE, way=(0.0, 2.0)), ["experiment.tool.radius",
                                                                                 "experiment.approach.offset",
                                                                                 "experiment.approach.angle"],

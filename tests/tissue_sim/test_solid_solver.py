@@ -10,8 +10,8 @@ import tissue_sim as ts
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_needle_mesh
-from tissue_sim.pose import Pose, between, motion
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.pose import Pose, compute_rigid_motion, interpolate_pose
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
 SPECIMEN = ts.Specimen(0.04, 0.07)
@@ -24,8 +24,9 @@ def model(tool=FLAT, friction="bonded", material=PHANTOM, depth=5e-3, **changes)
 
 
 def coarse(element=HEX8P0, centre=(0.0, 0.0), smallest=2.4e-3, around=2):
-    return create_needle_mesh(0.04, 0.07, 8e-3, element, smallest=smallest, growth=2.2, largest=20e-3, around=around,
-                              centre=centre)
+    return create_cylinder_mesh_under_needle(0.04, 0.07, 8e-3, element, smallest=smallest, growth=2.2, largest=20e-3,
+                                             around=around,
+                                             centre=centre)
 
 
 def stepped(solver, *poses, **options):
@@ -103,7 +104,7 @@ CASES = {"bonded": (FLAT, "bonded", Pose((0.0, 0.0, -3e-3))),
 def test_stiffness_is_the_derivative_of_the_wrench(case):
     tool, friction, pose = CASES[case]
     solver = make_solver(model(tool, friction), mesh=coarse())
-    solver.ask_for_stiffness()
+    solver.enable_stiffness_output()
     half = Pose(tuple(0.5 * part for part in pose.position), turned(0.05, (0.6, 0.8, 0.0)) if case == "oblique"
                 else (1.0, 0.0, 0.0, 0.0))
     stiffness = np.array(stepped(solver, half, pose, tolerance=1e-11).stiffness_matrix)
@@ -141,9 +142,9 @@ def test_a_closed_way_gives_no_work():
     before = stepped(solver, corners[0])
     for start, end in pairwise(corners):
         for k in range(parts):
-            one, other = between(start, end, k / parts), between(start, end, (k + 1) / parts)
+            one, other = interpolate_pose(start, end, k / parts), interpolate_pose(start, end, (k + 1) / parts)
             step = stepped(solver, other)
-            work += 0.5 * np.dot(np.add(before.wrench, step.wrench), motion(one, other))
+            work += 0.5 * np.dot(np.add(before.wrench, step.wrench), compute_rigid_motion(one, other))
             most, before = max(most, abs(work)), step
     assert abs(work) < 2e-3 * most
     np.testing.assert_allclose(before.wrench, 0.0, atol=1e-6)
@@ -182,7 +183,7 @@ def test_a_tool_that_was_taken_away_begins_again():
     solver = make_solver(model(ts.Tool("sphere", radius=8e-3), "stick"), mesh=coarse())
     way = [Pose((0.0, 0.0, -5e-4)), Pose((0.0, 0.0, -1e-3))]
     first = stepped(solver, *way)
-    solver.lift_off()
+    solver.reset_to_first_touch()
     assert solver.pose == Pose((0.0, 0.0, 0.0)) and not solver.field_sample().displacement.any()
     assert stepped(solver, Pose((0.0, 0.0, 1e-3))).force == 0.0
     np.testing.assert_allclose(stepped(solver, Pose((0.0, 0.0, 0.0)), *way).wrench, first.wrench, rtol=1e-7, atol=1e-12)

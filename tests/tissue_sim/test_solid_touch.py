@@ -45,7 +45,7 @@ def test_points_of_a_side_are_those_of_its_element(element):
         for point in own:
             guess, flat = np.full(2, 0.4), np.stack([corners[1] - corners[0], corners[-1] - corners[0]])
             for _ in range(30):
-                values, slopes = element.evaluate_shape_functions((corners[0] + guess @ flat)[None])
+                values, slopes = element.evaluate_shape_functions_and_gradients((corners[0] + guess @ flat)[None])
                 missed = values[0] @ bent[of] - point
                 guess -= np.linalg.lstsq((flat @ slopes[0].T @ bent[of]).T, missed, rcond=None)[0]
             assert np.abs(missed).max() < 1e-12

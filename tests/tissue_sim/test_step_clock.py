@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tissue_sim.realtime.step_clock import StepBudget, StepClock, count_solves_in_budget_or_none
+from tissue_sim.realtime.step_clock import StepBudget, StepTimeEstimator, count_solves_in_budget_or_none
 
 
 def followed(fixed, solve, noise=0.0, steps=600, seed=1):
     """A clock that has seen steps of 0 to 4 solves."""
-    rng, clock = np.random.default_rng(seed), StepClock()
+    rng, clock = np.random.default_rng(seed), StepTimeEstimator()
     clock.restart_estimate_from_solve_time(0.2e-3)
     for solves in rng.choice(5, steps, p=[0.2, 0.4, 0.2, 0.1, 0.1]):
         clock.update_estimate((fixed + solves * solve) * (1.0 + noise * rng.random()), int(solves))
@@ -44,7 +44,7 @@ def test_one_slow_step_changes_the_estimate_only_briefly():
 
 
 def test_equal_steps_do_not_change_the_time_per_solve():
-    clock = StepClock()
+    clock = StepTimeEstimator()
     clock.restart_estimate_from_solve_time(0.1e-3)
     for _ in range(1000):
         clock.update_estimate(0.5e-3, 1)
@@ -53,7 +53,7 @@ def test_equal_steps_do_not_change_the_time_per_solve():
 
 @given(st.lists(st.tuples(st.floats(0.0, 10.0), st.integers(0, 50)), max_size=100))
 def test_estimates_stay_positive_and_finite_for_any_steps(steps):
-    clock = StepClock()
+    clock = StepTimeEstimator()
     clock.restart_estimate_from_solve_time(1e-4)
     for time, solves in steps:
         clock.update_estimate(time, solves)
@@ -62,17 +62,17 @@ def test_estimates_stay_positive_and_finite_for_any_steps(steps):
 
 
 def test_stiffnesses_count_against_the_number_of_solves():
-    allowance = StepBudget(StepClock(), 6, None)
+    allowance = StepBudget(StepTimeEstimator(), 6, None)
     assert allowance.count_fitting_solves() == 5 and allowance.count_fitting_solves(answers=2) == 4
     allowance.subtract_solves(2)
     assert allowance.count_fitting_solves() == 2
     allowance.subtract_solves(0, answers=2)
     assert allowance.count_fitting_solves() == 0
-    assert StepBudget(StepClock(), None, None).count_fitting_solves() > 10**8
+    assert StepBudget(StepTimeEstimator(), None, None).count_fitting_solves() > 10**8
 
 
 def test_the_shorter_of_number_and_time_counts():
-    clock = StepClock()
+    clock = StepTimeEstimator()
     clock.restart_estimate_from_solve_time(1.0)
     now = perf_counter()
     assert StepBudget(clock, 3, now + 100.0).count_fitting_solves() == 2
@@ -82,7 +82,7 @@ def test_the_shorter_of_number_and_time_counts():
 
 @pytest.mark.parametrize(("left", "fixed"), [(10, 0.5), (1, 1.0)], ids=["by time", "by number"])
 def test_estimate_is_lowered_only_if_time_was_the_limit(left, fixed):
-    clock = StepClock()
+    clock = StepTimeEstimator()
     clock.restart_estimate_from_solve_time(1.0)
     StepBudget(clock, left, perf_counter() - 1.0).lower_time_estimate_if_nothing_begun()
     assert clock.fixed == fixed

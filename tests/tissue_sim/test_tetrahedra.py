@@ -39,7 +39,7 @@ def inf_sup(mesh):
     """The number of Chapelle and Bathe (Comput. Struct. 47 (1993) 537), over all pressures but the constant one: how
     well displacements that vanish on the surface can change what pressures resist, each measured in its own norm."""
     element, batches = mesh.element, ElementBatches(mesh)
-    _, slopes = element.evaluate_shape_functions(element.quadrature[0])
+    _, slopes = element.evaluate_shape_functions_and_gradients(element.quadrature[0])
     X, numbers, count = mesh.nodes[mesh.connectivity], mesh.connectivity, len(mesh.nodes)
     jacobian = np.einsum("eai,qaj->eqij", X, slopes)
     gradients = np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian))

@@ -47,12 +47,13 @@ def test_a_tool_that_begins_inside_is_at_rest_there(inertia):
 
 def test_touch_state():
     touch = TouchState()
-    assert touch.height is None and touch.register_height_and_get_contact_time(3e-3, 1.0) is None \
+    assert touch.height is None and touch.register_height_and_get_contact_duration(3e-3, 1.0) is None \
         and not touch.has_touched
-    assert touch.register_height_and_get_contact_time(-1e-3, 1.0) == pytest.approx(0.25) and touch.has_touched
+    assert touch.register_height_and_get_contact_duration(-1e-3, 1.0) == pytest.approx(0.25) and touch.has_touched
     copy = touch.copy()
-    assert copy.register_height_and_get_contact_time(5e-3, 0.5) == 0.5 and copy.has_touched and touch.height == -1e-3
-    assert TouchState().register_height_and_get_contact_time(-1e-3, 0.5) \
+    assert copy.register_height_and_get_contact_duration(5e-3,
+                                                         0.5) == 0.5 and copy.has_touched and touch.height == -1e-3
+    assert TouchState().register_height_and_get_contact_duration(-1e-3, 0.5) \
         == 0.5, "all of the first step: what went before is not known"
 
 

@@ -39,7 +39,7 @@ NEO_HOOKE = ts.Material("neo_hooke", {"C10": 1000.0})
     (lambda: Puncture(1e-3, 1.0), "drop", "from 0 to below 1"),
     (lambda: Poroelasticity(1.0, 1e-8), "phi", "from 0 to below 1"),
     (lambda: Poroelasticity(0.1, 0.0), "diffusivity", "must be positive and finite"),
-    (lambda: Poroelasticity(0.1, 1e-8).term(0.0), "contact_radius", "must be positive and finite"),
+    (lambda: Poroelasticity(0.1, 1e-8).make_prony_term(0.0), "contact_radius", "must be positive and finite"),
 ])
 def test_refused(make, field, message):
     with pytest.raises(ts.InputError, match=message) as caught:
@@ -80,7 +80,8 @@ def test_internal_stress_is_the_recursion():
 
 def test_relaxation_modulus():
     time = np.array([0.0, 2.0, np.inf])
-    np.testing.assert_allclose(SERIES.modulus(time), [1.0, 0.5 + 0.3 / np.e + 0.2 * np.exp(-0.04), 0.5], rtol=1e-14)
+    np.testing.assert_allclose(SERIES.compute_relative_relaxation_modulus(time),
+                               [1.0, 0.5 + 0.3 / np.e + 0.2 * np.exp(-0.04), 0.5], rtol=1e-14)
 
 
 def test_moduli_of_both_conventions():
@@ -89,8 +90,8 @@ def test_moduli_of_both_conventions():
     long_term = dataclasses.replace(NEO_HOOKE, viscoelastic=Prony(SERIES.terms, "long_term"))
     assert (long_term.mu0, long_term.mu_long_term) == pytest.approx((4000.0, 2000.0))
     assert (long_term.E0, long_term.E_long_term) == pytest.approx((12000.0, 6000.0))
-    assert long_term.relaxation(1.0).instantaneous_over_law_modulus_ratio == 1.0
-    assert (NEO_HOOKE.mu0, NEO_HOOKE.mu_long_term, NEO_HOOKE.relaxation(1.0)) == (2000.0, 2000.0, None)
+    assert long_term.make_prony_series(1.0).instantaneous_over_law_modulus_ratio == 1.0
+    assert (NEO_HOOKE.mu0, NEO_HOOKE.mu_long_term, NEO_HOOKE.make_prony_series(1.0)) == (2000.0, 2000.0, None)
 
 
 def test_the_bulk_modulus_does_not_relax():
@@ -104,14 +105,14 @@ def test_the_bulk_modulus_does_not_relax():
 
 def test_drainage_takes_the_time_of_the_contact():
     material = dataclasses.replace(NEO_HOOKE, poroelasticity=Poroelasticity(0.2, 1e-8))
-    small, large = (material.relaxation(radius).terms[0] for radius in (8e-3, 40e-3))
+    small, large = (material.make_prony_series(radius).terms[0] for radius in (8e-3, 40e-3))
     assert (small.g, small.tau) == (0.2, pytest.approx(6400.0)) and large.tau == pytest.approx(25 * small.tau)
     assert material.mu_long_term == pytest.approx(1600.0)
     both = dataclasses.replace(material, viscoelastic=Prony((PronyTerm(0.3, 2.0),), "long_term"))
-    assert both.relaxation(8e-3) == Prony((PronyTerm(0.3, 2.0), small))
+    assert both.make_prony_series(8e-3) == Prony((PronyTerm(0.3, 2.0), small))
     assert both.mu_long_term == pytest.approx(both.mu0 * 0.5)
     absent = dataclasses.replace(NEO_HOOKE, poroelasticity=Poroelasticity(0.0, 1e-8))
-    assert absent.relaxation(8e-3) is None and absent.mu_long_term == 2000.0
+    assert absent.make_prony_series(8e-3) is None and absent.mu_long_term == 2000.0
     with pytest.raises(ts.InputError, match="must be below 1") as caught:
         dataclasses.replace(material, viscoelastic=Prony((PronyTerm(0.8, 2.0),)))
     assert caught.value.field == "poroelasticity.phi"

@@ -112,13 +112,14 @@ class Column:
 
     def nominal_stress(self, law: Law, displacement, values) -> np.ndarray:
         """Return minus the force of the plate over the undeformed cross-section, Pa, shape of `displacement`."""
-        return self._evaluate_curve_or_nan(law, displacement, values, lambda curve: curve.stress)
+        return self._evaluate_curve_or_nan(law, displacement, values, lambda curve: curve.nominal_stress_spline)
 
     def nominal_stress_slope(self, law: Law, displacement, values) -> np.ndarray:
         """Return d(nominal stress)/d(displacement), Pa/m, shape of `displacement`."""
-        return self._evaluate_curve_or_nan(law, displacement, values, lambda curve: curve.stress.derivative())
+        return self._evaluate_curve_or_nan(law, displacement, values,
+                                           lambda curve: curve.nominal_stress_spline.derivative())
 
-    def nominal_stress_derivatives(self, law: Law, displacement, values) -> np.ndarray:
+    def nominal_stress_parameter_derivatives(self, law: Law, displacement, values) -> np.ndarray:
         """Return d(nominal stress)/d(parameter) at constant displacement, shape (*displacement.shape, m).
 
         The sag depends on the parameters, and so does the undeformed height if the settled height is given.
@@ -133,7 +134,7 @@ class Column:
 
     def _compute_curve(self, law: Law, values, depth: float) -> _CompressionCurve:
         """Return the cached compression curve, which reaches at least `depth`, m, if the column is stable."""
-        return _curve(self.specimen, law, tuple(law.as_array(values).tolist()), depth)
+        return _curve(self.specimen, law, tuple(law.convert_parameters_to_array(values).tolist()), depth)
 
     def _evaluate_curve_or_nan(self, law: Law, displacement, values, choose, *width: int) -> np.ndarray:
         """Evaluate the spline that `choose` returns: 0 at negative displacements, NaN beyond the stable branch."""
@@ -207,7 +208,7 @@ class _CompressionCurve:
         return np.nan, np.nan
 
     @cached_property
-    def stress(self) -> CubicHermiteSpline:
+    def nominal_stress_spline(self) -> CubicHermiteSpline:
         """Nominal stress against displacement, with the exact slope at each state."""
         return CubicHermiteSpline(self.displacement, 0.0 - self.pressure, -1.0 / self.softness.sum(axis=1))
 
@@ -215,7 +216,8 @@ class _CompressionCurve:
     def stress_parameter_derivative_spline(self) -> CubicSpline:
         """Derivatives of the nominal stress with respect to the parameters, by implicit differentiation; (n, m)."""
         # Loss of height at constant pressure and undeformed height.
-        lost = np.sum(self.softness[:, :, None] * self.law.nominal_stress_derivatives(self.stretches, self.values),
+        lost = np.sum(self.softness[:, :, None]
+                      * self.law.nominal_stress_parameter_derivatives(self.stretches, self.values),
                       axis=1)
         if self.specimen.height_is == "moulded":
             moved = lost[0]

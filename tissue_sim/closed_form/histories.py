@@ -198,6 +198,6 @@ def compute_stress_history(mode: str, material: Material, time, strain, contact_
         raise InputError("must not be given, because closed forms do not include effects at material points. Use the "
                          "finite elements",
                          field=f"effects.{added[0]}")
-    prony = material.relaxation(contact_radius)
+    prony = material.make_prony_series(contact_radius)
     return history.nominal_stress(material.energy_law, material.values, prony, material.softening,
                                   material.instantaneous_over_law_modulus_ratio)

@@ -46,11 +46,12 @@ class ClosedForm:
         """Return the derivative of the nominal stress with respect to the abscissa, Pa, shape of `abscissa`."""
         return law.nominal_stress_slope(abscissa, values, self.law_mode)
 
-    def derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+    def stress_parameter_derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return the derivatives of the nominal stress with respect to m parameters, shape (*abscissa.shape, m)."""
-        return law.nominal_stress_derivatives(abscissa, values, self.law_mode)
+        return law.nominal_stress_parameter_derivatives(abscissa, values, self.law_mode)
 
-    def history(self, material: Material, time: np.ndarray, abscissa: np.ndarray, contact_radius: float) -> np.ndarray:
+    def stress_history(self, material: Material, time: np.ndarray, abscissa: np.ndarray,
+                       contact_radius: float) -> np.ndarray:
         """Return the nominal stress of a motion with relaxation, drainage and softening, Pa, shape (n,).
 
         Args:

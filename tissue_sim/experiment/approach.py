@@ -51,6 +51,6 @@ class Approach:
         """Unit vector opposite to the tool's direction of motion, in the frame of the scene."""
         return -math.sin(self.angle), 0.0, math.cos(self.angle)
 
-    def resistance(self, wrench: Screw) -> float:
+    def compute_force_against_motion(self, wrench: Screw) -> float:
         """Return the component of a wrench's force opposite to the tool's direction of motion, N."""
         return sum(one * other for one, other in zip(self.direction_against_motion, wrench, strict=False))

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
 from tissue_sim.errors import InputError
-from tissue_sim.parameters import make_declared_class_predicate
+from tissue_sim.parameters import make_parameter_dataclass_predicate
 from tissue_sim.registry import Registry
 
 
@@ -83,7 +83,7 @@ def evaluate_traction(law: ContactLaw, gap: Any, pressure: Any, slip: tuple[Any,
     return found
 
 
-def sum_pulls_at_touch(laws: tuple[ContactLaw, ...], face: float) -> float:
+def sum_attractive_tractions_at_zero_gap(laws: tuple[ContactLaw, ...], face: float) -> float:
     """Sum of the pulls of all laws at zero gap, pressure and slip, Pa; `face` is the area of the tool's face, m2.
 
     Raises:
@@ -95,5 +95,5 @@ def sum_pulls_at_touch(laws: tuple[ContactLaw, ...], face: float) -> float:
 #: Name -> class of a contact law.
 CONTACT_LAWS: Registry[type[ContactLaw]] = Registry(
     "law of a contact", "tissue_sim.contact_laws", {"adhesion": "tissue_sim.experiment.adhesion:Adhesion"},
-    accepts=make_declared_class_predicate(ContactLaw),
+    accepts=make_parameter_dataclass_predicate(ContactLaw),
     expected="a frozen dataclass that derives from tissue_sim.ContactLaw and declares its parameters")

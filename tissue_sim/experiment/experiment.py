@@ -18,7 +18,7 @@ from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose, Screw
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import OldName, with_old_names
 from tissue_sim.specimen import Specimen
 
 
@@ -29,7 +29,7 @@ def _declare_friction_parameter(symbol: str, key: str, default: str | None) -> A
 
 
 @dataclass(frozen=True)
-class SharpFaceLimits:
+class SharpFaceDepthLimits:
     """Largest depth of a sharp face without friction.
 
     The tissue under the face slides in its plane, and no tissue slides around the edge. The force is exact for small
@@ -46,9 +46,10 @@ class SharpFaceLimits:
 
 
 #: Limits of all experiments.
-SHARP_FACE = SharpFaceLimits()
+SHARP_FACE = SharpFaceDepthLimits()
 
 
+@with_old_names(resistance="compute_force_against_motion", homogeneous="has_homogeneous_deformation")
 @dataclass(frozen=True)
 class Experiment:
     """Specimen, tool, interfaces and protocol of one test.
@@ -181,7 +182,7 @@ class Experiment:
 
     @property
     def largest_accurate_depth(self) -> float:
-        """Largest depth for a sharp face without friction, m, see `SharpFaceLimits`; infinite for other contacts."""
+        """Largest depth for a sharp face without friction, m (`SharpFaceDepthLimits`); infinite for other contacts."""
         if not self.tool.sharp_edge or self.friction != "frictionless":
             return float("inf")
         return min(SHARP_FACE.radius_fraction * self.tool.require_radius(), SHARP_FACE.height_fraction * self.thickness)
@@ -190,13 +191,13 @@ class Experiment:
         """Pose of the tool at a displacement of the protocol, m."""
         return Pose.at_depth(displacement) if self.approach is None else self.approach.pose(displacement)
 
-    def resistance(self, wrench: Screw) -> float:
+    def compute_force_against_motion(self, wrench: Screw) -> float:
         """Return the force that a load cell on the stage measures, N: the component opposite to the tool's motion.
 
         Args:
             wrench: force and torque on the tool, N and N m. For an upright tool the result is the force along z.
         """
-        return wrench[2] if self.approach is None else self.approach.resistance(wrench)
+        return wrench[2] if self.approach is None else self.approach.compute_force_against_motion(wrench)
 
     @property
     def resolved_base_interface(self) -> str | float:
@@ -222,7 +223,7 @@ class Experiment:
             self.friction, self.resolved_base_interface, self.friction_wall))
 
     @property
-    def homogeneous(self) -> bool:
+    def has_homogeneous_deformation(self) -> bool:
         """Whether a specimen of one material deforms homogeneously, so that closed forms are valid."""
         return (self.tool.is_plate and self.friction == self.resolved_base_interface == "frictionless"
                 and self.specimen.is_prism and not self.specimen.specific_weight and not self.contact_laws)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError, require_positive_length
 from tissue_sim.experiment.protocol_text import parse_protocol
-from tissue_sim.experiment.segments import MotionLeg, iterate_motion_legs, protocol_error
+from tissue_sim.experiment.segments import MotionLeg, iterate_motion_legs, make_protocol_error
 from tissue_sim.public_names import OldName
 
 #: Tool speed of the reference study, m/s.
@@ -19,7 +19,7 @@ MOST_SAMPLES = 100_000
 
 
 @dataclass(frozen=True)
-class HoldStepSettings:
+class HoldTimeStepSettings:
     """Distribution of the time steps of a hold.
 
     Attributes:
@@ -33,15 +33,16 @@ class HoldStepSettings:
 
 
 #: Distribution of every hold.
-HOLD_STEPS = HoldStepSettings()
+HOLD_STEPS = HoldTimeStepSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
     """Displacement that the stage reports against time, linear between samples.
 
-    With an ideal rig this is the displacement of the tool; otherwise `Rig.tool_motion` computes the displacement of the
-    tool. The motion of a measured recording is ``Protocol(recording.time, recording.displacement)``.
+    With an ideal rig this is the displacement of the tool; otherwise `Rig.compute_unloaded_tool_displacement` computes
+    the displacement of the tool. The motion of a measured recording is ``Protocol(recording.time,
+    recording.displacement)``.
 
     Attributes:
         time: s, strictly increasing, shape (n,).
@@ -117,9 +118,9 @@ class Protocol:
         """Make a protocol from text, such as ``"ramp 10mm @0.248mm/s; hold 60s; unload"``.
 
         A moving segment has `points` samples at equal distances, with its start. The time steps of a hold grow by
-        `HoldStepSettings.growth`, from the last time step of the motion before (at most
-        `HoldStepSettings.largest_first` of the hold), and are scaled so that the last one ends the hold. A sample where
-        two segments meet belongs to the first of them.
+        `HoldTimeStepSettings.growth`, from the last time step of the motion before (at most
+        `HoldTimeStepSettings.largest_first` of the hold), and are scaled so that the last one ends the hold. A sample
+        where two segments meet belongs to the first of them.
 
         Args:
             text: segments; see `tissue_sim.experiment.protocol_text.parse_protocol`.
@@ -147,8 +148,9 @@ class Protocol:
                 time, displacement, segment, cycle = [now], [leg.start], [leg.segment.kind], [leg.cycle]
             samples, since = _sample_leg_displacements_and_times(leg, now, points, step)
             if len(time) + since.size > MOST_SAMPLES:
-                raise protocol_error(leg.segment.position, f"the protocol has more than {MOST_SAMPLES} samples at this "
-                                     "segment; shorten it or use fewer points")
+                raise make_protocol_error(leg.segment.position,
+                                          f"the protocol has more than {MOST_SAMPLES} samples at this "
+                                          "segment; shorten it or use fewer points")
             if leg.speed:
                 step = float(since[-1] / since.size)
             time += (now + since).tolist()
@@ -184,7 +186,7 @@ def _sample_leg_displacements_and_times(leg: MotionLeg, now: float, points: int,
     """
     position = leg.segment.position
     if not math.isfinite(now + leg.duration):
-        raise protocol_error(position, f"the end time of this {leg.segment.kind} is not finite; correct its speed")
+        raise make_protocol_error(position, f"the end time of this {leg.segment.kind} is not finite; correct its speed")
     if leg.speed:
         samples = np.linspace(leg.start, leg.end, points)[1:]
         since = np.abs(samples - leg.start) / leg.speed
@@ -192,7 +194,7 @@ def _sample_leg_displacements_and_times(leg: MotionLeg, now: float, points: int,
         since = _compute_hold_sample_times(leg.duration, step)
         samples = np.full(since.size, leg.end)
     if (np.diff(now + since, prepend=now) <= 0).any():
-        raise protocol_error(position, f"this {leg.segment.kind} is too short: its samples coincide at {now:g} s")
+        raise make_protocol_error(position, f"this {leg.segment.kind} is too short: its samples coincide at {now:g} s")
     return samples, since
 
 

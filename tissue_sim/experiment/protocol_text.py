@@ -9,7 +9,7 @@ from decimal import Decimal
 from typing import Any
 
 from tissue_sim.errors import make_hint_with_similar_or_known_words
-from tissue_sim.experiment.segments import KINDS, ProtocolRepeat, ProtocolSegment, protocol_error
+from tissue_sim.experiment.segments import KINDS, ProtocolRepeat, ProtocolSegment, make_protocol_error
 from tissue_sim.public_names import make_getattr_for_old_names
 
 #: Unit -> factor to m.
@@ -194,7 +194,7 @@ class _ProtocolParser:
         """Return the error for a problem at the index `at` of the text; the caller raises it."""
         rest = self.text[at:].strip()
         found = f"at {_quote_shortened_text(rest)}" if rest else "at the end"
-        return protocol_error(f"{self.describe_line_and_column(at)}, {found}", problem)
+        return make_protocol_error(f"{self.describe_line_and_column(at)}, {found}", problem)
 
 
 def _quote_shortened_text(text: str) -> str:

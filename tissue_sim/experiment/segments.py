@@ -90,7 +90,7 @@ def iterate_motion_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed
         here, deepest = end, max(deepest, end)
 
 
-def protocol_error(position: str, problem: str) -> InputError:
+def make_protocol_error(position: str, problem: str) -> InputError:
     """Return the error of a protocol with position, problem and an example; the caller raises it."""
     example = f"{' For' if problem.endswith('?') else '; for'} example {EXAMPLE!r}"
     return InputError(f"{position + ': ' if position else ''}{problem}{example}", field="protocol")
@@ -106,8 +106,8 @@ def _iterate_segments_with_repeats(steps: Sequence[ProtocolSegment | ProtocolRep
 def _require_approach_height(segment: ProtocolSegment) -> float:
     """Return the height above the touch at which an approach starts, m; raise an error if none is given."""
     if segment.amount is None:
-        raise protocol_error(segment.position, "the first approach needs the height above the touch at which it "
-                             "starts, such as approach 2mm")
+        raise make_protocol_error(segment.position, "the first approach needs the height above the touch at which it "
+                                  "starts, such as approach 2mm")
     return segment.amount
 
 
@@ -120,27 +120,28 @@ def _find_end_displacement(segment: ProtocolSegment, here: float, deepest: float
         case "approach":
             if here >= 0 or (amount is not None and not math.isclose(amount, -here, rel_tol=1e-9)):
                 height = "above the touch" if amount is None else f"{_format_mm(amount)} above the touch"
-                raise protocol_error(segment.position, f"an approach starts {height}, but the tool is at "
-                                     f"{_format_mm(here)}; retract to that height first")
+                raise make_protocol_error(segment.position, f"an approach starts {height}, but the tool is at "
+                                          f"{_format_mm(here)}; retract to that height first")
             return 0.0
         case "ramp" | "reload":
             if amount is None and deepest <= 0:
-                raise protocol_error(segment.position, "a reload needs an earlier ramp or a depth; ramp first, or name "
-                                     "a depth")
+                raise make_protocol_error(segment.position,
+                                          "a reload needs an earlier ramp or a depth; ramp first, or name "
+                                          "a depth")
             end = deepest if amount is None else amount
             if end <= here:
-                raise protocol_error(segment.position, f"a {kind} must go deeper, but the tool is at "
-                                     f"{_format_mm(here)} already; name a larger depth, or unload "
-                                     "before it")
+                raise make_protocol_error(segment.position, f"a {kind} must go deeper, but the tool is at "
+                                          f"{_format_mm(here)} already; name a larger depth, or unload "
+                                          "before it")
             return end
         case "unload" | "retract":
             end = (-1.0 if kind == "retract" else 1.0) * (amount or 0.0)
             if end >= here:
                 article = "an" if kind == "unload" else "a"
-                raise protocol_error(segment.position, f"{article} {kind} must go outwards, but the tool is at "
-                                     f"{_format_mm(here)} already; its end is {_format_mm(end)}")
+                raise make_protocol_error(segment.position, f"{article} {kind} must go outwards, but the tool is at "
+                                          f"{_format_mm(here)} already; its end is {_format_mm(end)}")
             return end
-    raise protocol_error(segment.position, f"unknown segment {kind!r}")
+    raise make_protocol_error(segment.position, f"unknown segment {kind!r}")
 
 
 def _format_mm(length: float) -> str:

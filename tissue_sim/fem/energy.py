@@ -35,7 +35,7 @@ def make_taichi_expression_builder(derive_arguments_and_expressions, cache_key: 
     return load_or_derive_function(derive_arguments_and_expressions, cache_key=cache_key, source=source, names=names)
 
 
-def make_invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
+def make_energy_derivatives_by_invariants(energy: KernelEnergy, tangents: bool = True):
     """Return a function that evaluates energy and derivatives of a law of the isochoric invariants.
 
     Args:
@@ -55,7 +55,7 @@ def make_invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
                                           _derivation_cache_key_or_none(energy, tangents), __file__)
 
 
-def make_stretch_derivatives(energy: KernelEnergy):
+def make_energy_derivatives_by_stretch(energy: KernelEnergy):
     """Return a function (stretch, coefficients) -> (w', w'', w) of a law W = sum of w over the isochoric stretches."""
     def derive_arguments_and_expressions():
         """Return the arguments (stretch, coefficients) and the expressions w', w'' and w (sympy)."""

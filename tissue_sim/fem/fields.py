@@ -13,7 +13,7 @@ FIELD_UNITS = {"displacement": "m", "von_mises": "Pa", "cauchy_rr": "Pa", "cauch
 TAIL = 0.01
 
 
-def volume_quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
+def compute_volume_weighted_quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
     """Return the value below which a given fraction of the volume lies (volume-weighted quantile).
 
     Args:

@@ -17,7 +17,7 @@ from tissue_sim.pose import Pose
 AT_REST = 0.1
 
 
-class FreeTool:
+class FreeToolSolverBase:
     """Interface of a `tissue_sim.fem.solver.Solver` for a tool in the air, before and after contact."""
 
     mesh: Any = None

@@ -6,7 +6,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from tissue_sim.fem.taichi.array_tables import ArrayLayout, real_array
+from tissue_sim.fem.taichi.array_tables import ArrayLayout, real_array_type
 from tissue_sim.fem.taichi.origins import allocate_array
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony
@@ -27,8 +27,8 @@ class RelaxationSofteningCoefficient(IntEnum):
 
 #: Coefficients of the law, and the arrays of `MaterialMemory`.
 MATERIAL_ARRAYS = ArrayLayout(
-    coefficients=real_array(), past=real_array(), inherited=real_array(3), largest=real_array(2),
-    stresses=real_array(3), energies=real_array(2), before=real_array(3), internal=real_array(4))
+    coefficients=real_array_type(), past=real_array_type(), inherited=real_array_type(3), largest=real_array_type(2),
+    stresses=real_array_type(3), energies=real_array_type(2), before=real_array_type(3), internal=real_array_type(4))
 
 
 class MaterialMemory:
@@ -59,9 +59,10 @@ class MaterialMemory:
         self.largest, self.energies = allocate_array(points), allocate_array(points)
         self.internal = allocate_array((0, *self.stresses.shape))
         self.step = (np.zeros(0), np.zeros(0))
-        self.set_material(None, None, 1.0)
+        self.set_relaxation_and_softening(None, None, 1.0)
 
-    def set_material(self, relaxation: Prony | None, softening: Softening | None, factor: float) -> None:
+    def set_relaxation_and_softening(self, relaxation: Prony | None, softening: Softening | None,
+                                     factor: float) -> None:
         """Set relaxation and softening of the material; None: the material has none.
 
         Args:

@@ -31,7 +31,7 @@ class SecondOrderStepRatioLimits:
 _RATIOS = SecondOrderStepRatioLimits()
 
 
-class InertialMotion:
+class InertiaTimeIntegrator:
     """Time integration of the inertia by BDF2: velocities at the last equilibrium, m/s, and earlier states.
 
     Args:

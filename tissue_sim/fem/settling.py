@@ -24,14 +24,14 @@ class SelfWeightProblem(Protocol):
     def make_solver(self, stretch: float) -> Any:
         """Make the solver of the unloaded specimen whose height is `stretch` times the stated height."""
 
-    def apply_weight(self, solver: Any, specific_weight: float) -> Step:
+    def solve_equilibrium_under_weight(self, solver: Any, specific_weight: float) -> Step:
         """Solve for equilibrium under a specific weight, N/m3, with all relaxation ended."""
 
     def store_resting_state(self, solver: Any) -> None:
         """Make the equilibrium under the whole weight the state in which the tool touches first."""
 
 
-def settle(problem: SelfWeightProblem, specimen: Specimen, height: float) -> Any:
+def solve_self_weight_equilibrium(problem: SelfWeightProblem, specimen: Specimen, height: float) -> Any:
     """Compute the equilibrium of a specimen under its weight, without a tool.
 
     If the stated height is that of the settled specimen, Newton's method determines the undeformed height. The weight
@@ -66,7 +66,7 @@ def _apply_weight_in_increments(problem: SelfWeightProblem, solver: Any, specifi
     applied, increment = 0.0, 1.0
     while applied < 1.0:
         next_applied = min(1.0, applied + increment)
-        step = problem.apply_weight(solver, next_applied * specific_weight)
+        step = problem.solve_equilibrium_under_weight(solver, next_applied * specific_weight)
         if step.status is StepStatus.CONVERGED:
             applied = next_applied
             increment *= 2.0

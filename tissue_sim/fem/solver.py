@@ -15,26 +15,30 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from tissue_sim.fem.free_tool import FreeTool
+from tissue_sim.fem.free_tool import FreeToolSolverBase
 from tissue_sim.fem.result_views import Fields as Fields
 from tissue_sim.fem.result_views import SharedFields as SharedFields
 from tissue_sim.fem.result_views import Surface as Surface
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw
-from tissue_sim.public_names import OldName, adopt_old_names, make_getattr_for_old_names
+from tissue_sim.public_names import make_getattr_for_old_names, rename_old_members_of_subclass, with_old_names
 from tissue_sim.registry import Registry
 from tissue_sim.tool_force import Matrix, PredictedForceOfNextStep, make_axial_stiffness_matrix, make_axial_wrench
 
 #: Members of `Solver` that plug-ins may still define by their old names: old name -> new name.
 _OLD_MEMBERS = {"doubts": "warnings", "follow": "project_pose", "takes": "accepts_pose",
-                "realtime_rungs": "realtime_levels", "comparison": "error_estimate", "sample": "field_sample",
+                "realtime_rungs": "realtime_levels", "comparison": "error_estimation_rule", "sample": "field_sample",
                 "surface": "deformed_surface", "approach": "move_to_next_touch", "meet": "bind_points_on_path",
                 "creep": "step_with_damping", "follow_motion": "enable_inertia", "ahead": "predict_next_force",
                 "unchanged": "equilibria_since_contact_change", "relaxes": "is_time_dependent",
                 "identity": "mesh_digest", "height_above": "height_above_tissue",
-                "place_tool": "place_tool_at_first_touch", "stand_still": "stop_tissue_motion"}
-__getattr__ = make_getattr_for_old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimate",
+                "place_tool": "place_tool_at_first_touch", "stand_still": "stop_tissue_motion",
+                "error_estimate": "error_estimation_rule", "lift_off": "reset_to_first_touch",
+                "ask_for_stiffness": "enable_stiffness_output", "report": "get_recording_metadata",
+                "differentiate": "enable_force_derivatives"}
+__getattr__ = make_getattr_for_old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimationRule",
+                                                    "ErrorEstimate": "ErrorEstimationRule",
                                                     "OwnStiffness": "StaticStiffnessRequest",
                                                     "Derivatives": "ForceDerivatives",
                                                     "SpatialDerivatives": "ForceVectorDerivatives"})
@@ -82,6 +86,7 @@ class StaticStiffnessRequest(IntEnum):
         return request == StaticStiffnessRequest.RESERVED or (bool(request) and has_left)
 
 
+@with_old_names(axial="from_axial_force")
 @dataclass(frozen=True, slots=True)
 class Step:
     """Result of one step of a solver.
@@ -117,8 +122,10 @@ class Step:
     stiffness_age: float = 0.0
 
     @classmethod
-    def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,
-              slipping: int = 0, stiffness: float | None = None, step_stiffness: float | None = None) -> Step:
+    def from_axial_force(cls, status: StepStatus, iterations: int, residual: float, force: float,
+                         violation: float = 0.0,
+                         slipping: int = 0, stiffness: float | None = None,
+                         step_stiffness: float | None = None) -> Step:
         """Make the result of a step with axial motion only, from the force along z, N, and the stiffnesses, N/m."""
         return cls(status, iterations, residual, make_axial_wrench(force),
                    None if stiffness is None else make_axial_stiffness_matrix(stiffness), violation, slipping, 0.0,
@@ -154,7 +161,7 @@ class ResolutionLevel:
 
 
 @dataclass(frozen=True, slots=True)
-class ErrorEstimate:
+class ErrorEstimationRule:
     """Rule that estimates the error of the force of a resolution from a second solution.
 
     Attributes:
@@ -195,7 +202,8 @@ class ForceVectorDerivatives(ForceDerivatives, Protocol):
 Neighbours = Sequence[tuple[Material, Material, float]]
 
 
-class Solver(FreeTool, ABC):
+@with_old_names(**_OLD_MEMBERS)
+class Solver(FreeToolSolverBase, ABC):
     """Solver of one boundary-value problem; it holds the state of the tissue.
 
     Attributes:
@@ -210,7 +218,7 @@ class Solver(FreeTool, ABC):
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
-        adopt_old_names(cls, _OLD_MEMBERS)
+        rename_old_members_of_subclass(cls, _OLD_MEMBERS)
 
     @property
     @abstractmethod
@@ -282,7 +290,7 @@ class Solver(FreeTool, ABC):
         return ()
 
     @classmethod
-    def error_estimate(cls, resolution: str) -> ErrorEstimate | None:
+    def error_estimation_rule(cls, resolution: str) -> ErrorEstimationRule | None:
         """Return the rule that estimates the force error of a resolution; None if the solver has none."""
         return None
 
@@ -303,14 +311,14 @@ class Solver(FreeTool, ABC):
         """
 
     @abstractmethod
-    def lift_off(self) -> None:
+    def reset_to_first_touch(self) -> None:
         """Remove the tool at once: the tissue returns to its state before the first touch, with its material history.
 
         Used for a tool outside of the tissue if no path of equilibria was found.
         """
 
     @abstractmethod
-    def ask_for_stiffness(self) -> None:
+    def enable_stiffness_output(self) -> None:
         """Make every step from now on compute its stiffness matrix, `Step.stiffness_matrix`."""
 
     def enable_inertia(self, density: float) -> bool:
@@ -335,7 +343,7 @@ class Solver(FreeTool, ABC):
         """
         return None
 
-    def differentiate(self, neighbours: Neighbours) -> ForceDerivatives | None:
+    def enable_force_derivatives(self, neighbours: Neighbours) -> ForceDerivatives | None:
         """Make every step compute exact derivatives of the force; None if not supported. Call before the first step."""
         return None
 
@@ -356,18 +364,12 @@ class Solver(FreeTool, ABC):
         return ()
 
     @abstractmethod
-    def report(self) -> dict[str, Any]:
+    def get_recording_metadata(self) -> dict[str, Any]:
         """Return the metadata of the solver for a recording.
 
         Keys: ``element``, ``mesh``; with contact ``penetration_mm`` and ``penetration_tolerance_mm``; with friction
-        ``slipping_points``; for a specimen under its weight ``self_weight`` {sag_mm, moulded_height_mm}. Penetration
-        and slipping points are maxima over the steps.
+        ``slipping_points``; under self-weight ``self_weight`` {sag_mm, moulded_height_mm}. Some are maxima of steps.
         """
-
-
-for _old, _new in _OLD_MEMBERS.items():
-    setattr(Solver, _old, OldName(_new))
-    vars(Solver)[_old].__set_name__(Solver, _old)  # messages contain the class and the old name
 
 
 class SolverMaker(Protocol):

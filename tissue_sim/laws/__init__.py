@@ -1,7 +1,7 @@
 """Strain-energy laws: each states one energy formula, from which stresses, moduli and kernels are derived.
 
 To add a law, write its class in a file of this folder and add one line to `LAWS` (see CONTRIBUTING.md). A package adds
-a law by an entry point of the group ``tissue_sim.laws``, a program by `register`.
+a law by an entry point of the group ``tissue_sim.laws``, a program by `register_law`.
 """
 
 from tissue_sim.laws.biderman import Biderman
@@ -10,11 +10,13 @@ from tissue_sim.laws.mooney_rivlin import MooneyRivlin
 from tissue_sim.laws.neo_hooke import NeoHooke
 from tissue_sim.laws.ogden import Ogden
 from tissue_sim.laws.reduced_polynomial import ReducedPolynomial
-from tissue_sim.laws.stability import StabilityRange, check_stability
+from tissue_sim.laws.stability import StabilityRange, find_stability_range
 from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.registry import Registry
 
-__getattr__ = make_getattr_for_old_names(__name__, {"Stability": "StabilityRange"})
+__getattr__ = make_getattr_for_old_names(__name__, {"Stability": "StabilityRange",
+                                                    "register": "register_law",
+                                                    "check_stability": "find_stability_range"})
 
 #: Name -> law.
 LAWS: Registry[Law] = Registry("law", "tissue_sim.laws", {law.name: law for law in (
@@ -26,7 +28,7 @@ LAWS: Registry[Law] = Registry("law", "tissue_sim.laws", {law.name: law for law 
 )}, accepts=lambda law: isinstance(law, Law), expected="an object of a class derived from InvariantLaw or StretchLaw")
 
 
-def register(law: Law) -> Law:
+def register_law(law: Law) -> Law:
     """Register a law, so that files and campaigns can name it, and return it.
 
     Raises:
@@ -48,5 +50,14 @@ def find_law(name: str) -> Law:
     return LAWS.find(name, "law")
 
 
-__all__ = ["LAWS", "InvariantLaw", "KernelEnergy", "Law", "StabilityRange", "StretchLaw", "check_stability", "find_law",
-           "register"]
+__all__ = [
+    "LAWS",
+    "InvariantLaw",
+    "KernelEnergy",
+    "Law",
+    "StabilityRange",
+    "StretchLaw",
+    "find_law",
+    "find_stability_range",
+    "register_law",
+]

@@ -57,7 +57,7 @@ def load_or_derive_function(derive: Callable[[], tuple[Any, Any] | None], *, cac
     return function
 
 
-def load_or_print_text(write: Callable[[], str], *, cache_key: tuple | None) -> str:
+def load_or_format_text(write: Callable[[], str], *, cache_key: tuple | None) -> str:
     """Return a text that sympy prints, from the cache if possible; `cache_key` as in `load_or_derive_function`."""
     path = _make_cache_path_or_none(cache_key)
     if path is not None:

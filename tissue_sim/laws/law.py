@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
-from tissue_sim.laws.derivation import load_or_derive_function, load_or_print_text
-from tissue_sim.public_names import LazyModule
+from tissue_sim.laws.derivation import load_or_derive_function, load_or_format_text
+from tissue_sim.public_names import LazyModule, with_old_names
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -55,7 +55,7 @@ class KernelEnergy:
     energy: sp.Expr
 
     @property
-    def count(self) -> int:
+    def coefficient_count(self) -> int:
         """Number of coefficients of the energy."""
         return len(self.coefficients)
 
@@ -65,6 +65,8 @@ class KernelEnergy:
         return None
 
 
+@with_old_names(nominal_stress_derivatives="nominal_stress_parameter_derivatives",
+                as_array="convert_parameters_to_array", as_mapping="convert_parameters_to_mapping")
 class Law:
     """Strain-energy density W, Pa, of an incompressible solid, or the isochoric part of a nearly incompressible one.
 
@@ -96,7 +98,7 @@ class Law:
         kind = type(self)
         return (kind.__name__, self.name) if kind.__module__.startswith("tissue_sim.laws.") else None
 
-    def derive_function(self, what: str, derive):
+    def compile_cached_function(self, what: str, derive):
         """Return the compiled function of the formula that `derive` returns, from the cache under the name `what`."""
         return load_or_derive_function(derive, cache_key=None if self.cache_key is None else (*self.cache_key, what))
 
@@ -107,9 +109,9 @@ class Law:
 
     def kernel_coefficients(self, values) -> np.ndarray:
         """Return the values of the coefficients of `kernel_energy` for parameters, shape (number of coefficients,)."""
-        return self.as_array(values)
+        return self.convert_parameters_to_array(values)
 
-    def as_array(self, values) -> np.ndarray:
+    def convert_parameters_to_array(self, values) -> np.ndarray:
         """Convert parameters to an array in the order of `parameters`, SI, shape (m,).
 
         Raises:
@@ -117,7 +119,7 @@ class Law:
 
         Examples:
             >>> from tissue_sim.laws import find_law
-            >>> find_law("mooney_rivlin").as_array({"C01": 200.0, "C10": 1000.0})
+            >>> find_law("mooney_rivlin").convert_parameters_to_array({"C01": 200.0, "C10": 1000.0})
             array([1000.,  200.])
         """
         if isinstance(values, Mapping):
@@ -143,14 +145,14 @@ class Law:
         """Return a sentence for each parameter at a limit, where the formula takes another form; none by default."""
         return []
 
-    def as_mapping(self, values) -> dict[str, float]:
-        """Convert parameters to name -> value, without the replacements of `as_array` at a limit of the formula."""
-        return {name: float(value) for name, value in zip(self.parameters, Law.as_array(self, values), strict=True)}
+    def convert_parameters_to_mapping(self, values) -> dict[str, float]:
+        """Convert parameters to name -> value, without replacements of values at which the formula has a limit."""
+        return dict(zip(self.parameters, Law.convert_parameters_to_array(self, values).tolist(), strict=True))
 
     def _evaluate_stress_slope_and_derivatives(self, mode, stretch, values) -> list[np.ndarray]:
         """Return [nominal stress, its slope, its derivative by each parameter], each with the shape of `stretch`."""
         stretch = np.asarray(stretch, dtype=float)
-        results = _compile_mode_stress_function(self, mode)(stretch, *self.as_array(values))
+        results = _compile_mode_stress_function(self, mode)(stretch, *self.convert_parameters_to_array(values))
         return [np.broadcast_to(np.asarray(item, dtype=float), stretch.shape) for item in results]
 
     def nominal_stress(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
@@ -174,7 +176,7 @@ class Law:
         """d(nominal stress)/d(stretch), Pa, shape of `stretch`; arguments as in `nominal_stress`."""
         return np.array(self._evaluate_stress_slope_and_derivatives(mode, stretch, values)[1])
 
-    def nominal_stress_derivatives(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
+    def nominal_stress_parameter_derivatives(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
         """d(nominal stress)/d(parameter), shape (*stretch.shape, m); arguments as in `nominal_stress`."""
         return np.stack(self._evaluate_stress_slope_and_derivatives(mode, stretch, values)[2:], axis=-1)
 
@@ -193,7 +195,8 @@ class Law:
         """
         stretches = np.asarray(stretches, dtype=float)
         bar = stretches * np.prod(stretches, axis=-1, keepdims=True) ** (-1.0 / 3.0)
-        energy, *slopes = _compile_energy_and_log_stretch_slopes(self)(*np.moveaxis(bar, -1, 0), *self.as_array(values))
+        energy, *slopes = _compile_energy_and_log_stretch_slopes(self)(*np.moveaxis(bar, -1, 0),
+                                                                       *self.convert_parameters_to_array(values))
         tau = np.stack([np.broadcast_to(slope, bar.shape[:-1]) for slope in slopes], axis=-1)
         return np.broadcast_to(energy, bar.shape[:-1]).copy(), tau - tau.mean(axis=-1, keepdims=True)
 
@@ -207,23 +210,23 @@ class Law:
 
     def formula(self) -> str:
         """Energy as one line of text."""
-        return "W = " + self._print_formula("sstr").replace("**", "^")
+        return "W = " + self._format_formula("sstr").replace("**", "^")
 
     def latex(self) -> str:
         """Return the formula of the energy in LaTeX, for reports."""
-        return "W = " + self._print_formula("latex")
+        return "W = " + self._format_formula("latex")
 
-    def _print_formula(self, by: str) -> str:
+    def _format_formula(self, by: str) -> str:
         """Return the energy as text, from the printer function of sympy with the name `by`: "sstr" or "latex"."""
-        return load_or_print_text(lambda: self._print_in_parameter_order(getattr(sp, by)),
-                                  cache_key=None if self.cache_key is None else (*self.cache_key, by))
+        return load_or_format_text(lambda: self._format_in_parameter_order(getattr(sp, by)),
+                                   cache_key=None if self.cache_key is None else (*self.cache_key, by))
 
-    def _print_in_parameter_order(self, write) -> str:
+    def _format_in_parameter_order(self, write) -> str:
         """Return the energy as text by the function `write`, with its terms in the order of the parameters."""
-        def first_parameter(term):
+        def find_first_parameter_index(term):
             return min((i for i, p in enumerate(self.symbols) if term.has(p)), default=len(self.symbols))
 
-        terms = sorted(sp.Add.make_args(self.formula_expression()), key=first_parameter)
+        terms = sorted(sp.Add.make_args(self.formula_expression()), key=find_first_parameter_index)
         return " + ".join(write(term) for term in terms).replace("+ -", "- ")
 
     def formula_expression(self) -> sp.Expr:
@@ -234,7 +237,7 @@ class Law:
 @lru_cache
 def _compile_mode_stress_function(law: Law, mode: str):
     """Return one compiled function: stretch, parameters -> [nominal stress, slope, parameter derivatives]."""
-    return law.derive_function(mode, lambda: _derive_mode_stress_and_derivatives(law, mode))
+    return law.compile_cached_function(mode, lambda: _derive_mode_stress_and_derivatives(law, mode))
 
 
 def _derive_mode_stress_and_derivatives(law: Law, mode: str):
@@ -256,7 +259,7 @@ def _derive_mode_stress_and_derivatives(law: Law, mode: str):
 @lru_cache
 def _compile_energy_and_log_stretch_slopes(law: Law):
     """Return one compiled function: three stretches, parameters -> [energy, its three derivatives by ln(stretch)]."""
-    return law.derive_function("principal", lambda: _derive_energy_and_log_stretch_slopes(law))
+    return law.compile_cached_function("principal", lambda: _derive_energy_and_log_stretch_slopes(law))
 
 
 def _derive_energy_and_log_stretch_slopes(law: Law):
@@ -303,7 +306,7 @@ class InvariantLaw(Law):
     @cached_property
     def _polynomial_coefficient_function_or_none(self):
         """Compiled function: parameters -> coefficients of the polynomial; None for another formula."""
-        return self.derive_function("polynomial", self._derive_polynomial_coefficients_or_none)
+        return self.compile_cached_function("polynomial", self._derive_polynomial_coefficients_or_none)
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
@@ -314,9 +317,8 @@ class InvariantLaw(Law):
 
     def kernel_coefficients(self, values) -> np.ndarray:
         """Return the coefficients of the kernel for the parameters, shape (coefficients,)."""
-        if self._polynomial_coefficient_function_or_none is None:
-            return self.as_array(values)
-        return np.array(self._polynomial_coefficient_function_or_none(*self.as_array(values)), dtype=float)
+        found, array = self._polynomial_coefficient_function_or_none, self.convert_parameters_to_array(values)
+        return array if found is None else np.array(found(*array), dtype=float)
 
 
 class StretchLaw(Law):
@@ -387,7 +389,7 @@ class _PolynomialKernelEnergy(KernelEnergy):
         return sum(c * (I1 - 3)**i * (I2 - 3)**j for c, (i, j) in zip(self.coefficients, POWERS, strict=True))
 
     @property
-    def count(self) -> int:
+    def coefficient_count(self) -> int:
         return len(POWERS)
 
     @property

@@ -10,6 +10,7 @@ from tissue_sim.laws.law import KernelEnergy, StretchLaw
 #: Largest number of terms.
 MAX_TERMS = 3
 
+
 @dataclass(frozen=True)
 class SmallExponentSettings:
     """Treatment of exponents near 0, by which the formula cannot divide.
@@ -46,9 +47,9 @@ class Ogden(StretchLaw):
         pairs = zip(parameters[::2], parameters[1::2], strict=True)
         return sum(2 * mu / alpha**2 * (stretch**alpha - 1) for mu, alpha in pairs)
 
-    def as_array(self, values) -> np.ndarray:
-        """Return the values as `Law.as_array`; exponents below `SmallExponentSettings.smallest` are replaced by it."""
-        array = np.array(super().as_array(values))
+    def convert_parameters_to_array(self, values) -> np.ndarray:
+        """Return the values as an array; exponents below `SmallExponentSettings.smallest` are replaced by it."""
+        array = np.array(super().convert_parameters_to_array(values))
         exponents = array[1::2]
         small = np.abs(exponents) < EXPONENTS.smallest
         exponents[small] = np.copysign(EXPONENTS.smallest, exponents[small])
@@ -56,7 +57,7 @@ class Ogden(StretchLaw):
 
     def describe_parameters_at_limit(self, values) -> list[str]:
         """Return one sentence for each exponent that is 0 within `SmallExponentSettings.limit`."""
-        exponents = super().as_array(values)[1::2]
+        exponents = super().convert_parameters_to_array(values)[1::2]
         return [f"alpha{i} is at its limit 0, where the term is mu{i} (ln^2 l1 + ln^2 l2 + ln^2 l3)"
                 for i, alpha in enumerate(exponents, start=1) if abs(alpha) < EXPONENTS.limit]
 
@@ -69,5 +70,5 @@ class Ogden(StretchLaw):
     def kernel_coefficients(self, values) -> np.ndarray:
         """Return mu_i and alpha_i of `MAX_TERMS` terms, with mu_i = 0 in absent terms."""
         coefficients = np.tile([0.0, 2.0], MAX_TERMS)
-        coefficients[: 2 * self.terms] = self.as_array(values)
+        coefficients[: 2 * self.terms] = self.convert_parameters_to_array(values)
         return coefficients

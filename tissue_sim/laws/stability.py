@@ -8,11 +8,15 @@ from functools import lru_cache
 import numpy as np
 
 from tissue_sim.laws.law import MODES, Law
+from tissue_sim.public_names import make_getattr_for_old_names, with_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"check_stability": "find_stability_range"})
 
 #: Default range, stretch.
 STRETCH_RANGE = (0.3, 3.0)
 
 
+@with_old_names(stable="is_stable_in_whole_range")
 @dataclass(frozen=True)
 class StabilityRange:
     """Range of stretches in which a law is stable.
@@ -27,7 +31,7 @@ class StabilityRange:
     stretch_range: tuple[float, float]
 
     @property
-    def stable(self) -> bool:
+    def is_stable_in_whole_range(self) -> bool:
         """Whether the law is stable in every mode over the whole range."""
         return all(limit == self.stretch_range for limit in self.limits.values())
 
@@ -47,7 +51,7 @@ class StabilityRange:
     def describe(self) -> str:
         """Describe the result in one line for reports."""
         low, high = self.stretch_range
-        if self.stable:
+        if self.is_stable_in_whole_range:
             return f"stable for stretches {low:g} to {high:g} in uniaxial, planar and equibiaxial loading"
         parts = []
         for mode, (lower, upper) in self.limits.items():
@@ -64,7 +68,7 @@ def _compile_log_strain_hessian_entries(law: Law):
 
     The entries d2W/(de_i de_j) are in the order 11, 22, 33, 12, 13, 23.
     """
-    return law.derive_function("hessian", lambda: _derive_log_strain_hessian_entries(law))
+    return law.compile_cached_function("hessian", lambda: _derive_log_strain_hessian_entries(law))
 
 
 def _derive_log_strain_hessian_entries(law: Law):
@@ -103,8 +107,8 @@ def _is_stable_at_log_strains(law: Law, values: np.ndarray, strains: np.ndarray)
         return ~np.isfinite(a * c) | ((a + c > 0) & (a * c - b * b > 0))
 
 
-def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRETCH_RANGE,
-                    points: int = 400) -> StabilityRange:
+def find_stability_range(law: Law, values, stretch_range: tuple[float, float] = STRETCH_RANGE,
+                         points: int = 400) -> StabilityRange:
     """Return the range of stretches in which a law fulfils Drucker's criterion, d(tau) : d(e) > 0.
 
     With the Kirchhoff stress tau and the logarithmic strain e, the 2 x 2 matrix d(tau)/d(e) of an incompressible solid
@@ -122,11 +126,11 @@ def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRET
 
     Examples:
         >>> from tissue_sim.laws import find_law
-        >>> found = check_stability(find_law("reduced_polynomial_2"), {"C10": 1000.0, "C20": -300.0})
-        >>> found.stable, round(found.stable_from, 2), round(found.stable_to, 2)
+        >>> found = find_stability_range(find_law("reduced_polynomial_2"), {"C10": 1000.0, "C20": -300.0})
+        >>> found.is_stable_in_whole_range, round(found.stable_from, 2), round(found.stable_to, 2)
         (False, 0.81, 1.25)
     """
-    array = law.as_array(values)
+    array = law.convert_parameters_to_array(values)
     directions = {"uniaxial": (1.0, -0.5, -0.5), "planar": (1.0, 0.0, -1.0), "equibiaxial": (1.0, 1.0, -2.0)}
 
     def is_stable(stretch, mode):
@@ -134,7 +138,7 @@ def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRET
         return _is_stable_at_log_strains(law, array,
                                          np.multiply.outer(np.log(np.atleast_1d(stretch)), directions[mode]))
 
-    def limit(end, mode):
+    def find_last_stable_stretch(end, mode):
         """Return the last stable stretch from 1 towards `end`; `end` itself if the law is stable on the whole range."""
         stretches = np.geomspace(1.0, end, points + 1)
         unstable = np.flatnonzero(~is_stable(stretches, mode))
@@ -149,4 +153,5 @@ def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRET
         return float(good)
 
     low, high = stretch_range
-    return StabilityRange({mode: (limit(low, mode), limit(high, mode)) for mode in MODES}, (float(low), float(high)))
+    return StabilityRange({mode: (find_last_stable_stretch(low, mode), find_last_stable_stretch(high, mode))
+                           for mode in MODES}, (float(low), float(high)))

@@ -15,25 +15,39 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissue_sim.parameters import make_declared_class_predicate
+from tissue_sim.parameters import make_parameter_dataclass_predicate
+from tissue_sim.public_names import make_getattr_for_old_names, rename_old_members_of_subclass, with_old_names
 from tissue_sim.registry import Registry
 
+__getattr__ = make_getattr_for_old_names(__name__, {"ReducedEffect": "ForceScalingEffect",
+                                                    "ReducedForceFactor": "CombinedForceFactor"})
 
+
+#: Old names of members that plug-ins define -> new names.
+_OLD_MEMBERS = {"ages": "is_time_dependent", "remembers": "is_history_dependent", "share": "compute_force_factor",
+                "shares": "compute_force_factors"}
+
+
+@with_old_names(ages="is_time_dependent", remembers="is_history_dependent")
 class TissueEffect(ABC):
     """Effect of time, loading history or position on a tissue.
 
     Attributes:
         name: key in material files.
         title: name in reports.
-        ages: whether the effect makes the force depend on time.
-        remembers: whether the effect makes the force depend on the path of the tool.
+        is_time_dependent: whether the effect makes the force depend on time.
+        is_history_dependent: whether the effect makes the force depend on the path of the tool.
     """
 
     name: ClassVar[str]
     title: ClassVar[str] = ""
-    ages: ClassVar[bool] = False
-    remembers: ClassVar[bool] = False
+    is_time_dependent: ClassVar[bool] = False
+    is_history_dependent: ClassVar[bool] = False
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        rename_old_members_of_subclass(cls, _OLD_MEMBERS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +65,8 @@ class ToolHistory:
     time: float = 0.0
 
 
-class ReducedEffect(TissueEffect):
+@with_old_names(share="compute_force_factor", shares="compute_force_factors")
+class ForceScalingEffect(TissueEffect):
     """Effect in reduced form: a factor on the force of the tool; displacements and stresses are not changed.
 
     Attributes:
@@ -61,14 +76,14 @@ class ReducedEffect(TissueEffect):
     under_plates: ClassVar[bool] = True
 
     @abstractmethod
-    def share(self, history: ToolHistory) -> float:
+    def compute_force_factor(self, history: ToolHistory) -> float:
         """Return the ratio of the tool's force with the effect to the force without it, 1.
 
         The ratio is 1 if the parameters have their absent values (`Declaration.absent`).
         """
 
-    def shares(self, depth: np.ndarray, deepest: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """Evaluate `share` for arrays of histories of one shape; a subclass may override this with a faster version.
+    def compute_force_factors(self, depth: np.ndarray, deepest: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Evaluate `compute_force_factor` for arrays of histories; a subclass may override this with a faster version.
 
         Args:
             depth: `ToolHistory.depth` of each history.
@@ -79,7 +94,7 @@ class ReducedEffect(TissueEffect):
             Ratios, with the shape of the arguments.
         """
         histories = zip(depth.ravel().tolist(), deepest.ravel().tolist(), time.ravel().tolist(), strict=True)
-        return np.array([self.share(ToolHistory(*one)) for one in histories]).reshape(depth.shape)
+        return np.array([self.compute_force_factor(ToolHistory(*one)) for one in histories]).reshape(depth.shape)
 
 
 class PointEffect(TissueEffect):
@@ -95,7 +110,7 @@ class PointEffect(TissueEffect):
     """
 
     rest: ClassVar[tuple[float, ...]] = ()
-    remembers: ClassVar[bool] = True
+    is_history_dependent: ClassVar[bool] = True
 
     @abstractmethod
     def response(self, C: list, state: list, dt: Any) -> tuple[list, list[list], list]:
@@ -116,7 +131,7 @@ class PointEffect(TissueEffect):
         """
 
 
-class ReducedForceFactor:
+class CombinedForceFactor:
     """Factor of all effects in reduced form on the force of a tool, and the tool's history.
 
     Args:
@@ -126,7 +141,7 @@ class ReducedForceFactor:
         history: history of the tool up to the last committed position.
     """
 
-    def __init__(self, effects: Sequence[ReducedEffect]):
+    def __init__(self, effects: Sequence[ForceScalingEffect]):
         self._effects = tuple(effects)
         self.history = ToolHistory(-inf, -inf)
 
@@ -148,7 +163,7 @@ class ReducedForceFactor:
 
     def _multiply_factors_of_all_effects_at(self, here: ToolHistory) -> float:
         """Return the product of the factors of all effects at a point of the history of the tool."""
-        return prod([effect.share(here) for effect in self._effects], start=1.0)
+        return prod([effect.compute_force_factor(here) for effect in self._effects], start=1.0)
 
     def _make_history_at(self, depth: float, dt: float) -> ToolHistory:
         """Return a copy of the history that continues to a depth, m, dt s later; `history` is not changed."""
@@ -159,5 +174,5 @@ class ReducedForceFactor:
 EFFECTS: Registry[type[TissueEffect]] = Registry(
     "effect of the tissue", "tissue_sim.effects",
     {"stiffness_scale": "tissue_sim.material.stiffness_scale:StiffnessScale"},
-                                                 accepts=make_declared_class_predicate(TissueEffect),
+    accepts=make_parameter_dataclass_predicate(TissueEffect),
     expected="a frozen dataclass that derives from tissue_sim.TissueEffect and declares its parameters")

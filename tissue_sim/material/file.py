@@ -23,7 +23,7 @@ from tissue_sim.decode import (
     require_valid_json_values,
 )
 from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
-from tissue_sim.laws import Law, check_stability, find_law
+from tissue_sim.laws import Law, find_law, find_stability_range
 from tissue_sim.material.law_entry import (
     BulkEntry,
     MaterialFileEntry,
@@ -54,6 +54,7 @@ from tissue_sim.material.schema import (
     make_material_arguments_from_entries,
 )
 from tissue_sim.parameters import Parameter, parameters, split_path_into_names_and_indices
+from tissue_sim.public_names import with_old_names
 from tissue_sim.version import __version__
 
 #: Version of the format; files of version 1 (law and bulk response only) are valid files of version 2.
@@ -64,6 +65,7 @@ SCHEMA = f"tissue_sim/material/{VERSION}"
 EFFECTS = ("viscoelastic", "softening", "layers", "poroelasticity", "puncture", "effects", "regions")
 
 
+@with_old_names(covariance_SI="paths_and_covariance_SI")
 class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
     """Material with uncertainty, population statistics and provenance.
 
@@ -133,7 +135,7 @@ class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
             factors = np.array([known[name].declaration.factor for name in order])
             stated = CovarianceEntry(order=tuple(known[name].path_in_file for name in order),
                                      matrix=_convert_matrix_to_tuples(matrix / np.outer(factors, factors)))
-        stability = check_stability(law, material.values)
+        stability = find_stability_range(law, material.values)
         specimens = None if population is None else make_population_entry_from_si_fields(population, known)
         given = convert_to_json_types(provenance or {})
         history = {"software": "tissue-sim", "version": __version__,
@@ -168,7 +170,7 @@ class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
         return stated
 
     @property
-    def covariance_SI(self) -> tuple[tuple[str, ...], np.ndarray] | None:
+    def paths_and_covariance_SI(self) -> tuple[tuple[str, ...], np.ndarray] | None:
         """Paths of m parameters, and their covariance, SI, shape (m, m); None if the file states no covariance."""
         if self.covariance is None:
             return None

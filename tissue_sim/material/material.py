@@ -13,14 +13,14 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.laws import Law, find_law
-from tissue_sim.material.effect import ReducedEffect, TissueEffect
+from tissue_sim.material.effect import ForceScalingEffect, TissueEffect
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
 from tissue_sim.parameters import Declaration
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import OldName, with_old_names
 
 #: Range of K / mu0 for which the finite elements are verified, 1; 2.17 is a Poisson's ratio of 0.3.
 BULK_RATIOS = (2.0, 1e6)
@@ -73,11 +73,11 @@ class Bulk:
         elif self.value is None or not np.isfinite(self.value) or self.value <= 0:
             raise InputError(f"must be positive and finite; got {self.value}.", field=f"bulk.{self.kind}")
 
-    def own_parameters(self) -> dict[str, tuple[Declaration, float]]:
+    def non_field_parameters(self) -> dict[str, tuple[Declaration, float]]:
         """Return kind -> (declaration, number) of this response; empty for an incompressible material."""
         return {} if self.value is None else {self.kind: (_BULK[self.kind], float(self.value))}
 
-    def with_own_parameters(self, values: Mapping[str, float]) -> Bulk:
+    def with_non_field_parameters(self, values: Mapping[str, float]) -> Bulk:
         """Return a response of the same kind with another number, `values[kind]`."""
         return Bulk(self.kind, values[self.kind])
 
@@ -94,6 +94,8 @@ class Bulk:
                 return self.value * mu0
 
 
+@with_old_names(ages="is_time_dependent", remembers="is_history_dependent", relaxation="make_prony_series",
+                list_acting_reduced_effects="list_acting_force_scaling_effects")
 @dataclass(frozen=True)
 class Material:
     """Strain-energy law with its parameters, bulk response, and effects of time, loading and depth.
@@ -136,7 +138,7 @@ class Material:
     effects: Mapping[str, TissueEffect] = field(default_factory=dict)
     regions: Mapping[str, Material] = field(default_factory=dict)
     instantaneous_factor = OldName("instantaneous_over_law_modulus_ratio")
-    reduced_effects = OldName("list_acting_reduced_effects")
+    reduced_effects = OldName("list_acting_force_scaling_effects")
 
     def __post_init__(self):
         object.__setattr__(self, "regions", make_shallow_read_only_copy(dict(self.regions)))
@@ -149,7 +151,8 @@ class Material:
                 raise InputError("a region has no layers, regions, effects or puncture; leave them out",
                                  field=f"regions.{name}")
         object.__setattr__(self, "effects", make_shallow_read_only_copy(_index_effects_by_name(self.effects)))
-        object.__setattr__(self, "parameters", make_shallow_read_only_copy(self.energy_law.as_mapping(self.parameters)))
+        object.__setattr__(self, "parameters",
+                           make_shallow_read_only_copy(self.energy_law.convert_parameters_to_mapping(self.parameters)))
         object.__setattr__(self, "layers", tuple(self.layers))
         if not self.mu0 > 0:
             raise InputError(f"must give a positive shear modulus at rest; got {self.mu0:g} Pa.",
@@ -164,33 +167,33 @@ class Material:
                 raise InputError("the sum of phi and the g of all viscoelastic terms must be below 1, or no stress "
                                  "remains under constant strain", field="poroelasticity.phi")
 
-    def own_parameters(self) -> dict[str, tuple[Declaration, float]]:
+    def non_field_parameters(self) -> dict[str, tuple[Declaration, float]]:
         """Return name -> (declaration, value in SI) of the law's parameters."""
         return {name: (get_law_parameter_declaration(self.energy_law, name), value) for name,
                 value in self.parameters.items()}
 
-    def with_own_parameters(self, values: Mapping[str, float], **changes: Any) -> Material:
+    def with_non_field_parameters(self, values: Mapping[str, float], **changes: Any) -> Material:
         """Return the material with other parameters of the law, and other fields."""
         return replace(self, parameters={**self.parameters, **values}, **changes)
 
     @property
-    def ages(self) -> bool:
+    def is_time_dependent(self) -> bool:
         """Whether the force depends on time, by relaxation, drainage, an effect or a region."""
         return (self.viscoelastic is not None or self.poroelasticity is not None
-                or any(effect.ages for effect in self.effects.values())
-                or any(own.ages for own in self.regions.values()))
+                or any(effect.is_time_dependent for effect in self.effects.values())
+                or any(own.is_time_dependent for own in self.regions.values()))
 
     @property
-    def remembers(self) -> bool:
+    def is_history_dependent(self) -> bool:
         """Whether the force depends on the previous path of the tool, by time dependence, softening or an effect."""
-        return (self.ages or self.softening is not None
-                or any(effect.remembers for effect in self.effects.values())
-                or any(own.remembers for own in self.regions.values()))
+        return (self.is_time_dependent or self.softening is not None
+                or any(effect.is_history_dependent for effect in self.effects.values())
+                or any(own.is_history_dependent for own in self.regions.values()))
 
-    def list_acting_reduced_effects(self, *, plate: bool) -> tuple[ReducedEffect, ...]:
+    def list_acting_force_scaling_effects(self, *, plate: bool) -> tuple[ForceScalingEffect, ...]:
         """Return the effects in reduced form, puncture included, that act under a plate (needle if not `plate`)."""
         return tuple(part for part in (self.puncture, *self.effects.values())
-                     if isinstance(part, ReducedEffect) and (part.under_plates or not plate))
+                     if isinstance(part, ForceScalingEffect) and (part.under_plates or not plate))
 
     @property
     def energy_law(self) -> Law:
@@ -200,7 +203,7 @@ class Material:
     @property
     def values(self) -> np.ndarray:
         """Parameters in the order of the law, SI, shape (m,)."""
-        return self.energy_law.as_array(self.parameters)
+        return self.energy_law.convert_parameters_to_array(self.parameters)
 
     @property
     def instantaneous_over_law_modulus_ratio(self) -> float:
@@ -242,14 +245,14 @@ class Material:
         Returns:
             0 for elastic tissue; infinite with softening and other effects that do not recover.
         """
-        if self.softening is not None or any(effect.remembers for effect in self.effects.values()):
+        if self.softening is not None or any(effect.is_history_dependent for effect in self.effects.values()):
             return math.inf
-        prony = self.relaxation(contact_radius)
+        prony = self.make_prony_series(contact_radius)
         longest = max((term.tau for term in prony.terms), default=0.0) if prony is not None else 0.0
         return max([MEMORY_TIMES * longest,
                     *(own.compute_memory_time(contact_radius) for own in self.regions.values())])
 
-    def relaxation(self, contact_radius: float | None) -> Prony | None:
+    def make_prony_series(self, contact_radius: float | None) -> Prony | None:
         """Return the Prony series of all relaxing terms in a test: viscoelastic terms, then drainage.
 
         Args:
@@ -263,7 +266,7 @@ class Material:
         """
         terms = () if self.viscoelastic is None else self.viscoelastic.terms
         if self.poroelasticity is not None and self.poroelasticity.phi > 0:
-            terms = (*terms, self.poroelasticity.term(contact_radius))
+            terms = (*terms, self.poroelasticity.make_prony_term(contact_radius))
         return Prony(terms) if terms else None
 
     @property

@@ -9,8 +9,10 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.material.viscoelasticity import PronyTerm
 from tissue_sim.parameters import parameter
+from tissue_sim.public_names import with_old_names
 
 
+@with_old_names(term="make_prony_term")
 @dataclass(frozen=True)
 class Poroelasticity:
     """Drainage of pore fluid in reduced form: one relaxing term whose time grows with the size of the contact.
@@ -35,7 +37,7 @@ class Poroelasticity:
         if not 0 < self.diffusivity < np.inf:
             raise InputError(f"must be positive and finite; got {self.diffusivity:g} m^2/s.", field="diffusivity")
 
-    def term(self, contact_radius: float | None) -> PronyTerm:
+    def make_prony_term(self, contact_radius: float | None) -> PronyTerm:
         """Return the relaxing term of a test with a contact radius, m; phi must be above 0.
 
         Raises:

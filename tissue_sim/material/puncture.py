@@ -8,12 +8,12 @@ from math import inf
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.material.effect import ReducedEffect, ToolHistory
+from tissue_sim.material.effect import ForceScalingEffect, ToolHistory
 from tissue_sim.parameters import parameter
 
 
 @dataclass(frozen=True)
-class Puncture(ReducedEffect):
+class Puncture(ForceScalingEffect):
     """Reduce the force of a needle to (1 - drop) of its value as soon as the needle has passed a depth.
 
     A reduced form: the mesh is not cut. Plates do not puncture.
@@ -36,10 +36,10 @@ class Puncture(ReducedEffect):
         if not 0 <= self.drop < 1:
             raise InputError(f"must be a fraction of the force from 0 to below 1; got {self.drop:g}.", field="drop")
 
-    def share(self, history: ToolHistory) -> float:
+    def compute_force_factor(self, history: ToolHistory) -> float:
         """Return 1 - drop if the needle has passed the depth, else 1."""
         return 1.0 - self.drop if history.deepest > self.depth else 1.0
 
-    def shares(self, depth: np.ndarray, deepest: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """Evaluate `share` for arrays; see `ReducedEffect.shares`."""
+    def compute_force_factors(self, depth: np.ndarray, deepest: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Evaluate `compute_force_factor` for arrays; see `ForceScalingEffect.compute_force_factors`."""
         return np.where(deepest > self.depth, 1.0 - self.drop, 1.0)

@@ -30,7 +30,7 @@ from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import FORM, Prony, PronyTerm
-from tissue_sim.parameters import list_field_declarations, make_from_file_keys
+from tissue_sim.parameters import list_field_declarations, make_from_file_values
 
 #: Lowest and highest value.
 Range = tuple[float, float]
@@ -52,7 +52,7 @@ class ValidRange(MaterialFileEntry, frozen=True, kw_only=True):
 
 
 class StabilityEntry(MaterialFileEntry, frozen=True, kw_only=True):
-    """Range of Drucker stability; see `tissue_sim.check_stability`."""
+    """Range of Drucker stability; see `tissue_sim.find_stability_range`."""
 
     stable_from: float
     stable_to: float
@@ -117,7 +117,7 @@ class ComponentEntry(MaterialFileEntry, frozen=True, kw_only=True):
             if error < 0:
                 raise InputError(f"must be a standard deviation of 0 or more; got {error:g}.",
                                  field=f"{field}.standard_errors.{key}")
-        return make_from_file_keys(self.noun, {key: getattr(self, key) for key in keys}, field)
+        return make_from_file_values(self.noun, {key: getattr(self, key) for key in keys}, field)
 
 
 @cache
@@ -173,17 +173,18 @@ def make_component_entries(material: Material, errors: Mapping[str, float]) -> d
         material: the material.
         errors: path -> standard error, SI.
     """
-    def entry(part: Any, place: str) -> ComponentEntry:
+    def make_component_entry(part: Any, place: str) -> ComponentEntry:
         """Make the file entry of one component at a path."""
         return make_entry_class(part.__class__).from_component(part, place, errors)
 
-    single = {key: None if (part := getattr(material, key)) is None else entry(part, key)
+    single = {key: None if (part := getattr(material, key)) is None else make_component_entry(part, key)
               for key in ("softening", "poroelasticity", "puncture")}
     prony = material.viscoelastic
     return {**single,
             "viscoelastic": None if prony is None else ViscoelasticEntry.from_component(prony, "viscoelastic", errors),
-            "layers": tuple(entry(layer, f"layers[{i}]") for i, layer in enumerate(material.layers)) or None,
-            "effects": {name: msgspec.to_builtins(entry(effect, f"effects.{name}"))
+            "layers": tuple(make_component_entry(layer, f"layers[{i}]") for i, layer in enumerate(material.layers))
+            or None,
+            "effects": {name: msgspec.to_builtins(make_component_entry(effect, f"effects.{name}"))
                         for name, effect in material.effects.items()} or None,
             "regions": {name: RegionEntry.from_component(own, f"regions.{name}", errors)
                         for name, own in material.regions.items()} or None}

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from math import inf
 
 from tissue_sim.errors import InputError
-from tissue_sim.material.effect import ReducedEffect, ToolHistory
+from tissue_sim.material.effect import ForceScalingEffect, ToolHistory
 from tissue_sim.parameters import parameter
 
 
 @dataclass(frozen=True)
-class StiffnessScale(ReducedEffect):
+class StiffnessScale(ForceScalingEffect):
     """Multiply every force by a constant ratio.
 
     Exact if only the tissue resists: all moduli, bulk included, are then multiplied by the ratio. The sag of a specimen
@@ -30,6 +30,6 @@ class StiffnessScale(ReducedEffect):
         if not 0 < self.ratio < inf:
             raise InputError(f"must be positive and finite; got {self.ratio:g}.", field="ratio")
 
-    def share(self, history: ToolHistory) -> float:
+    def compute_force_factor(self, history: ToolHistory) -> float:
         """Return the constant ratio of the force with the effect to the force without it."""
         return self.ratio

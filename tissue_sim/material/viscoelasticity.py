@@ -14,7 +14,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import OldName, with_old_names
 
 #: Largest number of relaxing terms, drainage included; the finite elements store one stress for each.
 MOST_TERMS = 4
@@ -44,6 +44,7 @@ class PronyTerm:
             raise InputError(f"must be a positive relaxation time; got {self.tau:g} s.", field="tau")
 
 
+@with_old_names(modulus="compute_relative_relaxation_modulus")
 @dataclass(frozen=True)
 class Prony:
     """A Prony series: relative relaxation modulus 1 - sum g_i (1 - exp(-t/tau_i)).
@@ -95,7 +96,7 @@ class Prony:
         """Ratio of the instantaneous modulus to the law's: 1, or 1 / (1 - sum g_i) for long-term parameters."""
         return 1.0 if self.moduli == "instantaneous" else 1.0 / (1.0 - self.relaxing_fraction)
 
-    def modulus(self, time) -> np.ndarray:
+    def compute_relative_relaxation_modulus(self, time) -> np.ndarray:
         """Return relaxation modulus over instantaneous modulus, `time` s after a strain step, shape of `time`."""
         relaxed = -np.expm1(-np.asarray(time, dtype=float)[..., None] / self.tau)
         return 1.0 - relaxed @ self.g

@@ -3,12 +3,12 @@
 from tissue_sim.mesh.axisymmetric import (
     Mesh,
     cylinder_mesh,
+    cylinder_mesh_refined_under_needle,
     cylinder_mesh_refined_under_tip,
-    graded_line,
-    growing_line,
-    needle_mesh,
+    divide_into_graded_intervals,
+    divide_into_growing_intervals,
+    insert_interfaces_and_refine_layers,
     structured_mesh,
-    with_lines,
 )
 from tissue_sim.public_names import make_getattr_for_old_names
 
@@ -17,10 +17,10 @@ __getattr__ = make_getattr_for_old_names(__name__, {"tip_mesh": "cylinder_mesh_r
 __all__ = [
     "Mesh",
     "cylinder_mesh",
+    "cylinder_mesh_refined_under_needle",
     "cylinder_mesh_refined_under_tip",
-    "graded_line",
-    "growing_line",
-    "needle_mesh",
+    "divide_into_graded_intervals",
+    "divide_into_growing_intervals",
+    "insert_interfaces_and_refine_layers",
     "structured_mesh",
-    "with_lines",
 ]

@@ -55,7 +55,7 @@ class Mesh:
         return replace(self, nodes=np.stack([np.interp(self.nodes[:, 0], *r), np.interp(self.nodes[:, 1], *z)], axis=1))
 
 
-def graded_line(length: float, count: int, grading: float = 1.0, ends: str = "last") -> np.ndarray:
+def divide_into_graded_intervals(length: float, count: int, grading: float = 1.0, ends: str = "last") -> np.ndarray:
     """Divide a line into intervals whose lengths form a geometric series.
 
     Args:
@@ -71,7 +71,7 @@ def graded_line(length: float, count: int, grading: float = 1.0, ends: str = "la
         InputError: `count` or `grading` is below 1, or `ends` is unknown.
 
     Examples:
-        >>> graded_line(1.0, 4)
+        >>> divide_into_graded_intervals(1.0, 4)
         array([0.  , 0.25, 0.5 , 0.75, 1.  ])
     """
     if count < 1:
@@ -95,7 +95,7 @@ def graded_line(length: float, count: int, grading: float = 1.0, ends: str = "la
     return points
 
 
-def growing_line(length: float, smallest: float, growth: float, largest: float) -> np.ndarray:
+def divide_into_growing_intervals(length: float, smallest: float, growth: float, largest: float) -> np.ndarray:
     """Divide a line into growing intervals: each is `growth` times as long as the one before, up to `largest`.
 
     All intervals are scaled by a common factor to fit the length.
@@ -110,7 +110,7 @@ def growing_line(length: float, smallest: float, growth: float, largest: float) 
         Coordinates from 0 to length, m.
 
     Examples:
-        >>> growing_line(1.0, smallest=0.1, growth=1.5, largest=0.4).round(2)
+        >>> divide_into_growing_intervals(1.0, smallest=0.1, growth=1.5, largest=0.4).round(2)
         array([0.  , 0.08, 0.21, 0.39, 0.67, 1.  ])
     """
     steps = [min(smallest, length)]
@@ -163,14 +163,15 @@ def cylinder_mesh(radius: float, height: float, elements: tuple[int, int], eleme
         >>> cylinder_mesh(0.040, 0.070, (2, 3), Q9P1).nodes.shape
         (35, 2)
     """
-    r = graded_line(radius, elements[0], grading[0], "last")
-    z = graded_line(height, elements[1], grading[1], "both") - height
+    r = divide_into_graded_intervals(radius, elements[0], grading[0], "last")
+    z = divide_into_graded_intervals(height, elements[1], grading[1], "both") - height
     return structured_mesh(r, z, element)
 
 
-def needle_mesh(radius: float, height: float, face_radius: float, element: QuadrilateralElement, *, smallest: float,
-                growth: float,
-                largest: float) -> Mesh:
+def cylinder_mesh_refined_under_needle(radius: float, height: float, face_radius: float, element: QuadrilateralElement,
+                                       *, smallest: float,
+                                       growth: float,
+                                       largest: float) -> Mesh:
     """Create the mesh of a cylinder under a flat needle with small elements at the edge of the needle's face.
 
     Args:
@@ -178,15 +179,15 @@ def needle_mesh(radius: float, height: float, face_radius: float, element: Quadr
         height: height of the cylinder, m.
         face_radius: radius of the face of the needle, m.
         element: element type.
-        smallest: length of the intervals at the edge, m; see `growing_line`.
+        smallest: length of the intervals at the edge, m; see `divide_into_growing_intervals`.
         growth: ratio of successive intervals away from the edge.
         largest: limit of the length of an interval, m.
     """
-    inward = growing_line(face_radius, smallest, growth, largest)
-    outward = growing_line(radius - face_radius, smallest, growth, largest)
+    inward = divide_into_growing_intervals(face_radius, smallest, growth, largest)
+    outward = divide_into_growing_intervals(radius - face_radius, smallest, growth, largest)
     r = np.concatenate([face_radius - inward[::-1], face_radius + outward[1:]])
     r[0], r[-1] = 0.0, radius
-    mesh = structured_mesh(r, -growing_line(height, smallest, growth, largest)[::-1], element)
+    mesh = structured_mesh(r, -divide_into_growing_intervals(height, smallest, growth, largest)[::-1], element)
     top = mesh.sets["top"]
     distance = mesh.nodes[top, 0] - face_radius
     slack = 1e-9 * radius
@@ -202,21 +203,21 @@ def cylinder_mesh_refined_under_tip(radius: float, height: float, contact_radius
         height: height of the cylinder, m.
         contact_radius: expected radius of the contact, m; elements are uniform up to 1.5 times this radius.
         element: element type.
-        smallest: length of the uniform intervals, m; see `growing_line`.
+        smallest: length of the uniform intervals, m; see `divide_into_growing_intervals`.
         growth: ratio of successive intervals outside.
         largest: limit of the length of an interval, m.
     """
     even = min(1.5 * contact_radius, 0.8 * radius)
     inner = np.linspace(0.0, even, max(2, round(even / smallest)) + 1)
-    outer = even + growing_line(radius - even, smallest * growth, growth, largest)
+    outer = even + divide_into_growing_intervals(radius - even, smallest * growth, growth, largest)
     r = np.concatenate([inner, outer[1:]])
     r[-1] = radius
-    mesh = structured_mesh(r, -growing_line(height, smallest, growth, largest)[::-1], element)
+    mesh = structured_mesh(r, -divide_into_growing_intervals(height, smallest, growth, largest)[::-1], element)
     top = mesh.sets["top"]
     return replace(mesh, sets={**mesh.sets, "face": top[:1], "free": top})
 
 
-def with_lines(z: np.ndarray, interfaces: list[float], least: int) -> np.ndarray:
+def insert_interfaces_and_refine_layers(z: np.ndarray, interfaces: list[float], least: int) -> np.ndarray:
     """Return the heights of element boundaries with interfaces added, and with enough elements in each layer.
 
     Args:

@@ -40,7 +40,7 @@ class BlockMeshSettings:
 _MESH = BlockMeshSettings()
 
 
-def block_under_plate(length: float, width: float, height: float, grading: Grading) -> SolidMesh:
+def create_block_mesh_under_plate(length: float, width: float, height: float, grading: Grading) -> SolidMesh:
     """Create the mesh of a block between plates that cover its top and base, with small elements at all edges.
 
     Args:
@@ -56,7 +56,7 @@ def block_under_plate(length: float, width: float, height: float, grading: Gradi
                                              grading.insert_interface_heights(z - height, height), grading.element)
 
 
-def block_under_tool(length: float, width: float, height: float, grading: Grading) -> SolidMesh:
+def create_block_mesh_under_tool(length: float, width: float, height: float, grading: Grading) -> SolidMesh:
     """Create the mesh of a block under a tool: an O-grid around the tool in a box, and rectangles outside of the box.
 
     Args:

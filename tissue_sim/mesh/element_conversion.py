@@ -81,7 +81,7 @@ def split_hexahedra(mesh: SolidMesh, element: Tetrahedron) -> SolidMesh:
     cut[is_inverted] = cut[is_inverted][:, [0, 2, 1, 3]]
     vertices = given.reference_nodes[given.local_corner_indices][cut]
     inside = np.einsum("nc,etci->etni", element.corner_functions_at_nodes, vertices)
-    values, _ = given.evaluate_shape_functions(inside.reshape(-1, 3))
+    values, _ = given.evaluate_shape_functions_and_gradients(inside.reshape(-1, 3))
     positions = np.einsum("etng,egi->etni", values.reshape(*inside.shape[:-1], -1), mesh.nodes[mesh.connectivity])
     if element.order == 1:  # straight edges
         positions = np.einsum("nc,etci->etni", element.corner_functions_at_nodes,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 
-def evaluate_equidistant_lagrange(x: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+def evaluate_equidistant_lagrange_and_slopes(x: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
     """Evaluate the one-dimensional Lagrange polynomials with order + 1 evenly spaced nodes in [-1, 1].
 
     Args:
@@ -79,12 +79,13 @@ class QuadrilateralElement:
     @cached_property
     def quadrature_extrapolation_matrix(self) -> np.ndarray:
         """Matrix that extrapolates values at the quadrature points to the nodes, shape (nodes, q)."""
-        shapes, _ = self.evaluate_shape_functions(self.quadrature[0])
+        shapes, _ = self.evaluate_shape_functions_and_gradients(self.quadrature[0])
         return np.linalg.inv(shapes)
 
-    def evaluate_shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_shape_functions_and_gradients(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 2) at reference points (q, 2)."""
-        (vx, sx), (vy, sy) = (evaluate_equidistant_lagrange(points[:, axis], self.order) for axis in range(2))
+        (vx, sx), (vy,
+                   sy) = (evaluate_equidistant_lagrange_and_slopes(points[:, axis], self.order) for axis in range(2))
         indices = np.rint((self.reference_nodes + 1.0) * 0.5 * self.order).astype(int)
         i, j = indices[:, 0], indices[:, 1]
         return vx[:, i] * vy[:, j], np.stack([sx[:, i] * vy[:, j], vx[:, i] * sy[:, j]], axis=-1)

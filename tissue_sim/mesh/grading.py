@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.axisymmetric import growing_line, with_lines
+from tissue_sim.mesh.axisymmetric import divide_into_growing_intervals, insert_interfaces_and_refine_layers
 from tissue_sim.mesh.hexahedra import Hexahedron
 
 
@@ -34,7 +34,7 @@ class Grading:
 
     Attributes:
         element: element type; a mesh from a file uses its own shape of element with the same order.
-        smallest: length of the smallest interval, m; see `growing_line`.
+        smallest: length of the smallest interval, m; see `divide_into_growing_intervals`.
         growth: ratio of successive intervals.
         largest: limit of the length of an interval, m.
         around: number of elements along a quarter of the edge of a needle's face.
@@ -56,7 +56,7 @@ class Grading:
 
     def divide_line(self, length: float) -> np.ndarray:
         """Divide a line of `length`, m, into intervals that grow from its start; return their boundaries from 0, m."""
-        return growing_line(length, self.smallest, self.growth, self.largest)
+        return divide_into_growing_intervals(length, self.smallest, self.growth, self.largest)
 
     def divide_line_from_both_ends(self, length: float) -> np.ndarray:
         """Divide a line of `length`, m, with small intervals at both ends; return their boundaries from 0, m."""
@@ -78,4 +78,4 @@ class Grading:
         if self.interfaces[-1] >= height * (1.0 - 1e-9):
             raise InputError(f"the layers must be thinner than the specimen, height {height * 1e3:g} mm; got "
                              f"{self.interfaces[-1] * 1e3:g} mm", field="layers")
-        return with_lines(heights, [-depth for depth in self.interfaces], self.least)
+        return insert_interfaces_and_refine_layers(heights, [-depth for depth in self.interfaces], self.least)

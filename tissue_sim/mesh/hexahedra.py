@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from tissue_sim.mesh.elements import evaluate_equidistant_lagrange
+from tissue_sim.mesh.elements import evaluate_equidistant_lagrange_and_slopes
 from tissue_sim.mesh.solid_element import SolidElement
 
 
@@ -79,11 +79,12 @@ class Hexahedron(SolidElement):
     @cached_property
     def quadrature_extrapolation_matrix(self) -> np.ndarray:
         """Matrix that extrapolates values at the quadrature points to the nodes, shape (nodes, q)."""
-        return np.linalg.inv(self.evaluate_shape_functions(self.quadrature[0])[0])
+        return np.linalg.inv(self.evaluate_shape_functions_and_gradients(self.quadrature[0])[0])
 
-    def evaluate_shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_shape_functions_and_gradients(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
-        values, slopes = zip(*(evaluate_equidistant_lagrange(points[:, axis], self.order) for axis in range(3)),
+        values, slopes = zip(*(evaluate_equidistant_lagrange_and_slopes(points[:, axis], self.order)
+                               for axis in range(3)),
                              strict=True)
         factors = [(values[axis][:, self._lattice_indices[:, axis]], slopes[axis][:, self._lattice_indices[:, axis]])
                    for axis in range(3)]

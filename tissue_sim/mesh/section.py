@@ -39,7 +39,7 @@ class PlanarMesh:
             first: element boundaries along the first coordinate, from 0 to 1.
             second: element boundaries along the second coordinate, from 0 to 1.
         """
-        s, t = (self._insert_midpoint_heights(line) for line in (first, second))
+        s, t = (self._insert_midpoints(line) for line in (first, second))
         grid = mapping(*np.meshgrid(s, t))  # [t, s]
         numbers = np.arange(s.size * t.size).reshape(t.size, s.size) + self._count
         order = self._order
@@ -108,14 +108,14 @@ class PlanarMesh:
             Nodes, m, shape (n, 3), and node numbers of the hexahedra.
         """
         plane, quads = _merge_points_and_renumber(np.concatenate(self._nodes), np.array(self._quads))
-        heights = self._insert_midpoint_heights(z)
+        heights = self._insert_midpoints(z)
         count, order = len(plane), self._order
         nodes = np.concatenate([np.column_stack([plane, np.full(count, height)]) for height in heights])
         connectivity = np.concatenate([np.concatenate([quads + (k + m) * count for m in range(order + 1)], axis=1)
                                        for k in range(0, heights.size - 1, order)])
         return nodes, connectivity
 
-    def _insert_midpoint_heights(self, line: np.ndarray) -> np.ndarray:
+    def _insert_midpoints(self, line: np.ndarray) -> np.ndarray:
         """Return element boundaries with their midpoints added for elements of order 2; unchanged for order 1."""
         if self._order == 1:
             return line

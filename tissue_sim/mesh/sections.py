@@ -37,7 +37,7 @@ class EdgeCrossings:
         return np.concatenate([values, self.interpolate_nodal_values(values)])
 
 
-def cut_tetrahedra(cells: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossings, np.ndarray]:
+def intersect_tetrahedra_at_zero_level(cells: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossings, np.ndarray]:
     """Return the plane section of tetrahedra at height zero as triangles.
 
     Args:
@@ -65,7 +65,7 @@ def cut_tetrahedra(cells: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossing
     return crossings, _drop_triangles_with_repeated_nodes(point[np.concatenate(corners)])
 
 
-def intersect_triangles(triangles: np.ndarray, heights: np.ndarray) -> EdgeCrossings:
+def intersect_triangles_at_zero_level(triangles: np.ndarray, heights: np.ndarray) -> EdgeCrossings:
     """Return the k line segments at which triangles cross height zero: 2 k points, two successive ones for each."""
     _, pairs = _find_cut_triangles_and_edges(triangles, heights)
     crossings, number = _find_distinct_crossings_and_indices(pairs, heights)

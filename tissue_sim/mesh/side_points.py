@@ -35,7 +35,7 @@ class FacePolynomialMaps:
         u, v = (each.ravel() for each in np.meshgrid(line, line, indexing="ij"))
         self.squares = np.stack([u, v], axis=-1)
         reference = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1) @ corners
-        values = element.evaluate_shape_functions(reference)[0][:, element.local_face_node_indices[0]]
+        values = element.evaluate_shape_functions_and_gradients(reference)[0][:, element.local_face_node_indices[0]]
         self.lattice = np.einsum("qn,mni->mqi", values, nodes)
         self.middles = self.lattice[:, len(u) // 2]
         self.radii = np.linalg.norm(self.lattice - self.middles[:, None], axis=-1).max(axis=1)

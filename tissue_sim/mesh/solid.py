@@ -138,9 +138,11 @@ def create_cylinder_mesh(radius: float, height: float, element: Hexahedron, *, a
     return add_face_and_free_node_sets(extrude_section_to_mesh(section, z, element), face_radius, centre)
 
 
-def create_needle_mesh(radius: float, height: float, face_radius: float, element: Hexahedron, *, smallest: float,
-                       growth: float, largest: float, around: int, centre: tuple[float, float] = (0.0, 0.0),
-                       interfaces: Sequence[float] | np.ndarray = ()) -> SolidMesh:
+def create_cylinder_mesh_under_needle(radius: float, height: float, face_radius: float, element: Hexahedron, *,
+                                      smallest: float,
+                                      growth: float, largest: float, around: int,
+                                      centre: tuple[float, float] = (0.0, 0.0),
+                                      interfaces: Sequence[float] | np.ndarray = ()) -> SolidMesh:
     """Create the mesh of a cylinder under a flat needle with small elements at the edge of the needle's face.
 
     Args:
@@ -148,7 +150,7 @@ def create_needle_mesh(radius: float, height: float, face_radius: float, element
         height: height of the cylinder, m.
         face_radius: radius of the face of the needle, m.
         element: element type.
-        smallest: length of the intervals at the edge, m; see `growing_line`.
+        smallest: length of the intervals at the edge, m; see `divide_into_growing_intervals`.
         growth: ratio of successive intervals away from the edge.
         largest: limit of the length of an interval, m.
         around: number of elements along a quarter of the edge.

@@ -73,7 +73,7 @@ class SolidElement(ABC):
         """Matrix that extrapolates values at the quadrature points to the nodes, shape (nodes, q)."""
 
     @abstractmethod
-    def evaluate_shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_shape_functions_and_gradients(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
 
     @abstractmethod

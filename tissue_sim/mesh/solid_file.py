@@ -241,7 +241,7 @@ def _evaluate_file_element_functions(kind: str, positions: np.ndarray) -> np.nda
 def _require_positive_element_volumes(element: SolidElement, nodes: np.ndarray, connectivity: np.ndarray,
                                       cells: CellBlock) -> None:
     """Require a positive Jacobian determinant at every quadrature point of every element."""
-    _, slopes = element.evaluate_shape_functions(element.quadrature[0])
+    _, slopes = element.evaluate_shape_functions_and_gradients(element.quadrature[0])
     volumes = np.linalg.det(np.einsum("eai,qaj->eqij", nodes[connectivity], slopes)).min(axis=1)
     if not (volumes > 0.0).all():
         raise InputError(f"element {cells.numbers[np.argmin(volumes)]} is turned inside out by its mid-edge nodes; "
@@ -257,7 +257,7 @@ def find_base_and_top(mesh: FileMesh, base: str | None, top: str | None) -> tupl
         (heights <= low + slack).all(axis=1))
     if not held.size:
         raise InputError("no side of the mesh lies in its lowest plane; name the fixed sides (mesh_base, --mesh-base)"
-                         f"{_list_known_names(mesh)}", field="mesh_base")
+                         f"{_format_known_face_names(mesh)}", field="mesh_base")
     if top is not None:
         met = _find_named_faces(mesh, top, "mesh_top")
     else:
@@ -269,7 +269,7 @@ def find_base_and_top(mesh: FileMesh, base: str | None, top: str | None) -> tupl
     met = np.setdiff1d(met, held)
     if not met.size:
         raise InputError("no side of the mesh remains for contact with a tool; name the sides of the top (mesh_top, "
-                         f"--mesh-top){_list_known_names(mesh)}", field="mesh_top")
+                         f"--mesh-top){_format_known_face_names(mesh)}", field="mesh_top")
     return held, met
 
 
@@ -283,7 +283,7 @@ def _find_named_faces(mesh: FileMesh, name: str, field: str) -> np.ndarray:
     return known[name.upper()]
 
 
-def _list_known_names(mesh: FileMesh) -> str:
+def _format_known_face_names(mesh: FileMesh) -> str:
     """Return the end of a message: the names of faces in the file."""
     return f"; the file names {', '.join(sorted(mesh.named_sides))}" if mesh.named_sides else "; the file names none"
 

@@ -104,7 +104,7 @@ class Tetrahedron(SolidElement):
         powers = _barycentric_coordinates_of_reference_points if self.order == 1 else _evaluate_barycentric_products
         return powers(self.reference_nodes) @ np.linalg.pinv(powers(self.quadrature[0]))
 
-    def evaluate_shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_shape_functions_and_gradients(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
         barycentric = _barycentric_coordinates_of_reference_points(points)
         # Derivatives by the four barycentric coordinates, taken as independent, then by the reference coordinates.

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from tissue_sim.pose import Pose, Screw, motion
+from tissue_sim.pose import Pose, Screw, compute_rigid_motion
 from tissue_sim.tool_force import Matrix
 
 
@@ -28,7 +28,6 @@ class BroydenSettings:
 
 #: Settings of every correction.
 BROYDEN = BroydenSettings()
-
 
 
 class BroydenCorrection:
@@ -61,7 +60,7 @@ class BroydenCorrection:
             last: pose of the last model.
             pose: pose of the new model.
         """
-        step = np.array(motion(last, pose))
+        step = np.array(compute_rigid_motion(last, pose))
         scaled = self._scale * step
         square = float(scaled @ scaled)
         if square > self._min_square:
@@ -89,7 +88,7 @@ class BroydenCorrection:
             model: pose of the model.
             pose: pose of the tool.
         """
-        return cast("Screw", tuple((self.rates @ np.array(motion(model, pose))).tolist()))
+        return cast("Screw", tuple((self.rates @ np.array(compute_rigid_motion(model, pose))).tolist()))
 
     def subtract_correction_from_stiffness(self, of_model: Matrix) -> Matrix:
         """Return the stiffness `of_model` of a model minus the learned rates: N/m, N, N m, shape (6, 6)."""

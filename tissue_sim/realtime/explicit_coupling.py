@@ -93,7 +93,8 @@ class ToolReversalDetector:
         self.quiet = float("inf")
         self._turns, self._x, self._y, self._z = 0, 0.0, 0.0, 0.0
 
-    def register_translation_and_update_quiet(self, x: float, y: float, z: float, dt: float, is_fast: bool) -> None:
+    def register_translation_and_detect_oscillation(self, x: float, y: float, z: float, dt: float,
+                                                    is_fast: bool) -> None:
         """Register the motion of the tool in a step; set `quiet` to 0 after `MOST_TURNS` successive reversals.
 
         Args:

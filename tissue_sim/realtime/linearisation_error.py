@@ -33,8 +33,7 @@ class LinearisationErrorSettings:
 ERROR_ESTIMATE = LinearisationErrorSettings()
 
 
-
-class LinearisationError:
+class LinearisationErrorEstimator:
     """Estimator of the force error on a linearised bulk: ``base * max(1, age / (2 interval)) + growth * distance**2``.
 
     The first term is the error of the newest model at its own pose. Models follow each other by single Newton steps, so
@@ -92,7 +91,7 @@ class LinearisationError:
         self.growth, self.reach, self.time = 0.0, 0.0, -math.inf
         self.base, self.interval = 0.0, 0.0
 
-    def scale_up_for_stiffer_material(self, shear_modulus: float) -> None:
+    def set_shear_modulus(self, shear_modulus: float) -> None:
         """Set the shear modulus, Pa; multiply the estimate by new / old modulus if the tissue becomes stiffer."""
         factor = max(1.0, shear_modulus / self.shear_modulus) if self.shear_modulus > 0.0 else 1.0
         self.base, self.growth, self.shear_modulus = factor * self.base, factor * self.growth, shear_modulus

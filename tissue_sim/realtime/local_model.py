@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
-from tissue_sim.pose import Pose, Screw, Vector, add_screws, motion, scale_screw
+from tissue_sim.pose import Pose, Screw, Vector, add_screws, compute_rigid_motion, scale_screw
 from tissue_sim.public_names import OldName
 from tissue_sim.realtime.linearisation_error import ERROR_ESTIMATE
 from tissue_sim.tool_force import (
@@ -54,14 +54,14 @@ class LocalModel:
             time: time at which the tool had this depth, s.
             error: estimated error of the force, N; None if unknown.
         """
-        answer = ToolForce.axial(force, stiffness, ForceStatus.CONVERGED)
+        answer = ToolForce.from_axial_force(force, stiffness, ForceStatus.CONVERGED)
         return cls(answer.wrench, answer.stiffness_matrix, Pose.at_depth(depth), time, error)
 
     axial = OldName("from_axial_force")
 
     def evaluate_wrench(self, pose: Pose) -> Screw:
         """Return the wrench at a pose, N and N m."""
-        return extrapolate_wrench(self.wrench, self.stiffness_matrix, motion(self.pose, pose))
+        return extrapolate_wrench(self.wrench, self.stiffness_matrix, compute_rigid_motion(self.pose, pose))
 
     evaluate = OldName("evaluate_wrench")
 

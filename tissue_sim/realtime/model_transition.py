@@ -11,9 +11,9 @@ import numpy as np
 
 from tissue_sim.fem.condensed.model import CondensedBulk
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
-from tissue_sim.pose import Pose, Screw, add_screws, motion, scale_screw
+from tissue_sim.pose import Pose, Screw, add_screws, compute_rigid_motion, scale_screw
 from tissue_sim.realtime.broyden_correction import BroydenCorrection
-from tissue_sim.realtime.linearisation_error import LinearisationError
+from tissue_sim.realtime.linearisation_error import LinearisationErrorEstimator
 from tissue_sim.tool_force import Matrix
 
 
@@ -59,7 +59,7 @@ class ModelTransition:
                  contact_radius_at_depth: Callable[[float], float] | None = None):
         self._stepper, radius = stepper, stepper.surface.radius
         self._correction = BroydenCorrection(radius)
-        self.estimate = LinearisationError(radius, shear_modulus, tip_radius, contact_radius_at_depth)
+        self.estimate = LinearisationErrorEstimator(radius, shear_modulus, tip_radius, contact_radius_at_depth)
         self._has_friction = bool(np.any(stepper.surface.friction > 0.0))
         self.reset(stepper.surface.start)
 
@@ -78,10 +78,11 @@ class ModelTransition:
         measured from the last pose in the air, or from its own pose if this is in the air and nearer. A pose without a
         force below the undeformed surface, in a dent, is moved up to the surface.
         """
-        distance = self._stepper.compute_max_contact_point_travel(motion(model.pose, pose))
+        distance = self._stepper.compute_max_contact_point_travel(compute_rigid_motion(model.pose, pose))
         if model.has_contact:
             return distance
-        from_air = self._stepper.compute_max_contact_point_travel(motion(self._raise_to_surface(self.free), pose))
+        travel = compute_rigid_motion(self._raise_to_surface(self.free), pose)
+        from_air = self._stepper.compute_max_contact_point_travel(travel)
         return min(distance, from_air) if self.is_above_or_just_below_surface(model.pose) else from_air
 
     def _raise_to_surface(self, pose: Pose) -> Pose:
@@ -96,8 +97,8 @@ class ModelTransition:
         """
         return pose.position[2] >= self._stepper.surface.start.position[2] - self.estimate.short
 
-    def update_offset_for_new_model(self, before: ContactStepResult, old: CondensedBulk, last: Pose, pose: Pose,
-                                    after: ContactStepResult) -> None:
+    def update_for_new_model(self, before: ContactStepResult, old: CondensedBulk, last: Pose, pose: Pose,
+                             after: ContactStepResult) -> None:
         """Add the jump of the wrench at the change of the model to the offset; update correction and error estimate.
 
         If one of the two steps did not converge, offset and correction are zero afterwards, and the error is unknown.
@@ -116,7 +117,7 @@ class ModelTransition:
             self.clear_offset_and_correction()
             self.estimate.discard_estimate()
             return
-        slope = np.array(before.stiffness_matrix) @ np.array(motion(last, pose))
+        slope = np.array(before.stiffness_matrix) @ np.array(compute_rigid_motion(last, pose))
         extrapolated = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
         missed = add_screws(after.wrench, scale_screw(-1.0, extrapolated))
         if new.material != old.material:
@@ -131,7 +132,7 @@ class ModelTransition:
                 correction.reduce_for_new_tangent(self._compute_distance_from_tangent_pose(old),
                                                   self._compute_distance_from_tangent_pose(new),
                                                   self._stepper.compute_max_contact_point_travel(
-                                                      motion(old.pose, new.pose)))
+                                                      compute_rigid_motion(old.pose, new.pose)))
             self.update_error_estimate(add_screws(expected, scale_screw(-1.0, missed)), old, last)
         else:
             correction.reset()
@@ -215,10 +216,10 @@ class ModelTransition:
         """
         if not model.has_contact:
             return 0.0
-        distance = self._stepper.compute_max_contact_point_travel(motion(model.tangent_pose, model.pose))
+        distance = self._stepper.compute_max_contact_point_travel(compute_rigid_motion(model.tangent_pose, model.pose))
         if self.is_above_or_just_below_surface(model.tangent_pose):
             distance = min(distance, self._stepper.compute_max_contact_point_travel(
-                motion(self._raise_to_surface(self.free), model.pose)))
+                compute_rigid_motion(self._raise_to_surface(self.free), model.pose)))
         return distance
 
     @property

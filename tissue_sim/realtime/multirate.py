@@ -15,7 +15,7 @@ from tissue_sim.kernel_owner import CopyError, make_single_thread_method
 from tissue_sim.material.material import BULK_RATIOS, Material
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import MotionLimits
-from tissue_sim.pose import Pose, add_screws, motion, scale_screw
+from tissue_sim.pose import Pose, add_screws, compute_rigid_motion, scale_screw
 from tissue_sim.realtime.bulk_link import BulkLink
 from tissue_sim.realtime.model_transition import ModelTransition
 from tissue_sim.realtime.multirate_settings import MULTIRATE
@@ -28,7 +28,7 @@ from tissue_sim.tool_force import (
     ForceStatus,
     ToolForce,
     TouchState,
-    is_force_accurate_enough,
+    is_force_error_acceptable_or_unknown,
     make_axial_stiffness_matrix,
     make_axial_wrench,
     scale_matrix,
@@ -185,7 +185,7 @@ class MultiRateTissue(RealTimeTissue):
         assert self._stepper is not None
         start, touched = self._link.contact_surface.start, self._touch.has_touched
         height = start.position[2]
-        inside = self._touch.register_height_and_get_contact_time(pose.position[2] - height, dt)
+        inside = self._touch.register_height_and_get_contact_duration(pose.position[2] - height, dt)
         if inside is not None and not touched:
             touch = interpolate_pose_at_surface(self._tool_pose, pose, height)
             if self._holds:
@@ -215,9 +215,9 @@ class MultiRateTissue(RealTimeTissue):
         before, step = self._step, stepper.step(here)
         known, self._known, self._step, transition = self._known, None, step, self._transition
         if known is not None and before is not None:
-            transition.update_offset_for_new_model(before, known, self._poses[-1][1] if self._poses else here, here,
-                                                   step)
-        if self._poses and stepper.compute_max_contact_point_travel(motion(self._poses[-1][1], here)) \
+            transition.update_for_new_model(before, known, self._poses[-1][1] if self._poses else here, here,
+                                            step)
+        if self._poses and stepper.compute_max_contact_point_travel(compute_rigid_motion(self._poses[-1][1], here)) \
             > transition.estimate.short:
             self._poses.clear()  # the tool jumped: its speed is unknown
         self._poses.append((self._time, here))
@@ -226,13 +226,13 @@ class MultiRateTissue(RealTimeTissue):
         elif transition.is_above_or_just_below_surface(here):
             transition.free = here
         if self.waits:
-            if transition.free is not here and self._is_model_too_old_or_too_far(step, here):
+            if transition.free is not here and self._needs_newer_model(step, here):
                 self._step = step = self._exchange_until_force_converges(step, here)
         elif known is not None or self._ticks % MULTIRATE.ticks_between_states == 0:
             earlier, there = self._poses[0]
             self._link.send_state(stepper.export_state(self._time, here, earlier, there, self._epoch, self.has_touched))
         transition.reduce_offset()
-        return self._make_tool_force(step, here, pose, dt, began)
+        return self._make_tool_force_and_store_error(step, here, pose, dt, began)
 
     @make_single_thread_method
     def prepare(self) -> None:
@@ -252,7 +252,7 @@ class MultiRateTissue(RealTimeTissue):
         self._tangent_made = model.tangent_time
         self._stepper.set_linearisation(model)
 
-    def _is_model_too_old_or_too_far(self, step: ContactStepResult, pose: Pose) -> bool:
+    def _needs_newer_model(self, step: ContactStepResult, pose: Pose) -> bool:
         """Return whether a step that waits needs another model: too old, too far from a pose, or not converged."""
         assert self._stepper is not None and self._stepper.model is not None
         model, transition = self._stepper.model, self._transition
@@ -285,7 +285,8 @@ class MultiRateTissue(RealTimeTissue):
         self._transition.clear_offset_and_correction()
         return step
 
-    def _make_tool_force(self, step: ContactStepResult, here: Pose, pose: Pose, dt: float, began: float) -> ToolForce:
+    def _make_tool_force_and_store_error(self, step: ContactStepResult, here: Pose, pose: Pose, dt: float,
+                                         began: float) -> ToolForce:
         """Return the force of a step with its status and estimated error; store the error in `error`.
 
         Args:
@@ -304,7 +305,7 @@ class MultiRateTissue(RealTimeTissue):
         if model.material != self._material and self.has_touched:
             self.error = judged = math.inf
         good = (step.converged and self._settled and self._link.is_alive and age <= self.oldest
-                and not stepper.may_touch_missing_nodes(here) and is_force_accurate_enough(wrench, judged))
+                and not stepper.may_touch_missing_nodes(here) and is_force_error_acceptable_or_unknown(wrench, judged))
         self._left = self._reduced.record_depth_and_get_force_factor(pose.depth, dt)
         if self._left != 1.0:
             wrench, stiffness = scale_screw(self._left, wrench), scale_matrix(self._left, stiffness)
@@ -348,7 +349,7 @@ class MultiRateTissue(RealTimeTissue):
             raise InputError(f"the process of the bulk has ended ({error}). Create another MultiRateTissue",
                              field="material") from None
         self._material += 1
-        self._transition.estimate.scale_up_for_stiffer_material(material.mu0)
+        self._transition.estimate.set_shear_modulus(material.mu0)
 
     def snapshot(self) -> Snapshot:
         """Return a snapshot of the deformed tissue at one of the last models, in the frame of the bulk."""

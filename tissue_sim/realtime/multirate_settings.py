@@ -19,8 +19,8 @@ class MultirateSettings:
             speed.
         touch_depths: depths of the touches in `MultiRateTissue.warm_up`, as fractions of the contact radius.
         recent: largest age of a model in a step that waits, s. A larger age saves exchanges and increases the error.
-        near: largest distance of a model in a step that waits, as a fraction of `LinearisationError.short`. A larger
-            distance saves exchanges and increases the error.
+        near: largest distance of a model in a step that waits, as a fraction of `LinearisationErrorEstimator.short`. A
+            larger distance saves exchanges and increases the error.
         max_exchanges: maximum number of exchanges of state and model in a step that waits. A step without convergence
             takes more time with a larger number.
         force_tolerance: tolerance on the change of the force in the last exchange, as a fraction of the force. A

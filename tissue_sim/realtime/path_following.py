@@ -7,7 +7,7 @@ import time
 from dataclasses import replace
 
 from tissue_sim.fem.solver import Solver, StaticStiffnessRequest, Step, StepStatus
-from tissue_sim.pose import Pose, Screw, between, motion, shift_pose_along_z
+from tissue_sim.pose import Pose, Screw, compute_rigid_motion, interpolate_pose, shift_pose_along_z
 from tissue_sim.realtime.explicit_coupling import (
     ToolReversalDetector,
     issue_light_tool_warning,
@@ -16,7 +16,7 @@ from tissue_sim.realtime.explicit_coupling import (
 from tissue_sim.realtime.path_settings import PathSettings
 from tissue_sim.realtime.pending_path import PendingPath
 from tissue_sim.realtime.simulator_state import AT_REST, DampedPathState, LastEquilibrium, NewtonAttempt
-from tissue_sim.realtime.step_clock import LEAST_SOLVES, StepBudget, StepClock, count_solves_in_budget_or_none
+from tissue_sim.realtime.step_clock import LEAST_SOLVES, StepBudget, StepTimeEstimator, count_solves_in_budget_or_none
 from tissue_sim.realtime.tissue import RealTimeTissue
 from tissue_sim.realtime.tool_track import ToolTrack, compute_fraction_in_air
 from tissue_sim.realtime.wave_error import ContactWaveTimeAndShearSpeed
@@ -26,7 +26,7 @@ from tissue_sim.tool_force import (
     ToolForce,
     compute_largest_force_change_for_motion,
     extrapolate_wrench,
-    is_force_accurate_enough,
+    is_force_error_acceptable_or_unknown,
     limit_force_of_wrench,
 )
 
@@ -46,7 +46,7 @@ class PathFollowingTissue(RealTimeTissue):
     force_error: float | None
     error: float | None
     _solver: Solver
-    _clock: StepClock
+    _clock: StepTimeEstimator
     _equilibrium: LastEquilibrium
     _pose: Pose
     _tool: ToolTrack
@@ -85,7 +85,7 @@ class PathFollowingTissue(RealTimeTissue):
         """Register speed, direction and reversals of a tool motion to a pose in dt s; warn once of a light tool."""
         if self._begins:
             return
-        x, y, z, a, b, c = way = motion(self._pose, target)
+        x, y, z, a, b, c = way = compute_rigid_motion(self._pose, target)
         if self._pending.is_direct:
             self._pending.clear_is_direct_unless_moving_down(way, self._settings.rounding * self._radius)
         length = math.hypot(x, y, z)
@@ -93,7 +93,7 @@ class PathFollowingTissue(RealTimeTissue):
             length += self._radius * math.hypot(a, b, c)
         is_fast = length >= self._settings.inertial_speed * dt > 0.0
         self._lingers = 0.0 if is_fast else self._lingers + dt
-        self._motion_check.register_translation_and_update_quiet(x, y, z, dt, is_fast)
+        self._motion_check.register_translation_and_detect_oscillation(x, y, z, dt, is_fast)
         if self._motion_check.quiet == 0.0 and self._equilibrium.inertial and not self._has_warned:
             self._has_warned = True
             issue_light_tool_warning(self._answer.least_tool_mass)
@@ -129,7 +129,7 @@ class PathFollowingTissue(RealTimeTissue):
         if clearance <= 0.0:
             until, begins = tool.place_at_next_touch_and_get_fraction(solver, pose)
             assert tool.pose is not None
-            self._pose = tool.project_to_solver_pose_without_rotation(solver, tool.pose)
+            self._pose = tool.project_to_solver_pose_without_twist(solver, tool.pose)
             if not begins:
                 # The tissue relaxes or swings until the touch without the tool.
                 solver.move_in_air(self._pose)
@@ -140,7 +140,7 @@ class PathFollowingTissue(RealTimeTissue):
         self._pose = target
         self._pending.is_direct = True
         if self._pending.gap > 0.0:
-            self._pending.limit_gap_to_memory_time(self.model.material.compute_memory_time(self._radius))
+            self._pending.limit_omitted_path_time_to_memory(self.model.material.compute_memory_time(self._radius))
         if solver.is_time_dependent or self._includes_inertia:
             return dt
         self._lingers += dt
@@ -153,7 +153,7 @@ class PathFollowingTissue(RealTimeTissue):
 
     def _compute_displacement_bound(self, start: Pose, end: Pose) -> float:
         """Return an upper bound of the displacement of contact points in a rigid motion of the tool, m."""
-        x, y, z, a, b, c = motion(start, end)
+        x, y, z, a, b, c = compute_rigid_motion(start, end)
         return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
 
     def _split_first_tick_at_renewed_touch(self, inertial: bool) -> None:
@@ -165,7 +165,7 @@ class PathFollowingTissue(RealTimeTissue):
         if clearance is None or before is None or clearance > 0.0 or before <= 0.0:
             return
         until = compute_fraction_in_air(solver, here, first.pose)
-        begins = solver.move_to_next_touch(between(here, first.pose, until))
+        begins = solver.move_to_next_touch(interpolate_pose(here, first.pose, until))
         if not begins:
             solver.move_in_air(here)
         if begins or not (inertial or solver.is_time_dependent):
@@ -180,17 +180,17 @@ class PathFollowingTissue(RealTimeTissue):
         here = solver.pose
         clearance, before = solver.clearance(end), solver.clearance(here)
         if clearance is not None and before is not None and clearance <= 0.0 < before:
-            solver.move_in_air(between(here, end, compute_fraction_in_air(solver, here, end)))
+            solver.move_in_air(interpolate_pose(here, end, compute_fraction_in_air(solver, here, end)))
         return solver.pose
 
     def _restart_path_from_above(self, pose: Pose) -> None:
         """Lift the tool above a pose that was not reached, and make the pending path straight down to the pose."""
         solver = self._solver
-        solver.lift_off()
+        solver.reset_to_first_touch()
         solver.move_in_air(shift_pose_along_z(pose, -solver.height_above_tissue(pose)))
         # In the first step the motion to the pose is unknown, and the tool comes from above.
         self._pending.restart_from_above(pose, rubs=self._keeps_path and not self._begins,
-                                         ages=self.model.material.remembers and not self._begins)
+                                         ages=self.model.material.is_history_dependent and not self._begins)
         self._share, self._leaps, self._can_restart = 1.0, True, False
 
     def _step_along_pending_path(self, pose: Pose, tick: float, began: float, is_behind: bool) -> ToolForce:
@@ -209,9 +209,10 @@ class PathFollowingTissue(RealTimeTissue):
             started, creep, here, inertial = time.perf_counter(), self._creep, solver.pose, self._includes_inertia
             if creep is None and self._attempt is None:
                 if len(pending.ticks) > 1 and allowance.count_fitting_solves() < LEAST_SOLVES * len(pending.ticks):
-                    pending.merge_straight_ticks(here, self._radius, self._compute_straightness_tolerance(inertial),
-                                                 self._settings.inertial_time,
-                                                 timed=inertial or solver.is_time_dependent)
+                    pending.merge_straight_or_excess_ticks(here, self._radius,
+                                                           self._compute_straightness_tolerance(inertial),
+                                                           self._settings.inertial_time,
+                                                           timed=inertial or solver.is_time_dependent)
                 if is_behind and not pending.meets:
                     self._split_first_tick_at_renewed_touch(inertial)
                 if pending.meets:
@@ -221,7 +222,7 @@ class PathFollowingTissue(RealTimeTissue):
             # Parts of equal length, because the mass of the tissue resists a short part like an impact.
             share = 1.0 / max(1, math.ceil(way / part - self._settings.rounding)) if way else 1.0
             # Without rounding the last part ends where the tool is.
-            target, dt = between(here, first.pose, share), 0.0 if self._leaps else share * first.dt
+            target, dt = interpolate_pose(here, first.pose, share), 0.0 if self._leaps else share * first.dt
             if (attempt := self._attempt) is not None:
                 target, dt = attempt.pose, attempt.dt
             elif creep is None and not solver.accepts_pose(target):
@@ -248,7 +249,7 @@ class PathFollowingTissue(RealTimeTissue):
             if creep is None:
                 step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, own_stiffness=asks,
                                    predictor_order=attempt.order, inertial=weighs, resumes=attempt is self._attempt)
-            elif (crept := creep.get_next_step_within_solves_or_none(fitting)) is not None:
+            elif (crept := creep.compute_next_step_within_solves_or_none(fitting)) is not None:
                 step = crept
             else:  # the damped path has ended
                 step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
@@ -263,7 +264,7 @@ class PathFollowingTissue(RealTimeTissue):
             spent, self._attempt = attempt.spent + step.iterations, None
             if step.status is StepStatus.CONVERGED:
                 self._store_equilibrium(step, dt, weighs)
-                self._update_omitted_wave_error(motion(here, target), dt, weighs=weighs)
+                self._update_omitted_wave_error(compute_rigid_motion(here, target), dt, weighs=weighs)
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 is_timed = inertial or solver.is_time_dependent
                 is_over = self._leaps or not is_timed or first.dt - dt <= self._settings.rounding * first.dt
@@ -318,7 +319,7 @@ class PathFollowingTissue(RealTimeTissue):
             return
         waves.register_step_with_mass(at.stiffness, at.step_stiffness, way, dt, scale)
         self._has_waves = not self._is_unloaded_above_first_touch and (
-            waves.is_supersonic or not is_force_accurate_enough(at.wrench, waves.force, scale.floor))
+            waves.is_supersonic or not is_force_error_acceptable_or_unknown(at.wrench, waves.force, scale.floor))
 
     def _compute_straightness_tolerance(self, inertial: bool) -> float:
         """Return the largest distance of pending poses from a line, m; infinite if the path has no influence."""
@@ -355,12 +356,12 @@ class PathFollowingTissue(RealTimeTissue):
             predicts = self.looks_ahead and at.inertial and tick > 0.0
             ahead = self._predict_next_step_force_or_none(tick) if predicts else None
             within = at.step_stiffness
-            is_known = is_force_accurate_enough(wrench, self.error, self._error_floor)
+            is_known = is_force_error_acceptable_or_unknown(wrench, self.error, self._error_floor)
             if self._pending.has_omitted_motion or self._has_waves or not is_known:
                 status = ForceStatus.LATE
         elif not outside:
             # Mass resists the acceleration within a step, not a steady motion.
-            wrench = self._extrapolate_wrench_by_stiffness(wrench, motion(at.pose, pose))
+            wrench = self._extrapolate_wrench_by_stiffness(wrench, compute_rigid_motion(at.pose, pose))
             if status is ForceStatus.STOPPED:
                 change = compute_largest_force_change_for_motion(at.stiffness, self._largest_part)
                 wrench = limit_force_of_wrench(wrench, self._largest_force + change)
@@ -369,7 +370,7 @@ class PathFollowingTissue(RealTimeTissue):
         if error is not None and not self._is_unloaded_above_first_touch:
             error += self._pending.waves.force
         return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
-                         waiting, at.pose if tool.twist is None else tool.add_rotation_at_last_touch(at.pose), ahead,
+                         waiting, at.pose if tool.twist is None else tool.add_twist_at_last_touch(at.pose), ahead,
                          within, at.stiffness_time + waiting, error, waiting, True,
                          minimum_stable_tool_mass(at.stiffness, at.step_stiffness, tick))
 

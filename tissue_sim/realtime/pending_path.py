@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from tissue_sim.pose import Pose, Screw, between, motion
+from tissue_sim.pose import Pose, Screw, compute_rigid_motion, interpolate_pose
 from tissue_sim.realtime.wave_error import UnresolvedWaveErrorEstimator
 
 #: Largest number of ticks that are followed one by one. The oldest ones beyond it are merged.
@@ -27,7 +27,7 @@ class PathTick:
         pose: pose of the tool at the end of the tick.
         dt: duration, s.
         touches: whether the tool is in the air in this tick and touches the tissue in the next tick; see
-            `FreeTool.bind_points_on_path`.
+            `FreeToolSolverBase.bind_points_on_path`.
     """
 
     pose: Pose
@@ -40,7 +40,7 @@ class PendingPath:
 
     Attributes:
         ticks: ticks in the order of time.
-        meets: whether the tool touches the tissue in the next increment; see `FreeTool.bind_points_on_path`.
+        meets: whether the tool touches the tissue in the next increment; see `FreeToolSolverBase.bind_points_on_path`.
         lost: time for which an equilibrium is not that of the tool's own motion, since ticks that were not on one line
             were merged, s.
         gap: time for which an equilibrium depends on a part of the path that was left out, s; infinite while the tool
@@ -131,11 +131,12 @@ class PendingPath:
         if z > negligible or max(abs(x), abs(y), abs(a), abs(b), abs(c)) > negligible:
             self.is_direct = False
 
-    def limit_gap_to_memory_time(self, memory: float) -> None:
+    def limit_omitted_path_time_to_memory(self, memory: float) -> None:
         """Limit `gap` to `memory`, the time for which the tissue remembers its path, s; called while in the air."""
         self.gap = min(self.gap, memory)
 
-    def merge_straight_ticks(self, start: Pose, radius: float, tolerance: float, lasts: float, *, timed: bool) -> None:
+    def merge_straight_or_excess_ticks(self, start: Pose, radius: float, tolerance: float, lasts: float, *,
+                                       timed: bool) -> None:
         """Merge the first ticks along which the tool moves on one line, and the oldest if there are too many.
 
         Args:
@@ -165,7 +166,8 @@ class PendingPath:
             before, total = tick.pose, passed[-1]
             if number and self.ticks[number - 1].touches:
                 break
-            away = max(_compute_pose_distance(between(start, tick.pose, at / total if total else 0.0), skipped.pose,
+            away = max(_compute_pose_distance(interpolate_pose(start, tick.pose, at / total if total else 0.0),
+                                              skipped.pose,
                                               radius)
                        for at, skipped in zip(passed, self.ticks, strict=False))
             if away > tolerance:
@@ -193,5 +195,5 @@ class PendingPath:
 
 def _compute_pose_distance(one: Pose, other: Pose, radius: float) -> float:
     """Return translation plus rotation angle times the contact radius between two poses, m."""
-    x, y, z, a, b, c = motion(one, other)
+    x, y, z, a, b, c = compute_rigid_motion(one, other)
     return math.hypot(x, y, z) + radius * math.hypot(a, b, c)

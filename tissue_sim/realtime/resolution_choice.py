@@ -13,7 +13,7 @@ from tissue_sim.tool_force import ToolForce
 
 
 @dataclass(frozen=True)
-class TestMotion:
+class TimingMotionSettings:
     """Test motion by which the time of a tick is measured: a cosine in depth.
 
     Attributes:
@@ -36,7 +36,7 @@ class TestMotion:
 
 
 #: Motion of every measurement.
-MOTION = TestMotion()
+MOTION = TimingMotionSettings()
 #: Least ratio of the time of a tick of a finer mesh to that of the next coarser mesh.
 _LEAST_COST_RATIO = 1.5
 

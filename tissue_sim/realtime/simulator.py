@@ -17,6 +17,7 @@ from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import MotionLimits
 from tissue_sim.pose import Pose
+from tissue_sim.public_names import with_old_names
 from tissue_sim.realtime.accepted_models import require_no_tilt_or_partial_slip
 from tissue_sim.realtime.explicit_coupling import ToolReversalDetector
 from tissue_sim.realtime.path_following import PathFollowingTissue
@@ -31,7 +32,7 @@ from tissue_sim.realtime.simulator_state import (
     SimulatorState,
     StateOrigin,
 )
-from tissue_sim.realtime.step_clock import StepClock, require_valid_max_solves
+from tissue_sim.realtime.step_clock import StepTimeEstimator, require_valid_max_solves
 from tissue_sim.realtime.tool_track import ToolTrack, is_pose_on_axis
 from tissue_sim.realtime.wave_error import ContactWaveTimeAndShearSpeed
 from tissue_sim.snapshot import Snapshot, snapshot
@@ -47,6 +48,7 @@ _STIFFNESS_LASTS = 5
 _FIRST_LEVEL = 1
 
 
+@with_old_names(solve_time="linear_solve_time")
 class Simulator(PathFollowingTissue):
     """Force on a tool that follows any path, step by step.
 
@@ -129,7 +131,7 @@ class Simulator(PathFollowingTissue):
         self._levels = levels if resolution == "realtime" and budget is not None else ()
         self.resolution = "own mesh" if mesh is not None else resolution
         self.force_error = {level.resolution: level.force_error for level in levels}.get(resolution)
-        self._solver.ask_for_stiffness()
+        self._solver.enable_stiffness_output()
         self.density = model.experiment.specimen.density or model.material.density or DENSITY
         # Whether the solver supports inertia.
         self._weighs = inertia != "off" and self._solver.enable_inertia(self.density) is not False
@@ -140,7 +142,7 @@ class Simulator(PathFollowingTissue):
         self._bonded = model.experiment.friction == "bonded"
         self._pulls = self._bonded or bool(model.experiment.acting_laws)
         # Whether the force depends on the path of the tool, apart from its dependence on time.
-        self._keeps_path = model.experiment.is_path_dependent or model.material.remembers
+        self._keeps_path = model.experiment.is_path_dependent or model.material.is_history_dependent
         # A rotation counts as the displacement of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
         self._largest_part = path_settings.largest_part * self._radius
@@ -148,8 +150,8 @@ class Simulator(PathFollowingTissue):
         self._error_floor = compute_negligible_force_error(model.material.mu0, self._radius)
         self._left = 1.0  # factor of effects in reduced form on the force at the last equilibrium
         self._solve: float | None = None  # wall time of a linear solve at warm-up, s
-        self._clock, self._most = StepClock(), max_solves
-        self._answer = ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
+        self._clock, self._most = StepTimeEstimator(), max_solves
+        self._answer = ToolForce.from_axial_force(0.0, 0.0, ForceStatus.CONVERGED)
         self._equilibrium = AT_REST
         self.error: float | None = None
         # Track of the tool; whether its first pose in the tissue has yet to be reached; largest force so far, N.
@@ -179,7 +181,7 @@ class Simulator(PathFollowingTissue):
         return self._solver.mesh
 
     @property
-    def solve_time(self) -> float:
+    def linear_solve_time(self) -> float:
         """Wall time of a linear solve with its assembly, s, estimated since `warm_up`."""
         return self._clock.solve
 
@@ -245,7 +247,7 @@ class Simulator(PathFollowingTissue):
 
     def _compute_step(self, pose: Pose, dt: float, began: float) -> ToolForce:
         tool, solver = self._tool, self._solver
-        seen = tool.remove_rotation_at_last_touch(pose)
+        seen = tool.remove_twist_at_last_touch(pose)
         target = solver.project_pose(seen)
         on_axis = target is seen or is_pose_on_axis(pose, target, self._radius)
         if not on_axis and self.strict_axis:
@@ -261,14 +263,14 @@ class Simulator(PathFollowingTissue):
                                          compute_time=time.perf_counter() - began)
                 return self._answer
             self._begins, dt = first, spent
-            self._pose, target = (tool.project_to_solver_pose_without_rotation(solver, each)
+            self._pose, target = (tool.project_to_solver_pose_without_twist(solver, each)
                                   for each in (tool.pose or pose, pose))
         elif self._is_unloaded_with_path_solved:
             in_air = self._move_in_air_and_get_force_or_time(pose, target, dt, began)
             if isinstance(in_air, ToolForce):
                 return in_air
             dt = in_air
-            target = tool.project_to_solver_pose_without_rotation(solver, pose)
+            target = tool.project_to_solver_pose_without_twist(solver, pose)
         self._register_motion_speed_and_reversals(target, tick)
         tool.pose, self._pose = pose, target
         self._pending.append_tick(target, dt)

@@ -56,7 +56,8 @@ class LastEquilibrium:
         """
         own, within, wrench = step.stiffness_matrix, step.step_stiffness_matrix, step.wrench
         if own is None and within is None:
-            raise TypeError("step() must return a stiffness after ask_for_stiffness(); see Solver.ask_for_stiffness")
+            raise TypeError("step() must return a stiffness after enable_stiffness_output(); see "
+                            "Solver.enable_stiffness_output")
         if share != 1.0:
             wrench = scale_screw(share, wrench)
             own = None if own is None else scale_matrix(share, own)
@@ -107,7 +108,7 @@ class DampedPathState:
         """Return the number of linear solves that the damped path may make until its next yield."""
         return self._allowed
 
-    def get_next_step_within_solves_or_none(self, allowed: int) -> Step | None:
+    def compute_next_step_within_solves_or_none(self, allowed: int) -> Step | None:
         """Continue the damped path with at most `allowed` linear solves.
 
         Returns:

@@ -17,7 +17,7 @@ _UNBOUNDED = 1 << 30
 
 @dataclass(frozen=True)
 class StepTimeEstimateSettings:
-    """Settings of a `StepClock`; all dimensionless.
+    """Settings of a `StepTimeEstimator`; all dimensionless.
 
     Attributes:
         gain_up: fraction by which the estimate of the fixed time approaches a step that took longer.
@@ -41,7 +41,7 @@ class StepTimeEstimateSettings:
 _SETTINGS = StepTimeEstimateSettings()
 
 
-class StepClock:
+class StepTimeEstimator:
     """Estimates the wall time of a step, t = fixed + solve n, with n the number of its linear solves.
 
     The fixed part assembles, factorises and computes the force; each solve is one more pass over the tissue. The slope
@@ -135,7 +135,7 @@ class StepBudget:
         is_bounded: whether the number of solutions or the time is limited.
     """
 
-    def __init__(self, clock: StepClock, most: int | None, ends: float | None):
+    def __init__(self, clock: StepTimeEstimator, most: int | None, ends: float | None):
         self._clock, self._ends, self._left = clock, ends, _UNBOUNDED if most is None else most
         self._begins, self.is_bounded = True, most is not None or ends is not None
 

@@ -7,7 +7,7 @@ import time
 from dataclasses import replace
 
 from tissue_sim.kernel_owner import KernelOwner, make_busy_error, make_single_thread_method
-from tissue_sim.material.effect import ReducedForceFactor
+from tissue_sim.material.effect import CombinedForceFactor
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import LimitError, MotionLimits, convert_to_pose
@@ -111,7 +111,7 @@ class RealTimeTissue(KernelOwner):
         self._reduced = self._make_reduced_force_factor(material)
         self._reduced.history = history
 
-    def _make_reduced_force_factor(self, material: Material) -> ReducedForceFactor:
+    def _make_reduced_force_factor(self, material: Material) -> CombinedForceFactor:
         """Return the factor of a material's effects in reduced form on the force of this experiment's tool."""
-        return ReducedForceFactor(
-            material.list_acting_reduced_effects(plate=self.model.experiment.tool.is_plate))
+        return CombinedForceFactor(
+            material.list_acting_force_scaling_effects(plate=self.model.experiment.tool.is_plate))

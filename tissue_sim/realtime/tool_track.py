@@ -10,9 +10,9 @@ from tissue_sim.pose import (
     Pose,
     Quaternion,
     add_twist,
-    between,
+    compute_rigid_motion,
     find_axis_twist_quaternion_or_none,
-    motion,
+    interpolate_pose,
     remove_twist,
     shift_pose_along_z,
 )
@@ -43,7 +43,7 @@ class ToolTrack:
     """Pose of the tool between two steps, and whether it has touched.
 
     For a body of revolution the rotation about its own axis at the touch has no influence. It is removed from the poses
-    of solvers with `FreeTool.ignores_twist`.
+    of solvers with `FreeToolSolverBase.ignores_twist`.
 
     Attributes:
         touch: whether the tool has touched; see `TouchState`.
@@ -68,18 +68,18 @@ class ToolTrack:
         other.is_refused = self.is_refused
         return other
 
-    def remove_rotation_at_last_touch(self, pose: Pose) -> Pose:
+    def remove_twist_at_last_touch(self, pose: Pose) -> Pose:
         """Return a pose without the rotation about the tool's own axis at the last touch."""
         return pose if self.twist is None else remove_twist(pose, self.twist)
 
-    def project_to_solver_pose_without_rotation(self, solver: Solver, pose: Pose) -> Pose:
+    def project_to_solver_pose_without_twist(self, solver: Solver, pose: Pose) -> Pose:
         """Return a pose projected to the motions of the solver, without the rotation about the tool's own axis."""
-        return solver.project_pose(self.remove_rotation_at_last_touch(pose))
+        return solver.project_pose(self.remove_twist_at_last_touch(pose))
 
-    def add_rotation_at_last_touch(self, pose: Pose) -> Pose:
+    def add_twist_at_last_touch(self, pose: Pose) -> Pose:
         """Convert a pose of the solver to a pose as passed to the simulator.
 
-        This is the inverse of `remove_rotation_at_last_touch`.
+        This is the inverse of `remove_twist_at_last_touch`.
         """
         return pose if self.twist is None else add_twist(pose, self.twist)
 
@@ -98,7 +98,7 @@ class ToolTrack:
         """
         before = self.touch.height
         height = solver.height_above_tissue(pose)
-        spent = self.touch.register_height_and_get_contact_time(height, dt)
+        spent = self.touch.register_height_and_get_contact_duration(height, dt)
         if spent is None:
             self.is_refused = False
             return None, True
@@ -107,7 +107,7 @@ class ToolTrack:
             return spent, False
         start = shift_pose_along_z(pose, -height)
         if before is not None and before > 0.0 and self.pose is not None:
-            start = between(self.pose, pose, before / (before - height))
+            start = interpolate_pose(self.pose, pose, before / (before - height))
             start = shift_pose_along_z(start, -solver.height_above_tissue(start))
         twist = find_axis_twist_quaternion_or_none(start.orientation) if solver.ignores_twist else None
         if solver.place_tool_at_first_touch(remove_twist(start, twist)):
@@ -129,9 +129,9 @@ class ToolTrack:
         """
         assert self.pose is not None
         until = compute_fraction_in_air(solver, self.pose, pose)
-        start = between(self.pose, pose, until)
+        start = interpolate_pose(self.pose, pose, until)
         self.twist = find_axis_twist_quaternion_or_none(start.orientation) if solver.ignores_twist else None
-        return until, solver.move_to_next_touch(self.project_to_solver_pose_without_rotation(solver, start))
+        return until, solver.move_to_next_touch(self.project_to_solver_pose_without_twist(solver, start))
 
 
 def compute_fraction_in_air(solver: Solver, before: Pose, pose: Pose) -> float:
@@ -139,7 +139,7 @@ def compute_fraction_in_air(solver: Solver, before: Pose, pose: Pose) -> float:
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        clearance = solver.clearance(solver.project_pose(between(before, pose, middle)))
+        clearance = solver.clearance(solver.project_pose(interpolate_pose(before, pose, middle)))
         low, high = (middle, high) if clearance is not None and clearance > 0.0 else (low, middle)
     return low
 
@@ -158,4 +158,4 @@ def is_pose_on_axis(pose: Pose, seen: Pose, radius: float) -> bool:
     if pose.orientation is seen.orientation:
         return True
     untwisted = remove_twist(pose, find_axis_twist_quaternion_or_none(pose.orientation))
-    return math.hypot(*motion(seen, untwisted)[3:]) <= AXIS.angle
+    return math.hypot(*compute_rigid_motion(seen, untwisted)[3:]) <= AXIS.angle

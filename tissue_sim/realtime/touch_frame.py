@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from tissue_sim.pose import Pose, between, motion, rotate_pose_about_its_position
+from tissue_sim.pose import Pose, compute_rigid_motion, interpolate_pose, rotate_pose_about_its_position
 
 
 class TouchFrame:
@@ -43,13 +43,13 @@ def interpolate_pose_at_surface(before: Pose | None, pose: Pose, height: float) 
     touch = pose
     if before is not None and before.position[2] > height:
         above = before.position[2] - height
-        touch = between(before, pose, above / (before.position[2] - pose.position[2]))
+        touch = interpolate_pose(before, pose, above / (before.position[2] - pose.position[2]))
     return replace(touch, position=(*touch.position[:2], height))
 
 
 def _apply_motion_between_poses(start: Pose, end: Pose, other: Pose) -> Pose:
     """Return the pose `other`, moved by the translation and rotated by the rotation from `start` to `end`."""
-    x, y, z, *rotation = motion(start, end)
+    x, y, z, *rotation = compute_rigid_motion(start, end)
     a, b, c = other.position
     moved = Pose((a + x, b + y, c + z), other.orientation)
     u, v, w = rotation

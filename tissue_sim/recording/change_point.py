@@ -42,23 +42,23 @@ class LoadingWindow:
     Attributes:
         time, displacement, force: s, m and N, shapes (n,).
         rounding: standard deviation of the rounding of the sensor, N.
-        step: displacement between two samples, m.
-        start: displacement at the start of the motion, m.
+        displacement_step: displacement between two samples, m.
+        start_displacement: displacement at the start of the motion, m.
     """
 
     time: np.ndarray
     displacement: np.ndarray
     force: np.ndarray
     rounding: float
-    step: float
-    start: float
+    displacement_step: float
+    start_displacement: float
 
     def truncate_at_index(self, end: int) -> LoadingWindow:
         """Return the window with only the samples before index `end`."""
         return replace(self, time=self.time[:end], displacement=self.displacement[:end], force=self.force[:end])
 
     @cached_property
-    def window_of_averaged_samples(self) -> LoadingWindow:
+    def coarse_window(self) -> LoadingWindow:
         """This window averaged to at most `ChangePointSettings.coarse_samples` samples, for the coarse search."""
         return self.average_down_to_sample_count(_SETTINGS.coarse_samples)
 
@@ -70,7 +70,8 @@ class LoadingWindow:
         starts = np.arange(0, self.time.size - each + 1, each)
         time, displacement, force = (np.add.reduceat(values[:starts[-1] + each], starts) / each
                                      for values in (self.time, self.displacement, self.force))
-        return LoadingWindow(time, displacement, force, self.rounding / np.sqrt(each), each * self.step, self.start)
+        return LoadingWindow(time, displacement, force, self.rounding / np.sqrt(each), each * self.displacement_step,
+                             self.start_displacement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +108,7 @@ class LikelihoodProfile:
         return float(self.least_squares[self.best_index])
 
     @property
-    def likelihood_ratios(self) -> np.ndarray:
+    def likelihood_ratio_statistics(self) -> np.ndarray:
         """Likelihood ratio at each trial displacement: (squares - smallest squares) / variance, shape (n,)."""
         with np.errstate(invalid="ignore", over="ignore"):
             return (self.least_squares - self.smallest_sum_of_squares) / self.variance
@@ -115,14 +116,14 @@ class LikelihoodProfile:
     @property
     def confidence_interval(self) -> tuple[float, float]:
         """Displacements, m, at which the ratio equals `limit`; without a crossing -inf and the last of `places`."""
-        ratio, at = self.likelihood_ratios, self.best_index
+        ratio, at = self.likelihood_ratio_statistics, self.best_index
         below, above = np.flatnonzero(ratio[:at] > self.limit), np.flatnonzero(ratio[at:] > self.limit)
         return (self._interpolate_crossing(below[-1], below[-1] + 1) if below.size else -np.inf,
                 self._interpolate_crossing(at + above[0], at + above[0] - 1) if above.size else float(self.places[-1]))
 
     def _interpolate_crossing(self, out: int, inside: int) -> float:
         """Interpolate the displacement, m, at which the ratio equals `limit`; `out`, `inside`: neighbouring indices."""
-        ratio, places = self.likelihood_ratios, self.places
+        ratio, places = self.likelihood_ratio_statistics, self.places
         if not np.isfinite(ratio[out]):
             return float(places[out])
         fraction = (self.limit - ratio[inside]) / (ratio[out] - ratio[inside])
@@ -147,7 +148,7 @@ class ChangePointFit:
         t = (part.time - part.time[0]) / ((part.time[-1] - part.time[0]) or 1.0)
         base = self._whiten_noise(np.stack([np.ones(t.size), t]))
         self._base = np.linalg.qr(base.T)[0]
-        self._data = self._remove_drift(self._whiten_noise(part.force - part.force[0])[None])[0]
+        self._data = self._remove_constant_and_drift(self._whiten_noise(part.force - part.force[0])[None])[0]
         self.freedom = max(self._data.size - terms - half - 4, 1)
         self.latest = float(part.displacement[-min(terms + 4, t.size)])
 
@@ -160,7 +161,7 @@ class ChangePointFit:
         new[..., 0] = np.sqrt(1 - self.correlation**2) * rows[..., 0]
         return new
 
-    def _remove_drift(self, rows: np.ndarray) -> np.ndarray:
+    def _remove_constant_and_drift(self, rows: np.ndarray) -> np.ndarray:
         """Remove from whitened rows, shape (m, n), their projection on a constant and a drift linear in time."""
         return rows - (rows @ self._base) @ self._base.T
 
@@ -184,13 +185,13 @@ class ChangePointFit:
             blocks = [slice(k, k + together) for k in range(0, places.size, together)]
             return np.concatenate([self.compute_sums_of_squares(places[k], powers[k], bounded=bounded) for k in blocks])
         terms = self._evaluate_law_terms(places, powers)
-        columns = [self._remove_drift(self._whiten_noise(column)) for column in terms]
+        columns = [self._remove_constant_and_drift(self._whiten_noise(column)) for column in terms]
         answer, coefficients = _solve_for_squares_and_coefficients(columns, self._data)
         answer, leading = answer.reshape(powers.shape), coefficients[0].reshape(powers.shape)
         if bounded:
             end = ((self.part.displacement[-1] - places) / self._scale)[:, None]
             force = sum(coefficients[k].reshape(powers.shape) * end**k for k in range(self.terms))
-            after = (places > self.part.start + 2 * self.part.step)[:, None]
+            after = (places > self.part.start_displacement + 2 * self.part.displacement_step)[:, None]
             answer[after & (leading <= _SETTINGS.leading_fraction * np.maximum(force, 0.0))] = np.inf
         return answer
 
@@ -220,8 +221,9 @@ class ChangePointFit:
 
     def estimate_contact_and_exponent_coarsely(self) -> tuple[float, float]:
         """Return displacement of contact, m, and exponent of the law, of the best fit of the averaged samples."""
-        coarse = ChangePointFit(self.part.window_of_averaged_samples, self.terms, self.exponents)
-        low, high = coarse.part.start, max(coarse.latest, coarse.part.start + coarse.part.step)
+        coarse = ChangePointFit(self.part.coarse_window, self.terms, self.exponents)
+        low = coarse.part.start_displacement
+        high = max(coarse.latest, low + coarse.part.displacement_step)
         samples = np.quantile(coarse.part.displacement, np.linspace(0, 1, 22), method="nearest").clip(low, high)
         return coarse.fit_contact_and_exponent(None, np.union1d(np.linspace(low, high, 22), samples))
 
@@ -237,14 +239,14 @@ class ChangePointFit:
         """
         if places is None:
             assert best is not None
-            step = self.part.window_of_averaged_samples.step
-            places = np.unique((best[0] + step * np.linspace(-2, 2, 9)).clip(self.part.start, self.latest))
+            step = self.part.coarse_window.displacement_step
+            places = np.unique((best[0] + step * np.linspace(-2, 2, 9)).clip(self.part.start_displacement, self.latest))
         for level in range(3):
             squares, powers = self.minimize_over_exponent(places)
             at = int(np.argmin(squares))
             answer = float(places[at]), float(powers[at])
             gap = places[min(at + 1, places.size - 1)] - places[max(at - 1, 0)]
-            if level == 2 or gap <= 0.5 * self.part.step:
+            if level == 2 or gap <= 0.5 * self.part.displacement_step:
                 break
             places = np.linspace(places[max(at - 1, 0)], places[min(at + 1, places.size - 1)], 9)
         return answer
@@ -253,16 +255,16 @@ class ChangePointFit:
         """Return the likelihood profile around the best fit, fine at the ends of the 95 % interval."""
         from scipy import special
 
-        start, latest, step = self.part.start, max(self.latest, self.part.start + self.part.step), self.part.step
-        places = np.unique((best[0] + step * np.array([-3, -1, -0.3, 0, 0.3, 1, 3])).clip(start, latest))
-        places = np.union1d(places, start)
+        start, step = self.part.start_displacement, self.part.displacement_step
+        latest = max(self.latest, start + step)
+        places = np.union1d((best[0] + step * np.array([-3, -1, -0.3, 0, 0.3, 1, 3])).clip(start, latest), start)
         squares, powers = self.minimize_over_exponent(places)
         for _ in range(14):
             at = int(np.argmin(squares))
             variance = max(squares[at] / self.freedom, self.part.rounding**2, 1e-300)
             limit = _SETTINGS.limit_factor * float(special.fdtri(1, self.effective_degrees_of_freedom, 0.95))
             profile = LikelihoodProfile(places, squares, powers, variance, limit)
-            near = np.flatnonzero(profile.likelihood_ratios < 2.3 * profile.limit)
+            near = np.flatnonzero(profile.likelihood_ratio_statistics < 2.3 * profile.limit)
             width, wanted = places[near[-1]] - places[near[0]], []
             if near[-1] == places.size - 1 and places[-1] < latest:
                 wanted.append(places[-1] + max(width, step) * np.array([0.5, 1.0, 2.0]))
@@ -272,7 +274,7 @@ class ChangePointFit:
             gaps = np.diff(places[first:last + 1])
             fine = max(min(step / 6, width / 12), step / 50)
             # The profile is fine only at the crossings of its limit and next to the best place.
-            inside = profile.likelihood_ratios[first:last + 1] <= profile.limit
+            inside = profile.likelihood_ratio_statistics[first:last + 1] <= profile.limit
             matters = inside[1:] != inside[:-1]
             matters[[k for k in (at - first - 1, at - first) if 0 <= k < gaps.size]] = True
             wide = np.flatnonzero(gaps > np.where(matters, fine, max(fine, width / 12)))
@@ -295,7 +297,7 @@ class ChangePointFit:
 
     def estimate_noise_correlation(self, place: float, power: float) -> float:
         """Return noise correlation of adjacent samples, 0 to 1; contact `place`, m, and exponent `power` are fitted."""
-        self.fit_linear_coefficients(place, power)
+        self.store_design_and_fit_coefficients(place, power)
         design = np.vstack([self._design, *self._leading_terms_at_shifted_parameters(place, power)]).T
         return _estimate_correlation_by_reml(self.part.force - self.part.force[0], design)
 
@@ -303,7 +305,7 @@ class ChangePointFit:
         """Return the sum of squares, N2, of a fit of a constant and a linear drift, without a contact force."""
         return float(self._data @ self._data)
 
-    def fit_linear_coefficients(self, place: float, power: float) -> np.ndarray:
+    def store_design_and_fit_coefficients(self, place: float, power: float) -> np.ndarray:
         """Store the design in `_design`; return coefficients, N: zero minus first force, drift in the window, terms."""
         columns = [column[0] for column in self._evaluate_law_terms(np.array([place]), np.array([[power]]))]
         t = (self.part.time - self.part.time[0]) / ((self.part.time[-1] - self.part.time[0]) or 1.0)
@@ -319,7 +321,7 @@ class ChangePointFit:
             power: exponent of the force after contact.
             variance: variance of the whitened residual, N2.
         """
-        self.fit_linear_coefficients(place, power)
+        self.store_design_and_fit_coefficients(place, power)
         moved = [each - self._design[2] for each in self._leading_terms_at_shifted_parameters(place, power)]
         weighed = self._whiten_noise(np.vstack([self._design, *moved]))
         size = np.linalg.norm(weighed, axis=1).clip(1e-150)
@@ -328,7 +330,7 @@ class ChangePointFit:
 
     def fit_zero_minus_first_force_without_drift(self, place: float, power: float) -> float:
         """Return the fitted zero of the force minus the first force, N, of a fit without drift."""
-        self.fit_linear_coefficients(place, power)
+        self.store_design_and_fit_coefficients(place, power)
         design = np.delete(self._design, 1, axis=0)
         wanted = self._whiten_noise(self.part.force - self.part.force[0])
         return float(np.linalg.lstsq(self._whiten_noise(design).T, wanted, rcond=None)[0][0])
@@ -341,7 +343,7 @@ class ChangePointFit:
 
     def compute_force_residual(self, place: float, power: float) -> np.ndarray:
         """Return the measured minus the fitted force, N, without whitening, shape (n,)."""
-        coefficients = self.fit_linear_coefficients(place, power)
+        coefficients = self.store_design_and_fit_coefficients(place, power)
         return self.part.force - self.part.force[0] - coefficients @ self._design
 
 

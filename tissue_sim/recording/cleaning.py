@@ -11,7 +11,7 @@ from tissue_sim.recording.first_sample import LOADS, get_or_extrapolate_first_va
 from tissue_sim.recording.measures import StrainOrStressMeasure, get_original_measures
 from tissue_sim.recording.outliers import find_outliers_of_motion_and_load, make_left_out_samples_of_outliers
 from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
-from tissue_sim.recording.saturation import find_common_divisor_or_zero, find_saturated_runs
+from tissue_sim.recording.saturation import find_last_digit_step_or_zero, find_saturated_runs
 from tissue_sim.recording.screening import LeftOutSamples, Saturation, Screening
 
 #: Channels of the motion. The first one in a recording is examined, and so is the first channel of the load.
@@ -205,12 +205,12 @@ def _compute_nominal_stress_rounding(recording: Recording, measure: StrainOrStre
     strain_measure = get_original_measures(recording).get("stretch")
     strain = recording.channel("stretch") if strain_measure is None else strain_measure.invert(
         recording.channel("stretch"))
-    step = find_common_divisor_or_zero(strain)
+    step = find_last_digit_step_or_zero(strain)
     strain = strain[large]
     moved = strain + step if strain_measure is None else strain_measure.convert(strain + step)
     stress = measure.invert(nominal, stretch)
-    digit = find_common_divisor_or_zero(measure.invert(recording.channel("nominal stress"),
-                                                       recording.channel("stretch")))
+    digit = find_last_digit_step_or_zero(measure.invert(recording.channel("nominal stress"),
+                                                        recording.channel("stretch")))
     return float((np.abs(measure.convert(stress + digit, stretch) - nominal)
                   + np.abs(measure.convert(stress, moved) - nominal)).max())
 

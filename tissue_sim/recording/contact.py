@@ -15,7 +15,7 @@ from itertools import pairwise, zip_longest
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import OldName, with_old_names
 from tissue_sim.recording.change_point import ChangePointFit, LikelihoodProfile, LoadingWindow
 from tissue_sim.recording.resolution import find_rounding_step_or_zero
 from tissue_sim.recording.result_cache import cache_by_array_content
@@ -83,6 +83,7 @@ class ContactSettings:
 _SETTINGS = ContactSettings()
 
 
+@with_old_names(get_motion_and_force_from_contact="subtract_contact_zero_and_drift")
 @dataclass(frozen=True)
 class Contact:
     """Displacement at which the tool touches the specimen, or at which the slack ends.
@@ -122,7 +123,7 @@ class Contact:
 
     #: Old names.
     found = OldName("has_air_before_contact")
-    counted_from = OldName("get_motion_and_force_from_contact")
+    counted_from = OldName("subtract_contact_zero_and_drift")
 
     @property
     def has_air_before_contact(self) -> bool:
@@ -134,8 +135,8 @@ class Contact:
         """Result as a sentence for the user, in mm and N; see `in_words`."""
         return self.in_words()
 
-    def get_motion_and_force_from_contact(self, displacement: np.ndarray, force: np.ndarray,
-                                          time: np.ndarray | None = None ) -> tuple[np.ndarray, np.ndarray]:
+    def subtract_contact_zero_and_drift(self, displacement: np.ndarray, force: np.ndarray,
+                                        time: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the displacement from contact, m, and the force without zero and drift, N, shapes (n,).
 
         Args:
@@ -204,7 +205,8 @@ def _find_contact_of_arrays(displacement: np.ndarray, force: np.ndarray, time: n
     """Return the contact in float arrays of equal shape; see `find_contact`."""
     loading = _LoadingUpToFirstHold.from_arrays(time, displacement, force)
     if (latest := loading.find_displacement_of_immediate_rise()) is not None:
-        return Contact("before", loading.start, (-np.inf, latest), loading.zero, noise=loading.noise, step=loading.step)
+        return Contact("before", loading.start_displacement, (-np.inf, latest), loading.zero, noise=loading.noise,
+                       step=loading.displacement_step)
     recorded, loading = loading, loading.averaged_loading
     terms = _SETTINGS.terms
     part, chance = _choose_window_and_misfit_p(loading.list_fit_windows_longest_first(), terms, exponents)
@@ -213,9 +215,10 @@ def _find_contact_of_arrays(displacement: np.ndarray, force: np.ndarray, time: n
     fitted = ChangePointFit(part, terms + 1, exponents, fitted.estimate_noise_correlation(*best))
     found = _build_contact(loading, fitted, fitted.compute_likelihood_profile(best),
                            adequate=chance > _SETTINGS.doubtful)
-    each = round(loading.step / recorded.step)
+    each = round(loading.displacement_step / recorded.displacement_step)
     index = int(np.argmax(displacement > found.displacement)) if found.index else 0
-    return replace(found, index=index, step=recorded.step, air=each * found.air, loading=each * found.loading,
+    return replace(found, index=index, step=recorded.displacement_step, air=each * found.air,
+                   loading=each * found.loading,
                    noise=found.noise * float(np.sqrt(each)))
 
 
@@ -250,7 +253,7 @@ def _compute_misfit_p_and_residual_deviation(part: LoadingWindow, terms: int,
     """Return the p value of a chance misfit of the law in a window, and the residual's standard deviation, N."""
     from scipy import special
 
-    part = part.window_of_averaged_samples
+    part = part.coarse_window
     fitted = ChangePointFit(part, terms, exponents)
     best = fitted.estimate_contact_and_exponent_coarsely()
     richer = ChangePointFit(part, terms + 2, exponents, half=True)
@@ -272,7 +275,7 @@ def _build_contact(loading: _LoadingUpToFirstHold, fitted: ChangePointFit, profi
     straight, freedom = fitted.compute_sum_of_squares_without_contact(), fitted.freedom
     ratio = max(straight - profile.smallest_sum_of_squares, 0.0) / (fitted.terms + 2) / profile.variance
     low, high = profile.confidence_interval
-    coefficients = fitted.fit_linear_coefficients(place, power)
+    coefficients = fitted.store_design_and_fit_coefficients(place, power)
     deviation = float(np.std(fitted.compute_force_residual(place, power)))
     first = int(np.argmax(part.displacement > place)) if part.displacement[-1] > place else part.displacement.size
     span = (part.time[-1] - part.time[0]) or 1.0
@@ -282,7 +285,8 @@ def _build_contact(loading: _LoadingUpToFirstHold, fitted: ChangePointFit, profi
         zero = fitted.fit_zero_minus_first_force_without_drift(place, power) + float(part.force[0])
         drift, error = 0.0, 0.0
     found = Contact("found", float(place), (float(low), float(high)), zero, drift,
-                    int(np.argmax(loading.whole.displacement > place)), float(power), deviation, loading.step, first,
+                    int(np.argmax(loading.whole.displacement > place)), float(power), deviation,
+                    loading.displacement_step, first,
                     part.displacement.size - first, adequate, error)
     if special.fdtrc(fitted.terms + 2, freedom, ratio) > _SETTINGS.no_contact:
         rises = float(loading.smooth.max()) - loading.zero > _SETTINGS.least_rise * max(loading.noise, deviation)
@@ -294,17 +298,17 @@ def _build_contact(loading: _LoadingUpToFirstHold, fitted: ChangePointFit, profi
     risen = loading.smooth - loading.zero > _SETTINGS.drift_rise * max(loading.noise, deviation)
     latest = loading.whole.displacement[min(int(np.flatnonzero(~risen).max(initial=-1)) + 1, risen.size - 1)]
     no_air = replace(found, status="before", interval=(-np.inf, max(float(high), float(latest))), index=0)
-    in_air, after = place - loading.start, part.displacement[-1] - place
+    in_air, after = place - loading.start_displacement, part.displacement[-1] - place
     rise = coefficients[1] * (part.time[min(first, part.time.size - 1)] - part.time[0]) / span
     gain = float(np.mean(part.force[-3:])) - part.force[0] - coefficients[0] - rise
     steep = in_air > 0 and after > 0 and rise / in_air > _SETTINGS.drift_slope * gain / after
     if rise > _SETTINGS.drift_rise * deviation and (
             steep or rise > _SETTINGS.drift_fraction * float(np.ptp(loading.smooth))):
-        found = replace(no_air, displacement=loading.start, drift=0.0, drift_error=0.0, exponent=np.nan)
+        found = replace(no_air, displacement=loading.start_displacement, drift=0.0, drift_error=0.0, exponent=np.nan)
     elif np.isneginf(low) or first < _SETTINGS.fewest_in_air:
         found = no_air
     low, high = found.interval
-    width = high - (low if found.has_air_before_contact else loading.start)
+    width = high - (low if found.has_air_before_contact else loading.start_displacement)
     unclear = width > _SETTINGS.unclear_interval * reach or not (found.has_air_before_contact or adequate)
     return replace(found, status="unclear") if unclear else found
 
@@ -326,14 +330,14 @@ class _LoadingUpToFirstHold:
     noise: float
 
     @property
-    def step(self) -> float:
+    def displacement_step(self) -> float:
         """Displacement between two samples, m."""
-        return self.whole.step
+        return self.whole.displacement_step
 
     @property
-    def start(self) -> float:
+    def start_displacement(self) -> float:
         """Displacement at the start of the motion, m."""
-        return self.whole.start
+        return self.whole.start_displacement
 
     @classmethod
     def from_arrays(cls, time: np.ndarray, displacement: np.ndarray, force: np.ndarray) -> _LoadingUpToFirstHold:
@@ -367,7 +371,7 @@ class _LoadingUpToFirstHold:
 
     def find_displacement_of_immediate_rise(self) -> float | None:
         """Return the displacement, m, of a clear rise of the force in the first moves; None without such a rise."""
-        first = int(np.argmax(self.whole.displacement > self.start)) - 1
+        first = int(np.argmax(self.whole.displacement > self.start_displacement)) - 1
         before = np.median(self.whole.force[:max(first, 0) + 1])
         risen = self.whole.force[max(first, 0):][:_SETTINGS.fewest_in_air + 1] - before
         clear = risen > _SETTINGS.immediate_rise * self.noise

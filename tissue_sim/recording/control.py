@@ -10,14 +10,14 @@ from typing import Literal
 import numpy as np
 
 from tissue_sim.recording.oscillation import Oscillation, find_final_oscillation_or_none
-from tissue_sim.recording.saturation import find_common_divisor_or_zero
+from tissue_sim.recording.saturation import find_last_digit_step_or_zero
 from tissue_sim.recording.screening import SCREENING, ControlledQuantityFindings
 from tissue_sim.recording.segmentation import label_samples_ramp_hold_unload
 
 
 @dataclass(frozen=True)
-class ControlSettings:
-    """Settings of `analyse_control_and_creep` and `find_creep_intervals`.
+class ControlledQuantitySettings:
+    """Settings of `detect_controlled_quantity_and_creep` and `find_creep_intervals`.
 
     Attributes:
         fewest: fewest samples of a hold.
@@ -56,11 +56,11 @@ class ControlSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = ControlSettings()
+_SETTINGS = ControlledQuantitySettings()
 
 
-def analyse_control_and_creep(motion: np.ndarray, load: np.ndarray,
-                              time: np.ndarray | None = None) -> ControlledQuantityFindings:
+def detect_controlled_quantity_and_creep(motion: np.ndarray, load: np.ndarray,
+                                         time: np.ndarray | None = None) -> ControlledQuantityFindings:
     """Recognise the controlled quantity, and the relaxation or creep of the material in holds.
 
     Args:
@@ -71,7 +71,7 @@ def analyse_control_and_creep(motion: np.ndarray, load: np.ndarray,
     if motion.size > _SETTINGS.most_samples:
         every = -(-motion.size // _SETTINGS.most_samples)
         clock = np.arange(motion.size, dtype=float) if time is None else time
-        found = analyse_control_and_creep(motion[::every], load[::every], clock[::every])
+        found = detect_controlled_quantity_and_creep(motion[::every], load[::every], clock[::every])
         return replace(found, loading=min(every * found.loading, motion.size),
                        equal_samples=every * found.equal_samples)
     clock = np.arange(motion.size, dtype=float) if time is None else time
@@ -86,7 +86,7 @@ def analyse_control_and_creep(motion: np.ndarray, load: np.ndarray,
     rest = min(_estimate_load_at_rest(motion, load), float(np.median(load[:_SETTINGS.end_samples])))
     holds = list(_iterate_long_holds(label_samples_ramp_hold_unload(clock, motion)))
     relaxation, first, last = _find_largest_relaxed_fraction_and_hold(motion, load, holds, rest)
-    crept = [each for each in _iterate_creeping_holds_with_gain(motion, load, clock) if each[2] > SCREENING.creep]
+    crept = [each for each in _iterate_holds_with_relative_creep(motion, load, clock) if each[2] > SCREENING.creep]
     if crept:
         begin, end, creep = max(crept, key=lambda each: each[2])
         start = crept[0][0]
@@ -115,7 +115,7 @@ def _count_loads_equal_to_median(load: np.ndarray, first: int, last: int) -> int
     count = int(np.count_nonzero(load[first:last] == level))
     if count < max(_SETTINGS.fewest, _SETTINGS.equal * (last - first)):
         return 0
-    return count if 0.0 < find_common_divisor_or_zero(load) <= _SETTINGS.fine_digit * abs(level) else 0
+    return count if 0.0 < find_last_digit_step_or_zero(load) <= _SETTINGS.fine_digit * abs(level) else 0
 
 
 def find_creep_intervals(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None
@@ -134,7 +134,7 @@ def find_creep_intervals(motion: np.ndarray, load: np.ndarray, time: np.ndarray 
     clock = np.arange(motion.size, dtype=float) if time is None else time
     if motion.size < 2 * _SETTINGS.fewest or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
         return ()
-    return tuple((first, last) for first, last, gain in _iterate_creeping_holds_with_gain(motion, load, clock)
+    return tuple((first, last) for first, last, gain in _iterate_holds_with_relative_creep(motion, load, clock)
                  if gain > SCREENING.creep)
 
 
@@ -209,8 +209,8 @@ def _find_largest_relaxed_fraction_and_hold(motion: np.ndarray, load: np.ndarray
     return found
 
 
-def _iterate_creeping_holds_with_gain(motion: np.ndarray, load: np.ndarray,
-                                      clock: np.ndarray) -> Iterator[tuple[int, int, float]]:
+def _iterate_holds_with_relative_creep(motion: np.ndarray, load: np.ndarray,
+                                       clock: np.ndarray) -> Iterator[tuple[int, int, float]]:
     """Yield first sample, end and relative gain of the displacement for each hold of the load with creep."""
     rest = _estimate_load_at_rest(motion, load)
     span = max(float(load.max()), rest) - min(float(load.min()), rest)

@@ -125,7 +125,8 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
             test = _RampOrHold(displacement[first:last], force[first:last], speed[first:last],
                                speed[max(first - _SETTINGS.samples_before, 0):first], zero, float(np.ptp(force)), noise,
                                least_drop, MOTION_SETTINGS.straightness * float(np.ptp(displacement)))
-            candidates = (test.find_peak_of_ramp() if labels[first] == "ramp" else None, test.find_sudden_drop())
+            candidates = (test.find_peak_before_force_loss() if labels[first] == "ramp" else None,
+                          test.find_sudden_drop())
             peaks = [peak for peak in candidates if peak is not None]
             if not peaks:
                 break
@@ -163,20 +164,20 @@ class _RampOrHold:
     least: float
     tremor: float
 
-    def _compute_least_loss_after_each_peak(self, peak: np.ndarray) -> np.ndarray:
+    def _compute_failure_thresholds_of_peaks(self, peak: np.ndarray) -> np.ndarray:
         """Return for each peak the least loss of force, N, that is a failure; infinite for a peak that is too low."""
         risen = peak - min(self.zero, float(self.force[0]))
         return np.where(risen > max(_SETTINGS.least_rise * self.range, 2 * _SETTINGS.least_noise * self.noise),
                         np.maximum(self.least * risen, _SETTINGS.least_noise * self.noise), np.inf)
 
-    def find_peak_of_ramp(self) -> int | None:
+    def find_peak_before_force_loss(self) -> int | None:
         """Return the index of the peak before a loss of force in a motion that continues; None without such a peak."""
         if self.force.size < 4:
             return None
         smooth = _running_median_of_three(self.force)
         highest = np.maximum.accumulate(smooth)
         peak = np.maximum.accumulate(np.where(smooth >= highest, np.arange(smooth.size), 0))
-        lower = highest - smooth > self._compute_least_loss_after_each_peak(highest)
+        lower = highest - smooth > self._compute_failure_thresholds_of_peaks(highest)
         lower &= self.displacement >= self.displacement[peak]
         speed = np.append(self.before, self.speed)
         for place in np.flatnonzero(lower).tolist():
@@ -202,7 +203,7 @@ class _RampOrHold:
         # A tissue that relaxes loses force as soon as the motion slows down.
         after, speed = self.speed[at + _SETTINGS.sudden_samples], self.speed[at - _SETTINGS.sudden_samples]
         forward &= (after >= _SETTINGS.same_speed * speed) | (speed <= 0)
-        drops = np.flatnonzero((lost > self._compute_least_loss_after_each_peak(self.force[at])) & forward
+        drops = np.flatnonzero((lost > self._compute_failure_thresholds_of_peaks(self.force[at])) & forward
                                & (lost > _SETTINGS.sudden_ratio * before + _SETTINGS.least_noise * self.noise))
         if not drops.size:
             return None

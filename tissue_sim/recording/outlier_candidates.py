@@ -65,7 +65,7 @@ SETTINGS = OutlierSettings()
 
 
 @dataclass(frozen=True)
-class ScaleSettings:
+class RobustScaleSettings:
     """Settings of the running median and of the scale estimates.
 
     Attributes:
@@ -81,7 +81,7 @@ class ScaleSettings:
 
 
 #: Settings that the functions of this module use.
-_SCALE = ScaleSettings()
+_SCALE = RobustScaleSettings()
 
 
 class ChannelOutlierSearch:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.recording.saturation import find_common_divisor_or_zero
+from tissue_sim.recording.saturation import find_last_digit_step_or_zero
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,6 @@ def find_rounding_step_or_zero(values: np.ndarray) -> float:
         return 0.0
     counts = np.round(steps / steps.min())
     step = float(steps.sum() / counts.sum())
-    digit = find_common_divisor_or_zero(values)
+    digit = find_last_digit_step_or_zero(values)
     allowed = max(_SETTINGS.whole * step, 1.5 * digit if digit < _SETTINGS.fine_digit * step else 0.0)
     return step if np.abs(steps - counts * step).max() <= allowed else 0.0

@@ -44,7 +44,7 @@ SETTINGS = SaturationSettings()
 
 @dataclass(frozen=True)
 class LastDigitSettings:
-    """Settings of `find_common_divisor_or_zero`.
+    """Settings of `find_last_digit_step_or_zero`.
 
     Attributes:
         exact: error of a difference, in units of the floating-point spacing of the largest value.
@@ -119,7 +119,7 @@ def _is_noisy_before_run(run: SaturatedRun, values: np.ndarray, rounding: float,
     if run.first < settings.noise_from:
         return False
     before = values[:run.first]
-    digit = max(find_common_divisor_or_zero(values), rounding)
+    digit = max(find_last_digit_step_or_zero(values), rounding)
     # The third differences of a smooth curve are small, so that they show the noise alone.
     noise = float(np.median(np.abs(np.diff(before, 3)))) / (0.6745 * np.sqrt(20.0))
     return 0.0 < settings.noisy * digit <= noise
@@ -141,7 +141,7 @@ def _compute_apparent_change_in_last_digits(count: int, settings: SaturationSett
     return 4.0 + 4.0 * (settings.before + 1) / (count - 1)
 
 
-def find_common_divisor_or_zero(values: np.ndarray) -> float:
+def find_last_digit_step_or_zero(values: np.ndarray) -> float:
     """Return the largest step of which all differences of the values are whole multiples, in double precision.
 
     The method is Euclid's algorithm for the greatest common divisor of the differences of neighbours. Values that were

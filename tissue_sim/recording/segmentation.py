@@ -16,7 +16,7 @@ from tissue_sim.recording.recording import Recording
 
 
 @dataclass(frozen=True)
-class MotionSettings:
+class MotionSegmentationSettings:
     """Settings of the division of a motion into segments.
 
     Attributes:
@@ -36,7 +36,7 @@ class MotionSettings:
 
 
 #: Settings that the functions of this module use.
-MOTION_SETTINGS = MotionSettings()
+MOTION_SETTINGS = MotionSegmentationSettings()
 #: Labels of segments that load.
 _LOADING_LABELS = ("approach", "ramp", "load")
 #: Labels of segments that unload.
@@ -119,7 +119,7 @@ def label_samples_ramp_hold_unload(time: np.ndarray, displacement: np.ndarray, t
         time: time, s, shape (n,).
         displacement: displacement, m, shape (n,).
         tolerance: half of the hysteresis, m; None: the fraction
-            `MotionSettings.straightness` of the travel, for a machine.
+            `MotionSegmentationSettings.straightness` of the travel, for a machine.
         shortest_hold: shortest hold, s; a shorter hold belongs to the previous segment.
     """
     tolerance = MOTION_SETTINGS.straightness * np.ptp(displacement) if tolerance is None else tolerance
@@ -163,7 +163,7 @@ def label_reloads_and_cycles(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return labels, cycles
 
 
-def number_repeated_runs(labels: np.ndarray) -> np.ndarray:
+def append_numbers_to_repeated_runs(labels: np.ndarray) -> np.ndarray:
     """Return the labels with a number for each repeated run: ``ramp``, ``unload``, ``ramp 2``; shape (n,)."""
     begins = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
     seen: dict[str, int] = {}

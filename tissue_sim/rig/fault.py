@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from tissue_sim.parameters import make_declared_class_predicate
+from tissue_sim.parameters import make_parameter_dataclass_predicate
 from tissue_sim.recording.recording import Recording
 from tissue_sim.registry import Registry
 
@@ -50,5 +50,5 @@ class RigFault:
 #: Name -> class of a fault.
 FAULTS: Registry[type[RigFault]] = Registry(
     "fault of a rig", "tissue_sim.rig_faults", {"inertia": "tissue_sim.rig.inertia:Inertia"},
-    accepts=make_declared_class_predicate(RigFault),
+    accepts=make_parameter_dataclass_predicate(RigFault),
     expected="a frozen dataclass that derives from tissue_sim.RigFault and declares its parameters")

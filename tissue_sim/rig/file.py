@@ -16,7 +16,7 @@ from tissue_sim.decode import (
     require_valid_json_values,
 )
 from tissue_sim.errors import located_and_converted_errors
-from tissue_sim.parameters import convert_to_file_keys, list_field_declarations, make_from_file_keys
+from tissue_sim.parameters import convert_to_file_values, list_field_declarations, make_from_file_values
 from tissue_sim.rig.fault import FAULTS
 from tissue_sim.rig.rig import Rig
 
@@ -55,13 +55,13 @@ def write_rig(rig: Rig, path: str | Path) -> None:
         >>> load_rig("bench.rig.json") == bench
         True
     """
-    absent = convert_to_file_keys(Rig())
+    absent = convert_to_file_values(Rig())
     data: dict[str, Any] = {"schema": SCHEMA}
-    data |= {key: value for key, value in convert_to_file_keys(rig).items() if value != absent.get(key)}
+    data |= {key: value for key, value in convert_to_file_values(rig).items() if value != absent.get(key)}
     if rig.seed:
         data["seed"] = int(rig.seed)
     if rig.faults:
-        data["faults"] = {name: convert_to_file_keys(fault) for name, fault in rig.faults.items()}
+        data["faults"] = {name: convert_to_file_values(fault) for name, fault in rig.faults.items()}
     with located_and_converted_errors(file=path):
         require_valid_json_values(data)
     write_text(path, json.dumps(data, indent=2) + "\n")
@@ -73,6 +73,6 @@ def _decode_rig(data) -> Rig:
     file = decode_struct(data, _RigFile)
     require_valid_json_values(data)
     stated = {key: number for key in _KEYS if (number := getattr(file, key)) is not None}
-    faults = {name: make_from_file_keys(FAULTS.find(name, f"faults.{name}"), content, f"faults.{name}")
+    faults = {name: make_from_file_values(FAULTS.find(name, f"faults.{name}"), content, f"faults.{name}")
               for name, content in (file.faults or {}).items()}
-    return make_from_file_keys(Rig, stated, "", seed=file.seed, faults=faults)
+    return make_from_file_values(Rig, stated, "", seed=file.seed, faults=faults)

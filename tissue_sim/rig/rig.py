@@ -14,7 +14,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.parameters import list_field_declarations, parameter
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import OldName, with_old_names
 from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.backlash import compute_nut_positions_and_screw_samples
 from tissue_sim.rig.fault import RigFault
@@ -42,13 +42,17 @@ def _declare_rig_effect(acts_on: str, symbol: str, unit: str, key: str, factor: 
     return field(default=0.0, metadata={**entry.metadata, _ACTS_ON: acts_on})
 
 
+@with_old_names(motion_only="with_motion_effects_only", reading_only="with_reading_effects_only",
+                without_noise="without_sampling_effects", apply="apply_motion_effects",
+                tool_motion="compute_unloaded_tool_displacement")
 @dataclass(frozen=True, kw_only=True)
 class Rig:
     """Effects of the load frame and the sensor. `Rig()` is ideal; 0 (None for the rate) means that an effect is absent.
 
-    The protocol of a model is the motion D that the stage reports. The tool is at d = tool_motion(D) - compliance F(d).
-    The sensor reads, `latency` seconds later, (1 + sensor_gain) (F + guide_friction sign(v) + rate_damping v) +
-    zero_offset + sensor_drift t + noise, with the speed v of the reported motion.
+    The protocol of a model is the motion D that the stage reports. The tool is at d =
+    compute_unloaded_tool_displacement(D) - compliance F(d). The sensor reads, `latency` seconds later, (1 +
+    sensor_gain) (F + guide_friction sign(v) + rate_damping v) + zero_offset + sensor_drift t + noise, with the speed v
+    of the reported motion.
 
     Attributes:
         contact_offset: reported displacement at the true touch, m.
@@ -127,19 +131,19 @@ class Rig:
         return replace(self, seed=0, step_loss_depth=0.0, noise_correlation_time=0.0) == Rig()
 
     @property
-    def motion_only(self) -> Rig:
+    def with_motion_effects_only(self) -> Rig:
         """Rig with the effects on the motion of the tool only."""
         return self._select_effects_on_targets(_TOOL,
                                                faults=[fault for fault in self.faults.values() if fault.moves_tool])
 
     @property
-    def reading_only(self) -> Rig:
+    def with_reading_effects_only(self) -> Rig:
         """Rig with the effects on the reading of forces only, without noise."""
         return self._select_effects_on_targets(_READING,
                                                faults=[fault for fault in self.faults.values() if fault.reads])
 
     @property
-    def without_noise(self) -> Rig:
+    def without_sampling_effects(self) -> Rig:
         """Rig without noise, resolution and sampling rate."""
         return self._select_effects_on_targets(_TOOL, _READING, faults=self.faults)
 
@@ -162,7 +166,7 @@ class Rig:
         # The tolerance keeps the last sample despite rounding.
         return int((time[-1] - time[0]) * self.sampling_rate + 1e-6) + 1
 
-    def tool_motion(self, displacement) -> np.ndarray:
+    def compute_unloaded_tool_displacement(self, displacement) -> np.ndarray:
         """Return the displacement of the tool, m, for reported displacements, if the load train is rigid.
 
         Args:
@@ -175,13 +179,13 @@ class Rig:
             self._apply_faults_to_motion(np.asarray(displacement, dtype=float)))
         return compute_nut_positions_and_screw_samples(screw, self.backlash)[0]
 
-    def apply(self, recording: Recording) -> Recording:
+    def apply_motion_effects(self, recording: Recording) -> Recording:
         """Return the recording with the true force under this rig for the same reported motion; no new simulation.
 
         Let E(d) be the force on first loading. The ideal recording is F = R E(D), where R contains the effect of
         history (relaxation, unloading, friction, softening). The result is F = R E(d) with R at the same time and
-        d + compliance F = `tool_motion`. It is exact, except for interpolation between samples, for a material without
-        history; with history it is an approximation for tool motions that differ little from D.
+        d + compliance F = `compute_unloaded_tool_displacement`. It is exact, except for interpolation between samples,
+        for a material without history; with history it is an approximation for tool motions that differ little from D.
 
         Args:
             recording: recording of an ideal rig, computed at d = D.
@@ -245,11 +249,11 @@ class Rig:
                                       force=_round_to_resolution(force, self.force_resolution))
 
     def measure(self, recording: Recording) -> Recording:
-        """Return the report of this rig for an ideal recording of the same reported motion: `apply`, then `read`.
+        """Return the report of this rig for an ideal recording: `apply_motion_effects`, then `read`.
 
         An ideal rig returns the recording itself.
         """
-        return self.read(self.apply(recording))
+        return self.read(self.apply_motion_effects(recording))
 
     def _apply_faults_to_motion(self, reported: np.ndarray) -> np.ndarray:
         """Return the displacement of the lead screw, m, after the faults of `faults` that move the tool."""

@@ -48,9 +48,9 @@ class Block(Specimen):
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
         """Make the mesh of hexahedra; see `Specimen.solid_mesh`."""
-        from tissue_sim.mesh.block import block_under_plate, block_under_tool
+        from tissue_sim.mesh.block import create_block_mesh_under_plate, create_block_mesh_under_tool
 
-        mesh = block_under_plate if grading.radius is None else block_under_tool
+        mesh = create_block_mesh_under_plate if grading.radius is None else create_block_mesh_under_tool
         return mesh(self.length, self.width, self.height, grading)
 
     def moved_mesh(self, mesh: SolidMesh, before: Specimen, circles: tuple[Circle, Circle]) -> SolidMesh:

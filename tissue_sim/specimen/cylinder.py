@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter
-from tissue_sim.specimen.specimen import Specimen, add_article
+from tissue_sim.specimen.specimen import Specimen, add_indefinite_article
 
 if TYPE_CHECKING:
     from tissue_sim.mesh.grading import Grading
@@ -72,6 +72,7 @@ def require_cylinder(specimen: Specimen, who: str, instead: str = 'take the solv
         InputError: the specimen is not a cylinder.
     """
     if not isinstance(specimen, Cylinder):
-        raise InputError(f"{who} requires a cylinder; the specimen is {add_article(specimen.shape)}; {instead}",
+        raise InputError(f"{who} requires a cylinder; the specimen is {add_indefinite_article(specimen.shape)}; "
+                         f"{instead}",
                          field="specimen.shape")
     return specimen

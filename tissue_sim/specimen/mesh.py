@@ -70,7 +70,8 @@ class MeshSpecimen(Specimen):
     @property
     def _equality_key(self) -> tuple:
         """Values that determine equality and hash: digest of the file and all other fields except the path."""
-        return (self.digest, self.mesh_unit, self.mesh_base, self.mesh_top, self.name, self.density, self.gravity,
+        return (self.digest_of_files, self.mesh_unit, self.mesh_base, self.mesh_top, self.name, self.density,
+                self.gravity,
                 self.height_is)
 
     @cached_property
@@ -91,7 +92,7 @@ class MeshSpecimen(Specimen):
         return self._mesh
 
     @cached_property
-    def digest(self) -> str:
+    def digest_of_files(self) -> str:
         """SHA-256 of the bytes of the mesh file."""
         return self._mesh.digest
 

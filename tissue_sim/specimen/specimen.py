@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from tissue_sim.errors import InputError, require_positive_length
 from tissue_sim.files import read_bytes
 from tissue_sim.parameters import Declaration, list_field_declarations, parameter
-from tissue_sim.public_names import OldName, adopt_old_names
+from tissue_sim.public_names import OldName, rename_old_members_of_subclass, with_old_names
 from tissue_sim.registry import Registry
 
 if TYPE_CHECKING:
@@ -43,15 +43,17 @@ class _ShapeChoosingSpecimenMeta(type):
         unknown = [name for name in named if name not in entries]
         if unknown or len(values) > len(entries):
             what = _replace_underscores_by_blanks(unknown[0]) if unknown else "more sizes"
-            raise InputError(f"{add_article(kind.shape)} has no {what}; leave it out",
+            raise InputError(f"{add_indefinite_article(kind.shape)} has no {what}; leave it out",
                              field=f"specimen.{unknown[0] if unknown else 'shape'}")
         named |= zip(entries, values, strict=False)
         for name, entry in entries.items():
             if entry.default is entry.default_factory is MISSING and named.get(name) is None:
-                raise InputError(f"{add_article(kind.shape)} needs {add_article(name)}", field=f"specimen.{name}")
+                raise InputError(f"{add_indefinite_article(kind.shape)} needs {add_indefinite_article(name)}",
+                                 field=f"specimen.{name}")
         return type.__call__(kind, **named)
 
 
+@with_old_names(digest="digest_of_files", stated="values_by_file_key")
 @dataclass(frozen=True, kw_only=True)
 class Specimen(metaclass=_ShapeChoosingSpecimenMeta):
     """A body of the material that stands on its base; the origin is the middle of its top, z points out of the body.
@@ -108,7 +110,7 @@ class Specimen(metaclass=_ShapeChoosingSpecimenMeta):
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
-        adopt_old_names(cls, {"depth_at": "vertical_thickness"})
+        rename_old_members_of_subclass(cls, {"depth_at": "vertical_thickness"})
 
     def __post_init__(self):
         for name, what in list_field_declarations(type(self)).items():
@@ -138,7 +140,8 @@ class Specimen(metaclass=_ShapeChoosingSpecimenMeta):
         Raises:
             InputError: the body is not a prism.
         """
-        raise InputError(f"{add_article(self.shape)} has no constant cross-section and no closed form; use the solver "
+        raise InputError(f"{add_indefinite_article(self.shape)} has no constant cross-section and no closed form; use "
+                         f"the solver "
                          "\"solid\" (--solid)", field="specimen.shape")
 
     @property
@@ -148,19 +151,19 @@ class Specimen(metaclass=_ShapeChoosingSpecimenMeta):
                 for name, what in list_field_declarations(type(self)).items() if name not in _COMMON}
 
     @property
-    def stated(self) -> dict[str, float | str]:
+    def values_by_file_key(self) -> dict[str, float | str]:
         """Sizes and texts that define the specimen: key in files -> value."""
         words = {key: value for key, name in self.texts.items() if (value := getattr(self, name)) is not None}
         return {**self.sizes, **{key: str(value) for key, value in words.items()}}
 
     @cached_property
-    def digest(self) -> str:
+    def digest_of_files(self) -> str:
         """SHA-256 of the files of the specimen; "" without files.
 
         Raises:
             InputError: a file cannot be read.
         """
-        content = [read_bytes(getattr(self, self.texts[key]), f"the {key} of {add_article(self.shape)}")
+        content = [read_bytes(getattr(self, self.texts[key]), f"the {key} of {add_indefinite_article(self.shape)}")
                    for key in self.paths]
         return hashlib.sha256(b"".join(content)).hexdigest() if content else ""
 
@@ -212,7 +215,8 @@ class Specimen(metaclass=_ShapeChoosingSpecimenMeta):
         Raises:
             InputError: the shape does not support this.
         """
-        raise InputError(f"the mesh of {add_article(self.shape)} cannot be moved to another geometry; do not fit "
+        raise InputError(f"the mesh of {add_indefinite_article(self.shape)} cannot be moved to another geometry; do "
+                         f"not fit "
                          "sizes of the specimen or of its tool", field="topology")
 
 
@@ -225,7 +229,7 @@ def _replace_underscores_by_blanks(name: str) -> str:
     return name.replace("_", " ")
 
 
-def add_article(name: str) -> str:
+def add_indefinite_article(name: str) -> str:
     """Return the name of a shape or a size with its indefinite article: ``an ellipsoid shell``."""
     return f"{'an' if name[0] in 'aeiou' else 'a'} {_replace_underscores_by_blanks(name)}"
 
@@ -288,13 +292,14 @@ def specimen_texts() -> dict[str, tuple[str, ...]]:
     for shape, kind in SPECIMENS.items():
         for key in kind.texts:
             if key in specimen_sizes():
-                raise InputError(f"{add_article(shape)} uses the key {key} for a text and another shape for a size; "
+                raise InputError(f"{add_indefinite_article(shape)} uses the key {key} for a text and another shape "
+                                 f"for a size; "
                                  "rename one of them", field="tissue_sim.specimens")
             found[key] = (*found.get(key, ()), shape)
     return found
 
 
-def get_required_flags_of_shape_keys(shape: str) -> dict[str, bool]:
+def map_shape_keys_to_required(shape: str) -> dict[str, bool]:
     """Return key in files -> whether the key is required, for the sizes and texts of a shape."""
     kind = SPECIMENS.find(shape, "specimen.shape")
     usual = {entry.name: entry.default is not MISSING for entry in fields(kind)}

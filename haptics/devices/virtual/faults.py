@@ -6,7 +6,7 @@ import math
 import random
 from dataclasses import dataclass
 
-from haptics.devices.settings import read_settings
+from haptics.devices.settings import parse_number_settings
 from tissue_sim.errors import InputError
 
 #: Default of the times of faults, s: never. A setting must be a finite number.
@@ -68,9 +68,9 @@ def parse_faults(text: str) -> Faults:
     Raises:
         InputError: A name is unknown, or a value is outside its range.
     """
-    given = read_settings(text, loss=0.0, duplicate=0.0, reorder=0.0, garble=0.0, delay_ms=0.0,
-                          disconnect_after_s=_NEVER, saturate_after_s=_NEVER, stall_after_s=_NEVER,
-                          drift_N_per_s=0.0, seed=0)
+    given = parse_number_settings(text, loss=0.0, duplicate=0.0, reorder=0.0, garble=0.0, delay_ms=0.0,
+                                  disconnect_after_s=_NEVER, saturate_after_s=_NEVER, stall_after_s=_NEVER,
+                                  drift_N_per_s=0.0, seed=0)
     return Faults(given["loss"], given["duplicate"], given["reorder"], given["garble"], given["delay_ms"] * 1e-3,
                   given["disconnect_after_s"], given["saturate_after_s"], given["stall_after_s"],
                   given["drift_N_per_s"], int(given["seed"]))

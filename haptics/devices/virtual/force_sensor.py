@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
-from haptics.devices.settings import read_settings
+from haptics.devices.settings import parse_number_settings
 from tissue_sim.errors import InputError
 
 
@@ -91,16 +91,15 @@ class VirtualForceSensor(ForceSensor):
         return counts, SampleStatus.GOOD if list(counts) == unclipped else SampleStatus.SATURATED
 
 
-def open_constant_load_sensor(text: str) -> VirtualForceSensor:
+def make_constant_load_sensor(text: str) -> VirtualForceSensor:
     """Make a sensor with one constant load from ``rate_hz=1000,resolution_N=0.001,range_N=50,load_N=0``."""
-    given = read_settings(text, rate_hz=1000.0, resolution_N=1e-3, range_N=50.0, load_N=0.0)
+    given = parse_number_settings(text, rate_hz=1000.0, resolution_N=1e-3, range_N=50.0, load_N=0.0)
     return VirtualForceSensor(_ConstantLoadFunction(given["load_N"]), rate=given["rate_hz"],
                               resolution=given["resolution_N"], reach=given["range_N"])
 
 
 class _ConstantLoadFunction:
     """A function of time that returns a constant load, N; a class, so that the sensor can be pickled."""
-
 
     def __init__(self, load: float):
         self._load = (load,)

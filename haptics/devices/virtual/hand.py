@@ -6,7 +6,7 @@ import cmath
 import math
 from typing import Any
 
-from haptics.devices.back_ends import open_motion
+from haptics.devices.back_ends import make_motion
 from haptics.devices.contracts import HapticDevice, Motion
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.approach import Approach
@@ -155,6 +155,6 @@ class VirtualHand(HapticDevice):
                 "damping_N_s_m": self._damping, "grip_N_m": self._grip, "push_N": self._push}
 
 
-def open_virtual_hand_following_motion(text: str) -> VirtualHand:
+def make_virtual_hand_following_motion(text: str) -> VirtualHand:
     """Make a simulated hand that follows the motion named in `text`, as ``random:seed=3``; by default ``hand``."""
-    return VirtualHand(open_motion(text or "hand"))
+    return VirtualHand(make_motion(text or "hand"))

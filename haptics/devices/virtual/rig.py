@@ -47,7 +47,7 @@ STAGE_LIMITS = StageLimits(-0.05, 0.03, 0.02)
 
 @dataclass(frozen=True)
 class CurveTableSettings:
-    """Resolution of an `ElasticSpecimen`'s force-depth curve."""
+    """Resolution of an `ElasticSpecimenForceModel`'s force-depth curve."""
 
     #: Number of simulated depths; a monotone cubic interpolates between them.
     points: int = 41
@@ -57,14 +57,14 @@ class CurveTableSettings:
     extent: float = 1.2
 
 
-#: Resolution of all `ElasticSpecimen`s.
+#: Resolution of all `ElasticSpecimenForceModel`s.
 _TABLE = CurveTableSettings()
 
 
-class Specimen(Protocol):
+class SpecimenForceModel(Protocol):
     """Interface of a simulated specimen: force on the tool for time and depth."""
 
-    def force(self, time: float, depth: float) -> float:
+    def advance_and_get_force(self, time: float, depth: float) -> float:
         """Return the force on the tool, N.
 
         Args:
@@ -73,7 +73,7 @@ class Specimen(Protocol):
         """
 
 
-class ElasticSpecimen:
+class ElasticSpecimenForceModel:
     """Force-depth curve of an elastic specimen, from one converged simulation of its loading; unloading is the same.
 
     The curve includes the rig's compliance. A monotone cubic interpolates between simulated depths and its tangent
@@ -85,13 +85,14 @@ class ElasticSpecimen:
         resolution: Resolution of the simulation, as in `tissue_sim.simulate`.
 
     Raises:
-        InputError: Material or contact depend on the loading history; use `HistoryDependentSpecimen`.
+        InputError: Material or contact depend on the loading history; use `HistoryDependentForceModel`.
     """
 
     def __init__(self, model: Model, depth: float, resolution: str = "accurate"):
         if model.is_path_dependent:
-            raise InputError("the material must be independent of the loading history for an ElasticSpecimen; make a "
-                             "HistoryDependentSpecimen", field="model")
+            raise InputError("the material must be independent of the loading history for an "
+                             "ElasticSpecimenForceModel; make a "
+                             "HistoryDependentForceModel", field="model")
         ideal = replace(model, experiment=replace(model.experiment, protocol=Motion.ramp(depth, _TABLE.points)),
                         rig=Rig())
         curve = FirstLoadingCurveWithHistory(simulate(ideal, resolution=resolution, estimate_error=False))
@@ -99,7 +100,7 @@ class ElasticSpecimen:
         motion = self._step * np.arange(_TABLE.intervals + 1)
         self._forces = curve.solve_force_on_compliant_rig(motion, model.rig.compliance, np.zeros(motion.size)).tolist()
 
-    def force(self, time: float, depth: float) -> float:
+    def advance_and_get_force(self, time: float, depth: float) -> float:
         """Return the force, N, at a depth, m, by linear interpolation in the table; 0 above the surface."""
         if depth <= 0.0:
             return 0.0
@@ -109,7 +110,7 @@ class ElasticSpecimen:
         return lower + (index - below) * (upper - lower)
 
 
-class HistoryDependentSpecimen:
+class HistoryDependentForceModel:
     """Force of a specimen with relaxation, softening or friction, by one simulator step per call.
 
     Args:
@@ -128,7 +129,7 @@ class HistoryDependentSpecimen:
         self._simulator.warm_up()
         self._time: float | None = None
 
-    def force(self, time: float, depth: float) -> float:
+    def advance_and_get_force(self, time: float, depth: float) -> float:
         """Step the simulation to a time, s, and a depth, m, and return the force, N.
 
         Raises:
@@ -153,7 +154,7 @@ class VirtualRig:
     change the reading. The specimen accounts for the compliance.
 
     Args:
-        specimen: Specimen under the tool.
+        specimen: SpecimenForceModel under the tool.
         rig: Errors of the rig; None: none.
         surface: Stage position at first contact without `Rig.contact_offset`, m.
         limits: Travel and top speed of the stage.
@@ -171,7 +172,7 @@ class VirtualRig:
         InputError: The rig has added faults or a sampling rate, or ``Fz`` is not among the channels.
     """
 
-    def __init__(self, specimen: Specimen, rig: Rig | None = None, *, surface: float = 2e-3,
+    def __init__(self, specimen: SpecimenForceModel, rig: Rig | None = None, *, surface: float = 2e-3,
                  limits: StageLimits = STAGE_LIMITS, start_at: float = -5e-3, channels: tuple[str, ...] = ("Fz",),
                  sign: int = 1, rate: float = 1000.0, reach: float = DEFAULTS.sensor_range,
                  resolution: float = DEFAULTS.sensor_resolution, encoder: bool = True, faults: Faults | None = None,
@@ -189,9 +190,9 @@ class VirtualRig:
         self._random = random.Random(rig.seed)
         #: Last noise, N, its time, s, and time of the first sample, s.
         self._noise, self._last, self._began = 0.0, -math.inf, math.inf
-        self._tool_motion = replace(rig.motion_only, compliance=0.0).tool_motion
+        self._tool_motion = replace(rig.with_motion_effects_only, compliance=0.0).compute_unloaded_tool_displacement
         self.stage = VirtualStage(limits, DEFAULTS.stage_step, start_at, clock, encoder, faults.stall_after)
-        self.sensor = VirtualForceSensor(self._compute_channel_loads, channels, rate, resolution, reach, clock,
+        self.sensor = VirtualForceSensor(self._advance_and_get_channel_loads, channels, rate, resolution, reach, clock,
                                          silent_after=faults.disconnect_after)
 
     @property
@@ -199,16 +200,16 @@ class VirtualRig:
         """The virtual sensor and the virtual stage of this rig as a `Bench`; neither is started here."""
         return Bench(self.sensor, self.stage)
 
-    def _compute_channel_loads(self, at: float) -> tuple[float, ...]:
+    def _advance_and_get_channel_loads(self, at: float) -> tuple[float, ...]:
         """Return the load of each channel, N, at a time on the clock, s; advances the specimen and the noise to it."""
         rig = self._rig
         self._began = min(self._began, at)
         delayed = at - rig.latency
         depth, before = self._compute_tool_depth(delayed), self._compute_tool_depth(delayed - DEFAULTS.speed_interval)
         speed = (depth - before) / DEFAULTS.speed_interval
-        force = self._specimen.force(delayed, depth)
+        force = self._specimen.advance_and_get_force(delayed, depth)
         force += rig.guide_friction * ((speed > 0) - (speed < 0)) + rig.rate_damping * speed
-        force = (1 + rig.sensor_gain) * force + rig.zero_offset + self._compute_noise_and_drift(at)
+        force = (1 + rig.sensor_gain) * force + rig.zero_offset + self._sample_noise_plus_drift(at)
         if at - self._began >= self._faults.saturate_after:
             force = 2 * self._reach
         return tuple(self._sign * force if axis == self._axis else 0.0 for axis in range(self._count))
@@ -221,7 +222,7 @@ class VirtualRig:
         """Return the stage's first position, reversals until a time, s, and position then, m; for the backlash."""
         return (*self.stage.list_first_and_reversal_positions(at), self.stage.compute_tool_position_with_stall(at))
 
-    def _compute_noise_and_drift(self, at: float) -> float:
+    def _sample_noise_plus_drift(self, at: float) -> float:
         """Return noise (a Gauss-Markov process) plus drift, N; advances the noise to a time on the clock, s."""
         rig, time_constant = self._rig, self._rig.noise_correlation_time
         if rig.force_noise:

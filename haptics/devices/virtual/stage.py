@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
-from haptics.devices.settings import read_settings
+from haptics.devices.settings import parse_number_settings
 from tissue_sim.errors import InputError
 
 #: Number of past motions that are kept for queries of past positions.
@@ -164,8 +164,8 @@ class VirtualStage(Stage):
             raise DeviceError("the virtual stage is not started; start it first")
 
 
-def open_stand_alone_virtual_stage(text: str) -> VirtualStage:
+def make_stand_alone_virtual_stage(text: str) -> VirtualStage:
     """Make a stage without a rig from ``lowest_mm=-50,highest_mm=50,top_speed_mm_s=50,resolution_mm=0.001``."""
-    given = read_settings(text, lowest_mm=-50.0, highest_mm=50.0, top_speed_mm_s=50.0, resolution_mm=1e-3)
+    given = parse_number_settings(text, lowest_mm=-50.0, highest_mm=50.0, top_speed_mm_s=50.0, resolution_mm=1e-3)
     limits = StageLimits.from_settings(given)
     return VirtualStage(limits, given["resolution_mm"] * 1e-3)

@@ -34,9 +34,9 @@ def run(arguments) -> int:
                             figures_format=arguments.figures_format,
                             workers=Workers(arguments.workers, arguments.dask))
     if arguments.json:
-        from calibration import to_json
+        from calibration import to_json_dictionary
 
-        print_json(to_json(results))
+        print_json(to_json_dictionary(results))
     else:
         from scenes.commands.calibrate.results import print_calibration_results
 

@@ -17,7 +17,7 @@ EXAMPLE = "tissue-sim design plan.toml --replicates 3 --workers 2"
 
 @dataclass(frozen=True)
 class ReplicateAndSampleDefaults:
-    """Defaults and limits of the flags, as of `calibration.design_experiments`.
+    """Defaults and limits of the flags, as of `calibration.evaluate_planned_experiments`.
 
     Attributes:
         replicates: recordings of each planned test.
@@ -52,14 +52,14 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
 
 def run(arguments) -> int:
     """Predict and print the accuracy of the planned experiments."""
-    from calibration import Workers, design_experiments
+    from calibration import Workers, evaluate_planned_experiments
     from scenes.commands.shared.progress import CampaignProgressDisplay
 
     with CampaignProgressDisplay(make_progress_console(quiet=arguments.json),
                                  lines=TaskLogLines(quiet=arguments.json)) as progress:
-        design = design_experiments(arguments.campaign, law=arguments.law, replicates=arguments.replicates,
-                                    samples=arguments.samples, progress=progress.show_task,
-                                    workers=Workers(arguments.workers, arguments.dask))
+        design = evaluate_planned_experiments(arguments.campaign, law=arguments.law, replicates=arguments.replicates,
+                                              samples=arguments.samples, progress=progress.show_task,
+                                              workers=Workers(arguments.workers, arguments.dask))
     if arguments.json:
         from msgspec import to_builtins
 

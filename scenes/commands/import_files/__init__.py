@@ -19,7 +19,7 @@ from scenes.commands.shared.parsing import (
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.specimen import specimen_sizes
-from tissue_sim.specimen.specimen import add_article, get_required_flags_of_shape_keys
+from tissue_sim.specimen.specimen import add_indefinite_article, map_shape_keys_to_required
 
 SUMMARY = "read data files of a test machine, detect their format and write a campaign file"
 EXAMPLE = "tissue-sim import gel_1.csv gel_2.csv gel_3.csv -o gel.toml --radius-mm 10 --height-mm 12"
@@ -133,7 +133,7 @@ def _make_import_options(arguments):
     from calibration.importing.imported import ImportOptions
     from tissue_sim.laws import LAWS
     from tissue_sim.recording.formats import FORMATS
-    from tissue_sim.recording.formats.guesses import ColumnHints
+    from tissue_sim.recording.formats.guesses import InterpretationOverrides
     from tissue_sim.units import get_si_factor_and_offset
 
     units, scales = _parse_channel_values(arguments.unit, "--unit"), _parse_channel_values(arguments.scale, "--scale")
@@ -154,12 +154,16 @@ def _make_import_options(arguments):
         LAWS.find(law, "--laws")
     if arguments.radius_mm is not None and arguments.area_mm2 is not None:
         raise InputError("cannot be combined with --radius-mm. Give one of them", field="--area-mm2")
-    hints = ColumnHints(_parse_channel_values(arguments.column, "--column"), units,
-                        {channel: _parse_positive_scale_factor(text) for channel, text in scales.items()},
-                        {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
-                        _parse_one_or_several_sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines,
-                        measures=_parse_channel_values(arguments.measure, "--measure"), decimal=arguments.decimal,
-                        curve=arguments.curve, one_material=arguments.one_material)
+    hints = InterpretationOverrides(_parse_channel_values(arguments.column, "--column"), units,
+                                        {channel: _parse_positive_scale_factor(text)
+                                         for channel, text in scales.items()},
+                                        {channel: int(sign) for channel, sign in signs.items()}, arguments.kind,
+                                        arguments.format,
+                                        _parse_one_or_several_sheets(arguments.sheet), arguments.delimiter,
+                                        arguments.skip_lines,
+                                        measures=_parse_channel_values(arguments.measure, "--measure"),
+                                        decimal=arguments.decimal,
+                                        curve=arguments.curve, one_material=arguments.one_material)
     specimen = _make_campaign_specimen_keys(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
     return ImportOptions(hints, specimen, test, laws, arguments.zero)
@@ -179,10 +183,10 @@ def _make_campaign_specimen_keys(arguments) -> dict[str, float | str]:
     keys = dict.fromkeys((*_GENERAL_SIZES, *specimen_sizes()))
     stated = {key: value for key in keys if (value := getattr(arguments, key)) is not None}
     shape = arguments.shape
-    allowed = _GENERAL_SIZES if shape is None else get_required_flags_of_shape_keys(shape)
+    allowed = _GENERAL_SIZES if shape is None else map_shape_keys_to_required(shape)
     if other := next((key for key in stated if key not in allowed), None):
         problem = f"is not a size of a cylinder. Add --shape {specimen_sizes()[other].shapes[0]}" if shape is None \
-            else f"is not a size of {add_article(shape)}. Leave this flag out"
+            else f"is not a size of {add_indefinite_article(shape)}. Leave this flag out"
         raise InputError(problem, field=f"--{other.replace('_', '-')}")
     return stated if shape is None else {"shape": shape, **stated}
 

@@ -232,11 +232,11 @@ def open_motion_or_haptic_device_from_flags(arguments, name: str, protocol, *, l
     Raises:
         InputError: unknown motion or device, or invalid settings.
     """
-    from haptics.devices.back_ends import open_haptic, open_motion
+    from haptics.devices.back_ends import make_haptic_device, make_motion
     from haptics.devices.motions import make_protocol_motion_repeated_if_closed
 
     if arguments.device:
-        return open_haptic(name)
+        return make_haptic_device(name)
     if name == "protocol":
         return make_protocol_motion_repeated_if_closed(protocol)
     depth = f"depth_mm={arguments.depth_mm or MOTION_FLAGS.depth_mm!r}" + ("" if lifts else ",lift=0")
@@ -244,7 +244,7 @@ def open_motion_or_haptic_device_from_flags(arguments, name: str, protocol, *, l
         "random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed},"
                   f"sideways_mm={arguments.sideways_mm or 0.0!r},turn_deg={arguments.turn_deg or 0.0!r}",
         "sine": f"sine:{depth},frequency_hz={arguments.frequency_hz!r}"}
-    return open_motion(motions_of_flags.get(name, name))
+    return make_motion(motions_of_flags.get(name, name))
 
 
 def make_force_rendering_from_flags(arguments, largest_force: float):
@@ -258,7 +258,7 @@ def make_force_rendering_from_flags(arguments, largest_force: float):
         InputError: the force limit exceeds that of the device, or damping is given without coupling stiffness.
     """
     from haptics.safety.coupling import VirtualCoupling
-    from haptics.safety.limits import ForceLimits
+    from haptics.safety.limits import ForceLimiter
     from haptics.safety.passivity import ReturnedEnergyCutoff
     from haptics.safety.rendering import ForceRendering
 
@@ -281,7 +281,7 @@ def make_force_rendering_from_flags(arguments, largest_force: float):
     passivity_damping = get_flag_or_device_default_or_zero(arguments.passivity_damping_N_s_m,
                                                            DEFAULTS.passivity_damping)
     energy_limit = arguments.energy_limit_J or (DEFAULTS.energy_limit if has_limit else math.inf)
-    return ForceRendering(ForceLimits(limit, arguments.force_rate_N), coupling,
+    return ForceRendering(ForceLimiter(limit, arguments.force_rate_N), coupling,
                           controller_damping=passivity_damping or None, energy_limit=ReturnedEnergyCutoff(energy_limit))
 
 
@@ -307,12 +307,12 @@ def run_loop_and_tell_if_interrupted(process, seconds: float, *, quiet: bool):
     with process, console.status("starting") as status:
         try:
             process.wait_until_ready(progress=status.update)
-            with process.ring() as ring:
+            with process.open_ring_reader() as ring:
                 live = LoopStatusLine(ring, seconds)
                 console.print(f"ring: {process.ring_path}", markup=False, soft_wrap=True)
                 while (report := process.wait(_UPDATE_INTERVAL)) is None:
                     if not console.quiet:
-                        status.update(live.format_ticks_since_last_call())
+                        status.update(live.format_status_line())
             return report, False
         except KeyboardInterrupt:
             # The loop may tick already although this process has not read the message yet.

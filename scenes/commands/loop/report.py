@@ -39,9 +39,9 @@ class LoopStatusLine:
     def __init__(self, ring: RingReader, seconds: float):
         self._ring, self._seconds, self._number = ring, seconds, 0
 
-    def format_ticks_since_last_call(self) -> str:
+    def format_status_line(self) -> str:
         """Return the status line at every call; its quantiles are those of the ticks since the last call."""
-        ticks = self._ring.since(self._number)
+        ticks = self._ring.read_ticks_after(self._number)
         self._number, records = ticks.number, ticks.records
         if not len(records):
             return "waiting for the next tick"

@@ -235,7 +235,7 @@ def check_material_stability(arguments) -> int:
     from scenes.commands.material.summary import (
         describe_drucker_instability,
         list_effect_and_region_lines,
-        list_instantaneous_and_long_term_moduli,
+        list_moduli_lines,
         summarise_material_file,
     )
     from tissue_sim import read_material_file
@@ -245,7 +245,7 @@ def check_material_stability(arguments) -> int:
     summary = summarise_material_file(material_file)
     notes = list_effect_and_region_lines(summary)
     # The moduli are printed only where effects may make instantaneous and long-term moduli differ.
-    notes = [*list_instantaneous_and_long_term_moduli(summary), *notes] if notes else []
+    notes = [*list_moduli_lines(summary), *notes] if notes else []
     if arguments.json:
         print_json({"material_file": str(arguments.file), "stable": instability is None,
                     "message": instability or "good", "notes": notes})

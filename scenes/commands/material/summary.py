@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from calibration.report.units import format_pressure
-from tissue_sim.laws import check_stability
+from tissue_sim.laws import find_stability_range
 from tissue_sim.material.file import EFFECTS
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def summarise_material_file(material_file: MaterialFile) -> dict[str, Any]:
     range and provenance.
     """
     material = material_file.material
-    stability = check_stability(material.energy_law, material.values)
+    stability = find_stability_range(material.energy_law, material.values)
     bulk_modulus = material.bulk_modulus
     return {
         "name": material.name,
@@ -44,7 +44,8 @@ def summarise_material_file(material_file: MaterialFile) -> dict[str, Any]:
         "incompressible": not math.isfinite(bulk_modulus),
         "density_kg_m3": material.density,
         **{key: msgspec.to_builtins(getattr(material_file, key)) for key in EFFECTS},
-        "stability": {"stable": stability.stable, "stable_from": stability.stable_from,
+        "stability": {"stable": stability.is_stable_in_whole_range,
+                      "stable_from": stability.stable_from,
                       "stable_to": stability.stable_to, "stretch_range": list(stability.stretch_range),
                       "modes": {mode: list(limits) for mode, limits in stability.limits.items()},
                       "text": stability.describe()},
@@ -66,8 +67,8 @@ def describe_drucker_instability(material_file: MaterialFile) -> str | None:
     low, high = get_fitted_stretch_range_or_unity(material_file)
     checked_range = (min(low, 1.0), max(high, 1.0))
     for region, local in {"": material, **material.regions}.items():
-        stability = check_stability(local.energy_law, local.values, checked_range)
-        if not (stability.stable and np.all(np.isfinite(local.values))):
+        stability = find_stability_range(local.energy_law, local.values, checked_range)
+        if not (stability.is_stable_in_whole_range and np.all(np.isfinite(local.values))):
             subject = f"region {region} is " if region else ""
             return f"{subject}unstable inside its valid range of stretches {low:g} to {high:g}: {stability.describe()}"
     return None
@@ -96,8 +97,8 @@ def list_warnings_if_test_leaves_range(material_file: MaterialFile, recording: R
             sentences.append(f"the stretches of the tissue are {lowest:.3g} to {highest:.3g}, but the material was "
                              f"fitted to stretches from {low:.3g} to {high:.3g} only")
     material = material_file.material
-    stability = check_stability(material.energy_law, material.values, (min(stretch, 1.0), max(stretch, 1.0)))
-    if not stability.stable:
+    stability = find_stability_range(material.energy_law, material.values, (min(stretch, 1.0), max(stretch, 1.0)))
+    if not stability.is_stable_in_whole_range:
         sentences.append(f"the law is unstable within the mean stretches of this test, {min(stretch, 1.0):.3g} to "
                          f"{max(stretch, 1.0):.3g}: {stability.describe()}")
     return sentences
@@ -110,7 +111,7 @@ def get_fitted_stretch_range_or_unity(material_file: MaterialFile) -> tuple[floa
     return float(low), float(high)
 
 
-def list_instantaneous_and_long_term_moduli(summary: dict[str, Any]) -> list[str]:
+def list_moduli_lines(summary: dict[str, Any]) -> list[str]:
     """Return lines with the moduli: one line of an elastic material; instantaneous and long-term of a relaxing one."""
     K = "incompressible" if summary["incompressible"] else f"K {format_pressure(summary['K_Pa'])}"
     E0, mu0 = format_pressure(summary["E0_Pa"]), format_pressure(summary["mu0_Pa"])
@@ -173,7 +174,7 @@ def print_material_summary_as_text(summary: dict[str, Any], console: Console) ->
         error = parameter.get("standard_error")
         table.add_row(name, f"{parameter['value']:.6g}", "-" if error is None else f"{error:.3g}", parameter["unit"])
     console.print(table)
-    for sentence in list_instantaneous_and_long_term_moduli(summary):
+    for sentence in list_moduli_lines(summary):
         print_unwrapped_line(sentence)
     for sentence in list_effect_and_region_lines(summary):
         print_unwrapped_line(sentence)

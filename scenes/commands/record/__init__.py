@@ -139,8 +139,8 @@ def _record_tests_and_get_exit_code(arguments, protocol: ProtocolFile, tests: li
                                                              "stage": protocol.devices.stage}}
     stopped: str | None = None
     live = LiveProgressFile(arguments.output)
-    with (folder, _stop_reason_getter_context(arguments.json) as stop_request,
-          _display_run_status(arguments.json) as show_status, live.running_writing_thread()):
+    with (folder, _watch_for_stop_request(arguments.json) as stop_request,
+          _display_run_status(arguments.json) as show_status, live.run_writing_thread()):
 
         def publish_and_show_progress(moment: RunProgress) -> None:
             """Store the progress for the live file, and show it on the terminal."""
@@ -197,7 +197,7 @@ def _write_campaign_file(protocol: ProtocolFile, folder: RunFolder) -> None:
 
 
 @contextmanager
-def _stop_reason_getter_context(quiet: bool) -> Iterator[Callable[[], str | None]]:
+def _watch_for_stop_request(quiet: bool) -> Iterator[Callable[[], str | None]]:
     """Watch for a request of the user to stop the run: Ctrl-C, SIGTERM, or Enter on a terminal.
 
     Args:

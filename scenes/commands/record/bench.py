@@ -5,10 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 from calibration.campaign.campaign import Test
-from haptics.devices.back_ends import open_sensor, open_stage
+from haptics.devices.back_ends import make_sensor, make_stage
 from haptics.devices.contracts import Bench, StageLimits
 from haptics.devices.virtual.faults import parse_faults
-from haptics.devices.virtual.rig import ElasticSpecimen, HistoryDependentSpecimen, Specimen, VirtualRig
+from haptics.devices.virtual.rig import (
+    ElasticSpecimenForceModel,
+    HistoryDependentForceModel,
+    SpecimenForceModel,
+    VirtualRig,
+)
 from scenes.commands.record.protocol_file import ProtocolFile
 from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
 from tissue_sim import Model, Rig, load_rig
@@ -45,7 +50,7 @@ def make_unstarted_bench(protocol: ProtocolFile, test: Test) -> Bench:
         InputError: an unknown device, or a specimen that cannot be simulated.
     """
     if not uses_virtual_rig(protocol):
-        return Bench(open_sensor(protocol.devices.sensor), open_stage(protocol.devices.stage))
+        return Bench(make_sensor(protocol.devices.sensor), make_stage(protocol.devices.stage))
     return make_virtual_rig(protocol, test).bench
 
 
@@ -64,8 +69,8 @@ def make_virtual_rig(protocol: ProtocolFile, test: Test) -> VirtualRig:
         raise InputError("the kind of test has no tool, so that the virtual rig cannot perform it. Leave the test out",
                          field=test.place, file=protocol.path)
     model = Model(test.experiment, material, replace(Rig(), compliance=compliance))
-    specimen: Specimen = (HistoryDependentSpecimen(model) if table.remembers else
-                          ElasticSpecimen(model, 1.05 * plan.largest_depth))
+    specimen: SpecimenForceModel = (HistoryDependentForceModel(model) if table.remembers else
+                                    ElasticSpecimenForceModel(model, 1.05 * plan.largest_depth))
     surface = 0.0 if plan.contact == "here" else table.surface_mm * 1e-3
     return VirtualRig(specimen, rig, surface=surface,
                       limits=StageLimits(min(limits.lowest, -0.01), max(limits.highest, 0.01), limits.speed),

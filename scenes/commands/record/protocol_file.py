@@ -14,8 +14,8 @@ import msgspec
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.named_files import list_mesh_profile_and_rig_paths, replace_mesh_profile_and_rig_paths
 from calibration.campaign.schema import PRISM
-from haptics.recorder.lag import measure_lag
-from haptics.recorder.plan import IndentationPlan
+from haptics.recorder.lag import estimate_force_lag
+from haptics.recorder.plan import BenchTestPlan
 from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits
 from tissue_sim.decode import decode_struct, read_toml_dict
 from tissue_sim.errors import InputError, located_and_converted_errors
@@ -170,7 +170,7 @@ class ProtocolFile:
     path: Path
     digest: str
     campaign: Campaign
-    plans: Mapping[str, IndentationPlan]
+    plans: Mapping[str, BenchTestPlan]
     limits: MotionLimits
     devices: DevicesTable
     virtual: VirtualTable
@@ -278,12 +278,12 @@ def _compute_lag_from_recording_or_none(record: RecordTable, folder: Path) -> di
     """Return the lag of the sensor with its 95 % interval, measured in the recording ``lag_from``; None without one."""
     if record.lag_from is None:
         return None
-    found = measure_lag(read_recording(folder / record.lag_from))
+    found = estimate_force_lag(read_recording(folder / record.lag_from))
     return {"value_s": found.value, "interval95_s": list(found.interval), "from": record.lag_from}
 
 
 def _make_test_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: int,
-                    content: Mapping[str, Any], *, prism: bool) -> IndentationPlan:
+                    content: Mapping[str, Any], *, prism: bool) -> BenchTestPlan:
     """Return the plan of a test: its motion, replicates, search for contact and metadata.
 
     Args:
@@ -309,10 +309,10 @@ def _make_test_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, 
     bonded = test.experiment.tool.is_plate and test.experiment.friction == "bonded"
     contact = record.contact if record.contact != "auto" else "here" if bonded else "force"
     legs = tuple(iterate_motion_legs(parse_protocol(test.protocol), STUDY_SPEED))
-    return IndentationPlan(test.name, legs, record.replicates,
-                           contact, record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3,
-                           record.retract_mm * 1e-3, record.preconditioning, record.rest_s, record.sign, record.axis,
-                           lag, {key: value for key, value in about.items() if value is not None})
+    return BenchTestPlan(test.name, legs, record.replicates,
+                         contact, record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3,
+                         record.retract_mm * 1e-3, record.preconditioning, record.rest_s, record.sign, record.axis,
+                         lag, {key: value for key, value in about.items() if value is not None})
 
 
 def _make_specimen_metadata(specimen: Specimen, *, prism: bool) -> dict[str, Any]:
@@ -320,7 +320,7 @@ def _make_specimen_metadata(specimen: Specimen, *, prism: bool) -> dict[str, Any
     if prism:
         return {"name": specimen.name, "shape": PRISM, "area_mm2": 1e6 * specimen.area,
                 "height_mm": specimen.sizes["height_mm"]}
-    return {"name": specimen.name, "shape": specimen.shape, **specimen.stated}
+    return {"name": specimen.name, "shape": specimen.shape, **specimen.values_by_file_key}
 
 
 def _convert_limits_to_si(table: LimitsTable) -> MotionLimits:

@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from haptics.devices.contracts import Bench
-    from haptics.recorder.plan import IndentationPlan
+    from haptics.recorder.plan import BenchTestPlan
     from haptics.recorder.run_folder import RunFolder
     from haptics.safety.motion_guard import MotionLimits
 
 
-def print_recording_plans(plans: Sequence[IndentationPlan], limits: MotionLimits, bench: Bench, devices: str,
+def print_recording_plans(plans: Sequence[BenchTestPlan], limits: MotionLimits, bench: Bench, devices: str,
                           seconds: float, console: Console) -> None:
     """Print the planned motion, its duration, the devices and the stop conditions.
 
@@ -33,7 +33,7 @@ def print_recording_plans(plans: Sequence[IndentationPlan], limits: MotionLimits
     table.columns[1].no_wrap = False
     for plan in plans:
         table.add_row(plan.name, plan.motion_summary, f"{plan.replicates}", f"{plan.preconditioning}",
-                      f"{plan.duration:.4g} s each")
+                      f"{plan.replicate_duration:.4g} s each")
     console.print(table)
     console.print()
     print_sentence(console, devices)
@@ -45,12 +45,12 @@ def print_recording_plans(plans: Sequence[IndentationPlan], limits: MotionLimits
                    "After a stop the tool "
                    + ("retracts, unless the position of the stage is unreliable." if limits.retracts else
                       "stays where it is."))
-    print_sentence(console, f"{_describe_motion_after_crash(bench.stage.runs_on)} "
+    print_sentence(console, f"{_describe_motion_after_program_crash(bench.stage.runs_on)} "
                    + ("The encoder detects a stalled motor." if bench.stage.measures_position else
                       "A stalled motor is not detected, because the stage reports its commanded position."))
 
 
-def _describe_motion_after_crash(seconds: float) -> str:
+def _describe_motion_after_program_crash(seconds: float) -> str:
     """Describe the behaviour of the stage after a crash of the program; `seconds` is how long it can move on."""
     if seconds == 0.0:
         return "If this program crashes, the stage stops."

@@ -283,7 +283,7 @@ def _parse_contact_law_name_and_keys(text: str) -> ContactLaw:
         InputError: another form, an unknown law, or a key or value that the law does not accept.
     """
     from tissue_sim.experiment.contact_law import CONTACT_LAWS
-    from tissue_sim.parameters import make_from_file_keys
+    from tissue_sim.parameters import make_from_file_values
 
     name, _, rest = text.partition(":")
     try:
@@ -292,7 +292,7 @@ def _parse_contact_law_name_and_keys(text: str) -> ContactLaw:
     except ValueError:
         raise InputError(f"must have the form NAME:KEY=N,...; got {text!r}. Example: adhesion:adhesion_N=0.02,"
                          "adhesion_length_mm=0.1", field="--contact-law") from None
-    return make_from_file_keys(CONTACT_LAWS.find(name, "--contact-law"), content, f"--contact-law {name}")
+    return make_from_file_values(CONTACT_LAWS.find(name, "--contact-law"), content, f"--contact-law {name}")
 
 
 def _make_flag_unit_size_parser(declaration: Declaration):

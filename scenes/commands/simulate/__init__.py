@@ -24,8 +24,8 @@ from scenes.commands.shared.parsing import (
 from scenes.commands.shared.tissue_flags import add_resolution_and_solver_flags, require_known_solver
 from scenes.commands.simulate.replicates import (
     add_rig_flags,
-    list_replicate_curve_files,
     load_rig_with_noise_and_seed_flags,
+    make_replicate_curve_paths,
     simulate_replicate_readings,
 )
 from scenes.commands.simulate.report import make_simulation_json_object, print_force_curve, print_mesh_cost_and_remarks
@@ -69,7 +69,7 @@ def run(arguments) -> int:
         ConvergenceError: the solver stopped early; its partial curve was printed and written.
     """
     require_known_scene(arguments.scene)
-    outputs = list_replicate_curve_files(arguments.output, arguments.replicates)
+    outputs = make_replicate_curve_paths(arguments.output, arguments.replicates)
     for path in outputs:
         check_output_file(path, "-o", overwrite=arguments.overwrite, suffixes=(".csv",))
         check_output_file(path.with_suffix(".json"), "-o", overwrite=arguments.overwrite)
@@ -95,7 +95,7 @@ def run(arguments) -> int:
 
     experiment = make_experiment_from_flags(arguments, protocol, material_file.material)
     # The solver needs the compliance of the rig only; the sensor is applied below, once for each replicate.
-    model = ts.Model(experiment, material_file.material, rig.motion_only)
+    model = ts.Model(experiment, material_file.material, rig.with_motion_effects_only)
     failure = None
     estimates_error = not (arguments.no_force_error or experiment.slip) and arguments.solver == "axisymmetric"
     with display_task(make_progress_console(quiet=arguments.json), "simulating", quiet=arguments.json) as status:

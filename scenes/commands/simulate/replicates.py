@@ -51,7 +51,7 @@ def load_rig_with_noise_and_seed_flags(arguments) -> Rig:
     return rig if arguments.seed is None else replace(rig, seed=arguments.seed)
 
 
-def list_replicate_curve_files(curve: Path | None, replicates: int | None) -> list[Path]:
+def make_replicate_curve_paths(curve: Path | None, replicates: int | None) -> list[Path]:
     """Return the files of the recordings: CURVE.csv, or CURVE_1.csv, CURVE_2.csv, ... for replicates."""
     if curve is None:
         return []

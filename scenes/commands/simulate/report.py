@@ -66,7 +66,7 @@ def print_force_curve(recording: Recording, title: str, console: Console) -> Non
     from rich.table import Table
     from rich.text import Text
 
-    rows = select_segment_ends_and_even_samples(recording)
+    rows = select_printed_sample_indices(recording)
     table = Table(title=title)
     columns = []
     segments = [str(name) for name in recording.labels.get("segment", ())]
@@ -89,7 +89,7 @@ def print_force_curve(recording: Recording, title: str, console: Console) -> Non
         console.print(sentence, markup=False)
 
 
-def select_segment_ends_and_even_samples(recording: Recording) -> np.ndarray:
+def select_printed_sample_indices(recording: Recording) -> np.ndarray:
     """Return the indices of the printed samples, at most `PrintedTableLimits.max_curve_rows`.
 
     A short curve is printed completely. Of a long one the last sample of each segment is printed (unless the segments

@@ -13,7 +13,7 @@ import numpy as np
 
 from haptics.recorder.live import UPDATE_INTERVAL
 from scenes.stop_signals import call_stop_at_signals
-from scenes.viewer.bench.sources import BenchSource, BenchView
+from scenes.viewer.bench.sources import BenchSource, BenchState
 from scenes.viewer.plots import keep_or_round_axis_range_with_zero, make_unconnected_sample_plot_options
 from scenes.viewer.web_server import ViewerServer, describe_network_access, open_viewer_server
 
@@ -40,7 +40,7 @@ class BenchPage:
                            label, (0.0, 1.0), (0.0, 1.0), dark=dark))
                        for name, label in (("depth", "depth [mm]"), ("time", "time [s]"))}
 
-    def show_view(self, view: BenchView) -> None:
+    def show_bench_state(self, view: BenchState) -> None:
         """Update the texts and the plots of the page to a state of the bench."""
         self._status.content = make_bench_status_html(view)
         finite = np.isfinite(view.displacement)
@@ -73,7 +73,7 @@ class BenchPage:
         """
         waited = 0.0
         while not stop.is_set() and (seconds is None or waited < seconds):
-            self.show_view(self.source.read())
+            self.show_bench_state(self.source.read())
             stop.wait(UPDATE_INTERVAL)
             waited += UPDATE_INTERVAL
 
@@ -83,7 +83,7 @@ class BenchPage:
         self.source.close()
 
 
-def make_bench_status_html(view: BenchView) -> str:
+def make_bench_status_html(view: BenchState) -> str:
     """Return HTML with the title, the progress, a message, and force and depth in large digits."""
     def format_value_html(key: str, label: str, value: float | None, decimals: int, unit: str) -> str:
         """Return HTML of a label and a value with its unit; a dash replaces None."""

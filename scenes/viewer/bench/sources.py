@@ -38,7 +38,7 @@ CURVE = BenchCurveSettings()
 
 
 @dataclass(frozen=True)
-class BenchView:
+class BenchState:
     """State of a test bench for display.
 
     Attributes:
@@ -66,7 +66,7 @@ class BenchSource(ABC):
     """Source of the state of a test bench."""
 
     @abstractmethod
-    def read(self) -> BenchView:
+    def read(self) -> BenchState:
         """Return the present state at every call, without waiting for new data."""
 
     def close(self) -> None:
@@ -74,7 +74,7 @@ class BenchSource(ABC):
         return
 
 
-class RecordRunSource(BenchSource):
+class RunFolderSource(BenchSource):
     """Source that reads the folder of a run of ``tissue-sim record``, which another process writes.
 
     Args:
@@ -88,24 +88,24 @@ class RecordRunSource(BenchSource):
         self._rows: list[tuple[float, float, float]] = []
         self._read = 0
 
-    def read(self) -> BenchView:
+    def read(self) -> BenchState:
         """Return the state of the run, its newest recording and the live readings of the recorder."""
         state, live = self._read_json(RUN_FILE), self._read_json(LIVE_FILE)
         if state is None:
-            return BenchView(f"No run in {self._folder} yet", "Start the run with: tissue-sim record PROTOCOL.toml -o "
-                             f"{self._folder}")
+            return BenchState(f"No run in {self._folder} yet", "Start the run with: tissue-sim record PROTOCOL.toml -o "
+                              f"{self._folder}")
         time, displacement, force = self._read_thinned_recording()
         done = len(state.get("done", []))
         messages = {"running": "The recorder does not respond. It may have been killed.", "complete": "", "new": ""}
         if live is None:
             stops = state.get("stops") or [{}]
             message = stops[-1].get("message", "") if state["state"] == "stopped" else messages.get(state["state"], "")
-            return BenchView(f"{state['state']}: {done} recordings", message, time=time, displacement=displacement,
-                             forces=force)
+            return BenchState(f"{state['state']}: {done} recordings", message, time=time, displacement=displacement,
+                              forces=force)
         replicate = f" {live['replicate']}" if live.get("replicate") else ""
-        return BenchView(f"{live['test']}{replicate}: {live['phase']}; {done} recordings done", "",
-                         live.get("force_N"), live.get("depth_mm", live.get("position_mm")), live.get("share"), time,
-                         displacement, force)
+        return BenchState(f"{live['test']}{replicate}: {live['phase']}; {done} recordings done", "",
+                          live.get("force_N"), live.get("depth_mm", live.get("position_mm")), live.get("share"), time,
+                          displacement, force)
 
     def _read_json(self, name: str) -> dict | None:
         """Return the content of a JSON file of the run; None if the file is missing or invalid."""
@@ -168,7 +168,7 @@ class ConnectedDevicesSource(BenchSource):
             raise
         self._axis = sensor.channels.index(axis) if axis in sensor.channels else 0
 
-    def read(self) -> BenchView:
+    def read(self) -> BenchState:
         """Read the new samples of the sensor and the position of the stage, and return their view."""
         message, position = "", np.nan
         try:
@@ -176,7 +176,7 @@ class ConnectedDevicesSource(BenchSource):
             if self._stage is not None:
                 position = 1e3 * self._stage.position().position
         except DeviceError as error:
-            return self._make_bench_view(str(error))
+            return self._make_bench_state(str(error))
         self._rows.extend((sample.received, position, sample.values[self._axis]) for sample in samples)
         while self._rows and self._rows[-1][0] - self._rows[0][0] > CURVE.time_span:
             self._rows.popleft()
@@ -184,13 +184,13 @@ class ConnectedDevicesSource(BenchSource):
             message = "The sensor is at the limit of its range. Reduce the force."
         elif any(sample.status & SampleStatus.FAULT for sample in samples):
             message = "The sensor reports a fault. Check the sensor and its cable."
-        return self._make_bench_view(message)
+        return self._make_bench_state(message)
 
-    def _make_bench_view(self, message: str) -> BenchView:
+    def _make_bench_state(self, message: str) -> BenchState:
         """Return the view of the stored samples, thinned to about `BenchCurveSettings.points`, with a message."""
         rows = np.array(list(self._rows)[:: max(1, len(self._rows) // CURVE.points)]).reshape(-1, 3)
         last = self._rows[-1] if self._rows else None
-        return BenchView("sensor" if self._stage is None else "sensor and stage", message or (
+        return BenchState("sensor" if self._stage is None else "sensor and stage", message or (
             "" if last else "The sensor has not sent a sample yet."), None if last is None else last[2],
             None if last is None or np.isnan(last[1]) else last[1], None,
             rows[:, 0] - (last[0] if last else 0.0), rows[:, 1], rows[:, 2])

@@ -16,7 +16,7 @@ from scenes.viewer.page.calibration_controls import CalibrationControls
 from scenes.viewer.page.curve_plots import CurvePlots
 from scenes.viewer.page.material_controls import MaterialControls
 from scenes.viewer.page.motion_controls import MotionControls
-from scenes.viewer.page.notices import make_browser_reply
+from scenes.viewer.page.notices import make_browser_reply_function
 from scenes.viewer.page.readouts import readouts_html, scene_title_html, status_html
 from scenes.viewer.page.saving import SaveControls
 from scenes.viewer.page.scene_controls import SceneControls
@@ -110,7 +110,7 @@ class Page:
         @self._restart.on_click
         def restart_simulation_on_click(event: viser.GuiEvent) -> None:
             """Post the command that restarts the simulation."""
-            session.post("restart", reply=make_browser_reply(event))
+            session.post("restart", reply=make_browser_reply_function(event))
 
         @server.on_client_connect
         def set_camera_on_connect(client: viser.ClientHandle) -> None:
@@ -155,7 +155,6 @@ class Page:
         self._calibration.update_controls(frame)
         self._scene.update_controls(frame)
         self._plots.update_plots(frame)
-
 
     def _apply_colour_scheme(self, dark: bool) -> None:
         """Select the dark or the light colour scheme of the page and its plots."""

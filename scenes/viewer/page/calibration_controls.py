@@ -12,7 +12,7 @@ from scenes.viewer.calibration_run import CalibrationState, UploadedRecording
 from scenes.viewer.calibration_task import CalibrationResult
 from scenes.viewer.frame import CommandReceiver, SessionFrame
 from scenes.viewer.material_files import SUFFIX
-from scenes.viewer.page.notices import make_browser_reply, send_download
+from scenes.viewer.page.notices import make_browser_reply_function, send_download
 from scenes.viewer.recording_upload import read_uploaded_recordings_or_sidecar
 from scenes.viewer.scene import Scene
 from tissue_sim.units import get_display_unit_and_factor
@@ -56,14 +56,14 @@ class CalibrationControls:
             try:
                 uploads = read_uploaded_recordings_or_sidecar(file.name, file.content)
             except ts.InputError as error:
-                make_browser_reply(event)(str(error))
+                make_browser_reply_function(event)(str(error))
                 return
             done = f"Read {', '.join(upload.name for upload in uploads)}."
-            session.post("add_recordings", reply=make_browser_reply(event, done), uploads=uploads)
+            session.post("add_recordings", reply=make_browser_reply_function(event, done), uploads=uploads)
 
         for button, command in ((self._remove, "remove_recordings"), (self._begin, "calibrate"),
                                 (self._cancel, "cancel_calibration")):
-            self._post_command_on_click(session, button, command)
+            self._bind_button_to_command(session, button, command)
 
         @self._save.on_click
         def save_material_on_click(event: viser.GuiEvent) -> None:
@@ -73,18 +73,18 @@ class CalibrationControls:
 
             def reply_and_download_if_saved(problem: str | None) -> None:
                 """Show the problem, or without a problem the success, and send the saved file to the browser."""
-                make_browser_reply(event, f"Saved as {name}{SUFFIX} in {folder}.")(problem)
+                make_browser_reply_function(event, f"Saved as {name}{SUFFIX} in {folder}.")(problem)
                 if problem is None and state is not None and state.result is not None:
                     send_download(event.client, f"{name}{SUFFIX}", state.result.file)
 
             session.post("save_calibration", reply=reply_and_download_if_saved, folder=folder, name=name)
 
-    def _post_command_on_click(self, session: CommandReceiver, button: viser.GuiButtonHandle, command: str) -> None:
+    def _bind_button_to_command(self, session: CommandReceiver, button: viser.GuiButtonHandle, command: str) -> None:
         """Post a command without arguments at each click of a button."""
         @button.on_click
         def post_command_of_button(event: viser.GuiEvent) -> None:
             """Post the command; its problem is shown in the browser."""
-            session.post(command, reply=make_browser_reply(event))
+            session.post(command, reply=make_browser_reply_function(event))
 
     def update_controls(self, frame: SessionFrame) -> None:
         """Update the tab if the calibration or the scene has changed."""

@@ -8,10 +8,10 @@ import numpy as np
 import viser
 
 from scenes.viewer.frame import CommandReceiver, SessionFrame
-from scenes.viewer.live_gap import find_largest_live_force_gap, select_forces_of_late_ticks_on_grid
+from scenes.viewer.live_gap import find_largest_live_model_difference, select_forces_of_late_ticks_on_grid
 from scenes.viewer.measurement import interpolate_loading_and_unloading
-from scenes.viewer.page.notices import make_browser_reply
-from scenes.viewer.page.readouts import largest_live_model_gap_html, model_rmse_html
+from scenes.viewer.page.notices import make_browser_reply_function
+from scenes.viewer.page.readouts import largest_live_model_difference_html, model_rmse_html
 from scenes.viewer.plots import (
     Pair,
     keep_or_round_axis_range_with_zero,
@@ -64,7 +64,7 @@ class CurvePlots:
         @keep.on_click
         def keep_or_remove_curve_on_click(event: viser.GuiEvent) -> None:
             """Keep the present model curve for comparison, or remove the kept curve."""
-            session.post("keep_curve", reply=make_browser_reply(event), name="" if self._kept else "kept")
+            session.post("keep_curve", reply=make_browser_reply_function(event), name="" if self._kept else "kept")
 
     def set_colour_scheme_of_next_update(self, dark: bool) -> None:
         """Select the colours of a dark or a light page; the next `update_plots` redraws all plots."""
@@ -112,8 +112,8 @@ class CurvePlots:
         _assign_if_changed(self._agreement, "content", model_rmse_html(frame))
         gap = None
         if trace is not None and live is not None and model is not None:
-            gap = find_largest_live_force_gap(trace, grid, live, model)
-        _assign_if_changed(self._live_gap, "content", largest_live_model_gap_html(gap))
+            gap = find_largest_live_model_difference(trace, grid, live, model)
+        _assign_if_changed(self._live_gap, "content", largest_live_model_difference_html(gap))
 
     def _interpolate_branches_with_cache(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:
         """Return the loading and unloading force of a curve on the grid, N; None without a curve.

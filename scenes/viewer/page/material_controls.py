@@ -20,7 +20,7 @@ from scenes.viewer.material_files import (
 from scenes.viewer.page.notices import (
     FAILED,
     assign_control_value,
-    make_browser_reply,
+    make_browser_reply_function,
     notify_browser_unless_none,
     send_download,
 )
@@ -74,9 +74,10 @@ class MaterialControls:
             try:
                 material = read_uploaded_material(file.name, file.content)
             except ts.InputError as error:
-                make_browser_reply(event)(f"{error} The material is unchanged.")
+                make_browser_reply_function(event)(f"{error} The material is unchanged.")
                 return
-            session.post("use_material", reply=make_browser_reply(event, f"The material of {file.name} is in use."),
+            session.post("use_material",
+                         reply=make_browser_reply_function(event, f"The material of {file.name} is in use."),
                          material=material, source=file.name)
 
         @self._save.on_click
@@ -86,7 +87,7 @@ class MaterialControls:
 
             def reply_update_list_and_download_if_saved(problem: str | None) -> None:
                 """Show the problem; without a problem, update the file list and send the file to the browser."""
-                make_browser_reply(event, f"Saved as {name}{SUFFIX} in {folder}.")(problem)
+                make_browser_reply_function(event, f"Saved as {name}{SUFFIX} in {folder}.")(problem)
                 if problem is None:
                     self._update_file_list()
                     send_download(event.client, f"{name}{SUFFIX}", (folder / f"{name}{SUFFIX}").read_bytes())
@@ -100,7 +101,8 @@ class MaterialControls:
         except ts.InputError as error:
             notify_browser_unless_none(event.client, FAILED, f"{error} The material is unchanged.", "red")
             return
-        self._session.post("use_material", reply=make_browser_reply(event), material=material, source=path.name)
+        self._session.post("use_material", reply=make_browser_reply_function(event), material=material,
+                           source=path.name)
 
     def _update_file_list(self) -> None:
         """Update the choices of the dropdown to the material files in the folder."""
@@ -162,7 +164,7 @@ class MaterialControls:
             """Post the value of the slider in SI units; ignore changes that the program makes."""
             if event.client is None:
                 return
-            notify_problem = make_browser_reply(event)
+            notify_problem = make_browser_reply_function(event)
 
             def count_answer_and_notify(problem: str | None) -> None:
                 """Count the executed or refused command; for a refused value show the problem and reset the slider."""

@@ -10,7 +10,7 @@ from typing import Any
 import viser
 
 from scenes.viewer.frame import CommandReceiver, Phase, SessionFrame
-from scenes.viewer.page.notices import assign_control_value, make_browser_reply
+from scenes.viewer.page.notices import assign_control_value, make_browser_reply_function
 from scenes.viewer.page.solid import DRAGS
 from scenes.viewer.scene import Scene
 
@@ -23,14 +23,14 @@ PROTOCOLS = {
 }
 
 
-def _make_example_protocol(name: str, scene: Scene) -> str:
+def _make_example_protocol_text(name: str, scene: Scene) -> str:
     """Return the text of an example protocol, without segments that lift the tool if the scene forbids lifting."""
     parts = PROTOCOLS[name].format(depth=f"{scene.max_tool_displacement * 1e3:g}").split("; ")
     may_lift = scene.min_tool_displacement < 0.0
     return "; ".join(part for part in parts if may_lift or not part.startswith(("approach", "retract")))
 
 
-def _round_limits_inwards_to_mm(limits: tuple[float, float]) -> tuple[float, float]:
+def _convert_limits_to_mm_rounding_inwards(limits: tuple[float, float]) -> tuple[float, float]:
     """Round a range in m inwards to steps of 0.01 mm; return it in mm, as one step if the range is narrower."""
     low, high = math.ceil(1e5 * limits[0] - 1e-6) / 100, math.floor(1e5 * limits[1] + 1e-6) / 100
     return min(low, high), max(low, high)
@@ -91,7 +91,7 @@ class MotionControls:
 
     def __init__(self, server: viser.ViserServer, session: CommandReceiver, frame: SessionFrame):
         gui, deepest = server.gui, frame.scene.max_tool_displacement
-        examples = {name: _make_example_protocol(name, frame.scene) for name in PROTOCOLS}
+        examples = {name: _make_example_protocol_text(name, frame.scene) for name in PROTOCOLS}
         self._session, self._paused, self._plays = session, False, False
         #: Number of positions that users have entered, and number of them that the session has answered.
         self._entered = self._answered = 0
@@ -106,7 +106,8 @@ class MotionControls:
             f"{name} [mm]", min=low, max=high, step=0.01, initial_value=min(max(round(1e3 * value, 2), low), high),
             visible=False, hint=f"{name} coordinate at which the tool's axis crosses the undeformed surface"))
             for name, value, (low, high) in zip("xy", frame.across,
-                                                map(_round_limits_inwards_to_mm, frame.scene.allowed_tool_xy_ranges),
+                                                map(_convert_limits_to_mm_rounding_inwards,
+                                                    frame.scene.allowed_tool_xy_ranges),
                                                 strict=True)]
         self._drags = gui.add_dropdown("mouse moves it", tuple(DRAGS), visible=False,
                                        hint="directions in which the mouse drags the tool")
@@ -155,7 +156,7 @@ class MotionControls:
                 assign_control_value(self._text, examples[self._named.value])
 
         @self._source.on_update
-        def show_fields_of_motion_on_update(_: viser.GuiEvent) -> None:
+        def show_inputs_of_motion_on_update(_: viser.GuiEvent) -> None:
             measured = self._source.value != "protocol"
             for handle in (self._named, self._text, self._speed, self._repeat):
                 handle.visible = not measured
@@ -183,7 +184,7 @@ class MotionControls:
 
     def _post_aim_command(self, event: Any, **position: Any) -> None:
         """Post the command "aim", `Session.set_hand_target`, with its arguments; show each refusal once."""
-        notify_problem = make_browser_reply(event)
+        notify_problem = make_browser_reply_function(event)
 
         def count_answer_and_notify(problem: str | None) -> None:
             self._answered += 1
@@ -201,7 +202,7 @@ class MotionControls:
 
     def _post_button_command(self, button: str, event: viser.GuiEvent) -> None:
         """Post the command of a button; Play resumes a paused motion, or starts the chosen motion."""
-        reply = make_browser_reply(event)
+        reply = make_browser_reply_function(event)
         if button == "Play" and self._paused:
             self._session.post("resume", reply=reply)
         elif button == "Play" and self._source.value == "protocol":

@@ -20,7 +20,7 @@ def assign_control_value(control: viser.GuiInputHandle[Value], value: Value) -> 
     control.value = value  # type: ignore[misc]
 
 
-def make_browser_reply(event: viser.GuiEvent | viser.SceneNodeDragEvent, done: str = "") -> Reply:
+def make_browser_reply_function(event: viser.GuiEvent | viser.SceneNodeDragEvent, done: str = "") -> Reply:
     """Return a reply function that notifies the browser of an event.
 
     Args:

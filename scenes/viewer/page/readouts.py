@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 
 from scenes.viewer.frame import Phase, SessionFrame
-from scenes.viewer.live_gap import LargestLiveForceGap
+from scenes.viewer.live_gap import LargestLiveModelDifference
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.tools.tool import list_all_tool_sizes_by_key
 from tissue_sim.specimen.cylinder import Cylinder
@@ -147,7 +147,7 @@ def model_rmse_html(frame: SessionFrame) -> str:
             "</div>")
 
 
-def largest_live_model_gap_html(gap: LargestLiveForceGap | None) -> str:
+def largest_live_model_difference_html(gap: LargestLiveModelDifference | None) -> str:
     """Return HTML with the largest difference of live force and model curve, and its causes; empty for None."""
     if gap is None:
         return ""

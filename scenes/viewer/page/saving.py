@@ -15,7 +15,7 @@ from scenes.field_labels import LABELS
 from scenes.provenance import make_kind_specimen_tool_metadata
 from scenes.viewer.frame import SessionFrame
 from scenes.viewer.measurement import interpolate_loading_and_unloading
-from scenes.viewer.page.notices import FAILED, make_browser_reply, notify_browser_unless_none, send_download
+from scenes.viewer.page.notices import FAILED, make_browser_reply_function, notify_browser_unless_none, send_download
 from scenes.viewer.page.solid import ScenePicture
 from scenes.viewer.page.view_controls import ViewControls
 from scenes.viewer.picture_file import DrawnForceCurve, compose_picture_png
@@ -106,13 +106,13 @@ class SaveControls:
         frame = self._frame
         trace = None if frame is None else frame.curves.trace
         if frame is None or trace is None or len(trace) < 5:
-            make_browser_reply(event)("There is no curve yet. Move the tool first.")
+            make_browser_reply_function(event)("There is no curve yet. Move the tool first.")
             return
         try:
-            files = make_trace_files(frame.scene, trace)
+            files = make_trace_file_bytes_by_name(frame.scene, trace)
         except InputError as error:
             # This runs in the thread that shows the frames, which an exception would end.
-            make_browser_reply(event)(f"The curve {error.problem}")
+            make_browser_reply_function(event)(f"The curve {error.problem}")
             return
         for name, content in files.items():
             send_download(event.client, name, content)
@@ -156,7 +156,7 @@ class SaveControls:
         self._finished, self._recorder = recorder.as_html(dark_mode=False).encode(), None
 
 
-def make_trace_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
+def make_trace_file_bytes_by_name(scene: Scene, trace: Trace) -> dict[str, bytes]:
     """Return the files of a trace: the recording (CSV) and its sidecar (JSON), which has the keys of ``simulate -o``.
 
     Args:
@@ -172,7 +172,7 @@ def make_trace_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
     name = scene.kind.name
     about = {"name": name, **make_kind_specimen_tool_metadata(name, scene.experiment), "material": scene.source,
              "simulated": True}
-    return make_csv_and_sidecar_bytes_by_name(trace.recording(about), name)
+    return make_csv_and_sidecar_bytes_by_name(trace.make_equilibrium_recording(about), name)
 
 
 def _request_browser_image_or_none(client: viser.ClientHandle, height: int, width: int) -> np.ndarray | None:

@@ -10,7 +10,7 @@ import viser
 import tissue_sim as ts
 from scenes.catalogue import SCENES
 from scenes.viewer.frame import CommandReceiver, SessionFrame
-from scenes.viewer.page.notices import assign_control_value, make_browser_reply
+from scenes.viewer.page.notices import assign_control_value, make_browser_reply_function
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.interfaces import INTERFACES
 from tissue_sim.experiment.tools.tool import TOOLS, list_all_tool_sizes_by_key, list_shapes_without_file
@@ -75,14 +75,14 @@ class SceneControls:
         @self._scene.on_update
         def adapt_controls_to_scene_on_update(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._display_interface(SCENES[self._titles[self._scene.value]].face.usual)
+                self._display_contact_interface(SCENES[self._titles[self._scene.value]].face.usual)
                 self._replace_unsuitable_interface_and_edge()
             self._update_control_visibility()
 
         @self._apply.on_click
         def apply_scene_on_click(event: viser.GuiEvent) -> None:
             name = self._titles[self._scene.value]
-            reply = make_browser_reply(event)
+            reply = make_browser_reply_function(event)
             try:
                 tool, friction = self._build_tool_or_none_for_plates(name), self._friction.value
             except ts.InputError as error:
@@ -143,10 +143,10 @@ class SceneControls:
             for key, (declaration, name, shapes) in self._declared_sizes.items():
                 if tool.shape in shapes:
                     assign_control_value(self._sizes[key], getattr(tool, name) / declaration.factor)
-        self._display_interface(friction)
+        self._display_contact_interface(friction)
         self._update_control_visibility()
 
-    def _display_interface(self, friction: str | float) -> None:
+    def _display_contact_interface(self, friction: str | float) -> None:
         """Display an interface: its name, or "friction" and the coefficient."""
         assign_control_value(self._interface, friction if isinstance(friction, str) else "friction")
         if not isinstance(friction, str):

@@ -14,7 +14,7 @@ import viser
 from viser import _messages
 
 
-def send_node_arrays(handle: viser.SceneNodeHandle, **arrays: np.ndarray) -> None:
+def send_scene_node_arrays(handle: viser.SceneNodeHandle, **arrays: np.ndarray) -> None:
     """Replace arrays of a node in all browsers, including those that connect later.
 
     Args:
@@ -24,7 +24,7 @@ def send_node_arrays(handle: viser.SceneNodeHandle, **arrays: np.ndarray) -> Non
     handle._impl.api._queue_scene_message(_messages.SceneNodeUpdateMessage(handle.name, arrays))
 
 
-def send_node_position(handle: viser.SceneNodeHandle, position: tuple[float, float, float]) -> None:
+def send_scene_node_position(handle: viser.SceneNodeHandle, position: tuple[float, float, float]) -> None:
     """Move a node in all browsers, including those that connect later; do nothing if the position is unchanged.
 
     Args:

@@ -11,20 +11,20 @@ import viser
 
 from scenes.field_labels import LABELS
 from scenes.viewer.bodies import DrawableTissue, can_draw_fields, make_drawable_body
-from scenes.viewer.colours import PALETTE, compute_field_quantile_range, update_band_levels
+from scenes.viewer.colours import PALETTE, compute_field_quantile_range, keep_or_choose_band_levels
 from scenes.viewer.frame import SessionFrame
-from scenes.viewer.page.notices import Reply, make_browser_reply
+from scenes.viewer.page.notices import Reply, make_browser_reply_function
 from scenes.viewer.page.picture_settings import COLOURS, LIGHTS, RESOLUTION, PictureOptions
-from scenes.viewer.page.scene_updates import send_node_arrays, send_node_position
+from scenes.viewer.page.scene_updates import send_scene_node_arrays, send_scene_node_position
 from scenes.viewer.revolution import TriangulatedSurface, WedgeOpening
 from scenes.viewer.scene import Scene
 from scenes.viewer.tone import compute_displayed_srgb, find_surface_srgb
 from scenes.viewer.tool_picture import (
     compute_arrow_foot_above_tool_tip,
     make_base_plate,
+    make_drawn_tool_surface,
     make_force_arrow_or_none,
     make_scale_bar_lines_and_length,
-    make_tool_mesh,
     rotate_force_arrow,
 )
 from scenes.viewer.wedge import Wedge
@@ -69,20 +69,20 @@ class ScenePicture:
         self._segments = RESOLUTION.low_graphics_segments if low_graphics else RESOLUTION.segments
         colours = [find_surface_srgb(colour) for colour in PALETTE]
         self.colours = [compute_displayed_srgb(colour) for colour in colours]
-        self._bands = [self._add_hidden_mesh_node(f"/tissue/band_{k}", colour) for k, colour in enumerate(colours)]
-        self._surface = self._add_hidden_mesh_node("/tissue/surface", COLOURS.tissue)
+        self._bands = [self._add_hidden_scene_mesh(f"/tissue/band_{k}", colour) for k, colour in enumerate(colours)]
+        self._surface = self._add_hidden_scene_mesh("/tissue/surface", COLOURS.tissue)
         #: Frames of the tool, of the force arrow, and of the base, on which the specimen stands.
         self._tool_frame, self._force_frame, self._ground = (self._nodes.add_frame(name, show_axes=False)
                                                              for name in ("/tool", "/force", "/ground"))
-        self._tool = self._add_hidden_mesh_node("/tool/body", COLOURS.tool)
+        self._tool = self._add_hidden_scene_mesh("/tool/body", COLOURS.tool)
         # The arrow has its own frame, because the tool's frame is rotated with the tool.
-        self._arrow = self._add_hidden_mesh_node("/force/arrow", COLOURS.arrow)
-        self._base = self._add_hidden_mesh_node("/ground/base", COLOURS.base)
+        self._arrow = self._add_hidden_scene_mesh("/force/arrow", COLOURS.arrow)
+        self._base = self._add_hidden_scene_mesh("/ground/base", COLOURS.base)
         self._force_label = self._nodes.add_label("/force/label", "", anchor="bottom-left", visible=False)
-        self._mesh_lines = self._add_hidden_line_node("/tissue/mesh", COLOURS.mesh_lines, 1.0)
-        self._outline = self._add_hidden_line_node("/ground/undeformed", COLOURS.outline, 1.5)
-        self._contact = self._add_hidden_line_node("/contact", COLOURS.contact, 4.0)
-        self._scale_bar = self._add_hidden_line_node("/ground/scale", COLOURS.scale_bar, 2.5)
+        self._mesh_lines = self._add_hidden_scene_lines("/tissue/mesh", COLOURS.mesh_lines, 1.0)
+        self._outline = self._add_hidden_scene_lines("/ground/undeformed", COLOURS.outline, 1.5)
+        self._contact = self._add_hidden_scene_lines("/contact", COLOURS.contact, 4.0)
+        self._scale_bar = self._add_hidden_scene_lines("/ground/scale", COLOURS.scale_bar, 2.5)
         self._scale_length = self._nodes.add_label("/ground/scale_length", "", anchor="top-center")
         #: Pose, material and options of the drawn tissue.
         self._drawn: tuple | None = None
@@ -124,7 +124,7 @@ class ScenePicture:
                 reply = None
                 if client in awaiting_first_reply:
                     awaiting_first_reply.discard(client)
-                    reply = make_browser_reply(event)
+                    reply = make_browser_reply_function(event)
                 offset, height = grabbed[client]
                 end = np.array(event.end_position)
                 if self._in_space and DRAGS[self.drag_way] == "sideways":
@@ -147,7 +147,7 @@ class ScenePicture:
             Depth along the tool's axis, m, and the x and y at which that axis crosses the undeformed surface, m; None
             instead of x and y if the tool cannot move sideways.
         """
-        now, axis = np.array(self._pose.position), -np.array(self._pose.rotation)[:, 2]
+        now, axis = np.array(self._pose.position), -np.array(self._pose.rotation_matrix)[:, 2]
         lean = axis[:2] / max(-axis[2], 0.1)
         if self._in_space and DRAGS[self.drag_way] == "sideways":
             tip = np.append(tip[:2], now[2])
@@ -202,32 +202,32 @@ class ScenePicture:
         _, factor = LABELS[options.field]
         values, at_points, sampled = body.evaluate_field_at_nodes_and_samples(fields, options.field, positions, wedge)
         before = self.levels if self._drawn is not None and options.field == self._drawn[2].field else None
-        self.levels = levels = before if before is not None and options.hold else update_band_levels(
+        self.levels = levels = before if before is not None and options.hold else keep_or_choose_band_levels(
             before, *compute_field_quantile_range(at_points * factor, sampled, options.field, factor))
         surfaces = body.compute_band_surfaces(positions, values * factor, levels, wedge)
         for handle, surface in zip(self._bands, surfaces, strict=True):
-            self._send_or_hide_mesh_node(handle, surface)
-        _set_node_visibility(self._surface, False)
+            self._send_or_hide_scene_mesh(handle, surface)
+        _set_scene_node_visibility(self._surface, False)
         contact_lines = body.find_contact_lines_or_none(positions, scene.experiment.tool, wedge)
-        self._send_or_hide_line_node(self._contact, contact_lines)
+        self._send_or_hide_scene_lines(self._contact, contact_lines)
         edge_lines = body.compute_element_edge_lines(positions, wedge) if options.mesh_lines else None
-        self._send_or_hide_line_node(self._mesh_lines, edge_lines)
+        self._send_or_hide_scene_lines(self._mesh_lines, edge_lines)
 
     def _draw_plain_tissue(self, surface: TriangulatedSurface | None) -> None:
         """Draw the surface of tissue without fields in one colour; hide the tissue if it has no surface."""
         for handle in (*self._bands, self._contact, self._mesh_lines):
-            _set_node_visibility(handle, False)
-        self._send_or_hide_mesh_node(self._surface, surface)
+            _set_scene_node_visibility(handle, False)
+        self._send_or_hide_scene_mesh(self._surface, surface)
 
     def _move_tool_arrow_and_base(self, snapshot: Snapshot, scene: Scene) -> None:
         """Move the tool to its pose, the force arrow above the tool, and the base under the specimen."""
         self._pose = pose = snapshot.pose
         x, y, z = pose.position
-        send_node_position(self._tool_frame, (self.scale * x, self.scale * y, self.scale * z))
+        send_scene_node_position(self._tool_frame, (self.scale * x, self.scale * y, self.scale * z))
         foot = compute_arrow_foot_above_tool_tip(scene.experiment.tool, scene.experiment.specimen)
-        (_, _, u), (_, _, v), (_, _, w) = pose.rotation
-        send_node_position(self._force_frame, (self.scale * (x + u * foot), self.scale * (y + v * foot),
-                                               self.scale * (z + (w - 1.0) * foot)))
+        (_, _, u), (_, _, v), (_, _, w) = pose.rotation_matrix
+        send_scene_node_position(self._force_frame, (self.scale * (x + u * foot), self.scale * (y + v * foot),
+                                                     self.scale * (z + (w - 1.0) * foot)))
         if not np.array_equal(self._tool_frame.wxyz, pose.orientation):
             self._tool_frame.wxyz = pose.orientation
         # `datum` is the height of the first touch, which lies lower if the specimen has sagged under its own weight.
@@ -247,9 +247,9 @@ class ScenePicture:
         wedge = Wedge(opening, Pose.at_depth(0.0))
         surfaces = body.compute_band_surfaces(nodes, np.zeros(len(nodes)), np.arange(len(self._bands) + 1.0), wedge)
         for handle, surface in zip(self._bands, surfaces, strict=True):
-            self._send_or_hide_mesh_node(handle, surface)
+            self._send_or_hide_scene_mesh(handle, surface)
         for hidden in (self._surface, self._contact, self._mesh_lines, self._arrow, self._force_label):
-            _set_node_visibility(hidden, False)
+            _set_scene_node_visibility(hidden, False)
         self._drawn_arrow = None
         self._move_tool_arrow_and_base(Snapshot(scene.experiment.tool_pose(0.0), 0.0, None), scene)
         self._draw_static_parts(body, scene, opening, options)
@@ -269,14 +269,14 @@ class ScenePicture:
         # A wedge that is moved away from the tool's axis does not cut the tool.
         cut, segments = 0.0 if self._in_space and options.ahead else options.cut, RESOLUTION.static_segments
         tool_opening = _make_wedge_opening(cut, segments, options.turn)
-        self._send_or_hide_mesh_node(self._tool, make_tool_mesh(tool, specimen, tool_opening))
-        self._send_or_hide_mesh_node(self._base, make_base_plate(specimen, _make_wedge_opening(0.0, segments)))
+        self._send_or_hide_scene_mesh(self._tool, make_drawn_tool_surface(tool, specimen, tool_opening))
+        self._send_or_hide_scene_mesh(self._base, make_base_plate(specimen, _make_wedge_opening(0.0, segments)))
         covered = specimen.outer_radius if tool.is_plate else tool.radius or 0.0
         wedge, tool_extent = Wedge(opening, Pose.at_depth(0.0)), (covered, scene.max_tool_displacement)
         outline = body.make_undeformed_outline(wedge, tool_extent) if options.outline else None
-        self._send_or_hide_line_node(self._outline, outline)
+        self._send_or_hide_scene_lines(self._outline, outline)
         bar, length = make_scale_bar_lines_and_length(specimen)
-        self._send_or_hide_line_node(self._scale_bar, bar)
+        self._send_or_hide_scene_lines(self._scale_bar, bar)
         self._scale_length.text = f"{1e3 * length:g} mm"
         self._scale_length.position = tuple(self.scale * bar[0].mean(axis=0))
 
@@ -299,38 +299,39 @@ class ScenePicture:
             self._drawn_arrow = to_draw
             arrow = make_force_arrow_or_none(to_draw[0] / lengths * full, full, scene.experiment.tool,
                                              scene.experiment.specimen)
-            _set_node_visibility(self._force_label, arrow is not None)
+            _set_scene_node_visibility(self._force_label, arrow is not None)
             if arrow is not None and any(lateral):
                 arrow = rotate_force_arrow(arrow, lateral)
-            self._send_or_hide_mesh_node(self._arrow, None if arrow is None else arrow.surface)
+            self._send_or_hide_scene_mesh(self._arrow, None if arrow is None else arrow.surface)
             if arrow is not None:
                 x, y, z = (max(arrow.start, arrow.tip, key=lambda end: end[2]) * self.scale).tolist()
-                send_node_position(self._force_label, (x, y, z))
+                send_scene_node_position(self._force_label, (x, y, z))
         return True
 
-    def _add_hidden_mesh_node(self, name: str, colour: tuple[int, int, int]) -> viser.MeshHandle:
+    def _add_hidden_scene_mesh(self, name: str, colour: tuple[int, int, int]) -> viser.MeshHandle:
         empty = np.zeros((3, 3), np.float32)
         return self._nodes.add_mesh_simple(name, empty, np.array([[0, 1, 2]], np.uint32), color=colour, side="double",
                                            cast_shadow=False, receive_shadow=False, visible=False, scale=self.scale)
 
-    def _add_hidden_line_node(self, name: str, colour: tuple[int, int, int], pixels: float) -> viser.LineSegmentsHandle:
+    def _add_hidden_scene_lines(self, name: str, colour: tuple[int, int, int],
+                                pixels: float) -> viser.LineSegmentsHandle:
         return self._nodes.add_line_segments(name, np.zeros((1, 2, 3), np.float32), colour, thickness=pixels,
                                              thickness_units="screen", visible=False, scale=self.scale)
 
-    def _send_or_hide_mesh_node(self, handle: viser.MeshHandle, surface: TriangulatedSurface | None) -> None:
+    def _send_or_hide_scene_mesh(self, handle: viser.MeshHandle, surface: TriangulatedSurface | None) -> None:
         """Send the triangles of a surface; hide the node if there are none."""
         if surface is None or not len(surface.faces):
-            _set_node_visibility(handle, False)
+            _set_scene_node_visibility(handle, False)
             return
-        send_node_arrays(handle, vertices=surface.vertices, faces=surface.faces)
-        _set_node_visibility(handle, True)
+        send_scene_node_arrays(handle, vertices=surface.vertices, faces=surface.faces)
+        _set_scene_node_visibility(handle, True)
 
-    def _send_or_hide_line_node(self, handle: viser.LineSegmentsHandle, lines: np.ndarray | None) -> None:
+    def _send_or_hide_scene_lines(self, handle: viser.LineSegmentsHandle, lines: np.ndarray | None) -> None:
         """Send lines, shape (lines, 2, 3); hide the node if there are none."""
         has_lines = lines is not None and len(lines) > 0
         if has_lines:
-            send_node_arrays(handle, points=np.ascontiguousarray(lines, np.float32))
-        _set_node_visibility(handle, has_lines)
+            send_scene_node_arrays(handle, points=np.ascontiguousarray(lines, np.float32))
+        _set_scene_node_visibility(handle, has_lines)
 
     def _add_lights(self) -> None:
         nodes = self._nodes
@@ -384,7 +385,7 @@ def _build_undeformed_finite_element_mesh(scene: Scene) -> Mesh | SolidMesh:
     return build_solid_mesh(scene.experiment, "realtime", scene.material.layers)
 
 
-def _set_node_visibility(handle: viser.SceneNodeHandle, visible: bool) -> None:
+def _set_scene_node_visibility(handle: viser.SceneNodeHandle, visible: bool) -> None:
     """Assign the visibility only if it changes, because each assignment sends a message."""
     if handle.visible != visible:
         handle.visible = visible

@@ -15,7 +15,7 @@ _TITLE = b"<title>Viser</title>"
 _BODY = b"<body>"
 
 
-def inject_shell(page: bytes, title: str) -> bytes:
+def insert_page_additions(page: bytes, title: str) -> bytes:
     """Insert a title, the loading screen, the style sheet and the script of this folder into viser's page.
 
     Args:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import tissue_sim as ts
-from calibration.effects.candidates import require_tests, rig_parameter_candidates
+from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
 from calibration.effects.effect import Effect
 
 
@@ -34,8 +34,8 @@ class CablePull(Effect):
         def size(group):
             return 0.01 * min(situation.largest_force(test) / situation.largest_displacement(test) for test in group)
 
-        return rig_parameter_candidates(self, situation, "rig.faults.cable_spring.stiffness", tests, size,
-                                        two_sided=False, prepare=with_cable)
+        return make_experiment_or_rig_candidates(self, situation, "rig.faults.cable_spring.stiffness", tests, size,
+                                                 two_sided=False, prepare=with_cable)
 
     def apply(self, model, values):
         return super().apply(with_cable(model), values)

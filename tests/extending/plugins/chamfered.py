@@ -19,7 +19,7 @@ class Chamfered(Tool):
     chamfer: float = parameter("c", "m", key="chamfer_mm", factor=1e-3, bounds=(0.0, 1.0), shapes_mesh=True)
 
     def __post_init__(self):
-        self.require_sizes("chamfer")
+        self.require_valid_radius_and_roundings("chamfer")
         if not self.chamfer:
             raise InputError("a chamfer of 0 is no chamfer; use the flat tool", field="tool.chamfer")
 

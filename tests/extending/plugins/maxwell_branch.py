@@ -22,7 +22,7 @@ class MaxwellBranch(PointEffect):
 
     name = "maxwell_branch"
     title = "Maxwell branch"
-    ages = True
+    is_time_dependent = True
     rest = (0.0,) * 12
 
     mu: float = parameter("mu_m", "Pa", key="mu_Pa", bounds=(0.0, 1e6), absent=0.0)

@@ -7,12 +7,12 @@ import tissue_sim as ts
 
 
 @dataclass(frozen=True)
-class Seepage(ts.ReducedEffect):
+class Seepage(ts.ForceScalingEffect):
     """The force relaxes exponentially by a fraction of itself."""
 
     name = "seepage"
     title = "seepage at the surface"
-    ages = True
+    is_time_dependent = True
     under_plates = False
     share_lost: float = ts.parameter("s", "1", key="share_lost", bounds=(0.0, 0.9), absent=0.0)
     time: float = ts.parameter("tau_s", "s", key="time_s", bounds=(1e-3, 1e4))
@@ -23,5 +23,5 @@ class Seepage(ts.ReducedEffect):
         if not self.time > 0:
             raise ts.InputError(f"{self.time:g} s is not a positive time", field="time")
 
-    def share(self, history):
+    def compute_force_factor(self, history):
         return 1.0 - self.share_lost * -math.expm1(-history.time / self.time)

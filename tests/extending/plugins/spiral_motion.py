@@ -3,7 +3,7 @@
 import math
 
 from haptics.devices.contracts import Motion
-from haptics.devices.settings import read_settings
+from haptics.devices.settings import parse_number_settings
 from tissue_sim.pose import Pose
 
 #: Unit vector of the line and of the turning.
@@ -25,18 +25,19 @@ class SpiralMotion(Motion):
 
 def open_spiral(text):
     """``spiral:reach_mm=5``."""
-    return SpiralMotion(read_settings(text, reach_mm=5.0)["reach_mm"] * 1e-3)
+    return SpiralMotion(parse_number_settings(text, reach_mm=5.0)["reach_mm"] * 1e-3)
 
 
 def tissue_that_needs_the_name(stiffness=300.0):
     """A tissue whose making asks for the motion by name: in the process of a loop, it must be known there."""
-    from haptics.devices.back_ends import open_motion
+    from haptics.devices.back_ends import make_motion
     from tissue_sim.tool_force import ForceStatus, ToolForce
 
-    deepest = -open_motion("spiral:reach_mm=3").pose(0.25).position[2]
+    deepest = -make_motion("spiral:reach_mm=3").pose(0.25).position[2]
 
     class Spring:
         def step(self, pose, dt):
-            return ToolForce.axial(stiffness * pose.depth / deepest, stiffness / deepest, ForceStatus.CONVERGED)
+            return ToolForce.from_axial_force(stiffness * pose.depth / deepest, stiffness / deepest,
+                                              ForceStatus.CONVERGED)
 
     return Spring()

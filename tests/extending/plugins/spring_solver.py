@@ -10,7 +10,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.solver import Solver, Step, StepStatus
-from tissue_sim.pose import Pose, motion
+from tissue_sim.pose import Pose, compute_rigid_motion
 
 #: N/m, N and N m, per m and rad; symmetric and positive definite, every entry of it in use.
 STIFFNESS = np.diag([300.0, 250.0, 400.0, 0.02, 0.03, 0.01]) + 0.002 * np.add.outer(np.arange(6), np.arange(6))
@@ -31,7 +31,7 @@ class Spring:
 
 def wrench(pose: Pose, slid, stiffness=STIFFNESS) -> np.ndarray:
     """Return the wrench on the tool, N and N m, shape (6,)."""
-    way = np.array(motion(TOUCH, pose))
+    way = np.array(compute_rigid_motion(TOUCH, pose))
     way[:2] -= slid
     return -stiffness @ way
 
@@ -63,7 +63,7 @@ class SpringSolver(Solver):
 
     def step(self, pose, dt=0.0, *, tolerance=1e-9, max_iterations=20, predictor_order=2, inertial=False,
              resumes=False, own_stiffness=True):
-        x, y, *_ = motion(TOUCH, pose)
+        x, y, *_ = compute_rigid_motion(TOUCH, pose)
         across = np.array([x, y])
         pull = wrench(pose, self._spring.slid, self._stiffness)[:2]
         slid = np.array(self._spring.slid)
@@ -86,10 +86,10 @@ class SpringSolver(Solver):
     def set_material(self, material):
         self._stiffness = STIFFNESS * (material.mu0 / REFERENCE)
 
-    def lift_off(self):
+    def reset_to_first_touch(self):
         self._spring = replace(self._spring, pose=TOUCH)
 
-    def ask_for_stiffness(self):
+    def enable_stiffness_output(self):
         self._asked = True
 
     def field_sample(self):
@@ -101,5 +101,5 @@ class SpringSolver(Solver):
     def deformed_surface(self):
         return SpringSurface()
 
-    def report(self):
+    def get_recording_metadata(self):
         return {"element": "spring", "mesh": {"elements": 1, "freedoms": 6}}

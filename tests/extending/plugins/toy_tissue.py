@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from tissue_sim.pose import Pose, motion
+from tissue_sim.pose import Pose, compute_rigid_motion
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 #: N: the lateral force that the foot bears.
@@ -48,4 +48,4 @@ class ToyTissue:
 
     def _wrench(self, pose):
         foot = Pose((*self.foot.tolist(), 0.0))
-        return -stiffness() @ np.array(motion(foot, pose))
+        return -stiffness() @ np.array(compute_rigid_motion(foot, pose))

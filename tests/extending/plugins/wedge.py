@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import tissue_sim as ts
-from tissue_sim.mesh.block import block_under_plate, block_under_tool
+from tissue_sim.mesh.block import create_block_mesh_under_plate, create_block_mesh_under_tool
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Wedge(ts.Specimen):
         return 0.5 * np.hypot(max(self.length, self.base_length), self.width)
 
     def solid_mesh(self, grading):
-        mesh = (block_under_plate if grading.radius is None else block_under_tool)(
+        mesh = (create_block_mesh_under_plate if grading.radius is None else create_block_mesh_under_tool)(
             self.length, self.width, self.height, grading)
         share = -mesh.nodes[:, 2] / self.height
         stretch = 1.0 + share * (self.base_length / self.length - 1.0)

@@ -9,7 +9,7 @@ from device_contracts import ForceSensorContract
 
 from haptics.devices import ati_daq
 from haptics.devices.ati_daq import AtiDaqSensor
-from haptics.devices.back_ends import open_sensor
+from haptics.devices.back_ends import make_sensor
 from haptics.devices.contracts import DeviceError, SampleStatus
 from haptics.protocols.ati_calibration import AtiVoltageCalibration, parse_ati_calibration
 from tissue_sim.errors import InputError
@@ -71,7 +71,7 @@ class TestByName(ForceSensorContract):
         (tmp_path / "FT7.cal").write_text(FILE, encoding="utf-8")
         BOARD.now, BOARD.given = 0.0, 0
         monkeypatch.setitem(sys.modules, "my_board", sys.modules[__name__])
-        return open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'},volts=my_board:BOARD,rate_hz=500")
+        return make_sensor(f"ati-daq:{tmp_path / 'FT7.cal'},volts=my_board:BOARD,rate_hz=500")
 
     def pass_time(self, seconds):
         BOARD.now += seconds
@@ -119,7 +119,7 @@ def test_a_tare_is_the_mean_of_a_tenth_of_a_second():
     sensor.tare()
     samples = sensor.read()
     assert len(samples) == 50  # the samples that the tare has read
-    assert samples[-1].values == pytest.approx(CALIBRATION.compute_wrench_from_voltages((0.1,) * 6))
+    assert samples[-1].values == pytest.approx(CALIBRATION.compute_wrench_from_voltage_changes((0.1,) * 6))
 
 
 def test_a_tare_waits_for_the_first_sample(monkeypatch):
@@ -189,7 +189,7 @@ def test_a_silent_board_raises(monkeypatch):
 
 def test_a_missing_function_raises_with_instructions(tmp_path):
     (tmp_path / "FT7.cal").write_text(FILE, encoding="utf-8")
-    sensor = open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}")
+    sensor = make_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}")
     with pytest.raises(DeviceError, match=r"^the ATI sensor FT7 has no function that reads its voltages; give one that "
                        r"returns the new samples as an array \(n, 6\) of volts, as in "
                        r"ati-daq:FT01234\.cal,volts=my_board:read_volts$"):
@@ -218,18 +218,18 @@ def test_a_missing_function_raises(place, sentence):
 def test_invalid_settings_are_refused(tmp_path, settings, sentence):
     (tmp_path / "FT7.cal").write_text(FILE, encoding="utf-8")
     with pytest.raises(InputError, match=sentence):
-        open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}{settings}")
+        make_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}{settings}")
 
 
 def test_a_missing_or_truncated_file_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"ati-daq.*no such file, expected the \.cal file of an ATI sensor; check the "
                        r"name"):
-        open_sensor(f"ati-daq:{tmp_path / 'FT8.cal'}")
+        make_sensor(f"ati-daq:{tmp_path / 'FT8.cal'}")
     (tmp_path / "FT7.cal").write_text(FILE[:-40], encoding="utf-8")
     with pytest.raises(InputError, match=r"FT7\.cal: .*is not valid XML .*incomplete or damaged; copy the \.cal file"):
-        open_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}")
+        make_sensor(f"ati-daq:{tmp_path / 'FT7.cal'}")
     with pytest.raises(InputError, match=r"the calibration file is missing; give it first, as in ati-daq:FT01234"):
-        open_sensor("ati-daq:volts=a:b")
+        make_sensor("ati-daq:volts=a:b")
 
 
 def test_describe_returns_the_calibration():

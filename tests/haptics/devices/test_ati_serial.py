@@ -16,15 +16,15 @@ if sys.platform == "win32":
 
 from haptics.devices import ati_serial
 from haptics.devices.ati_serial import AtiSerialSensor
-from haptics.devices.back_ends import open_sensor
+from haptics.devices.back_ends import make_sensor
 from haptics.devices.contracts import Bench, DeviceError, SampleStatus
 from haptics.devices.serial_line import SerialLine
 from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.emulators import ati_serial as emulation
 from haptics.emulators.ati_serial import AtiSerialEmulator
-from haptics.emulators.emulator import open_emulator
-from haptics.emulators.terminal import TerminalEmulator
+from haptics.emulators.emulator import make_emulator
+from haptics.emulators.terminal import SerialDeviceEmulator
 from haptics.protocols.ati_serial import (
     AtiSerialRecord,
     decode_ascii_record_or_none,
@@ -64,7 +64,7 @@ def patience(monkeypatch):
     the wait of a test that expects it to end."""
     def patience(seconds):
         monkeypatch.setattr(ati_serial, "TIMING", replace(ati_serial.TIMING, patience=seconds, silence=seconds,
-                                                        observation=SHORT))
+                                                          observation=SHORT))
 
     patience(LONG)
     return patience
@@ -72,7 +72,7 @@ def patience(monkeypatch):
 
 @pytest.fixture
 def emulator():
-    with open_emulator("ati-serial:", bench()) as emulator:
+    with make_emulator("ati-serial:", bench()) as emulator:
         yield emulator
 
 
@@ -82,8 +82,8 @@ class OverASerialLine(ForceSensorContract):
 
     @pytest.fixture
     def sensor(self):
-        with open_emulator(self.emulated, bench()) as emulator:
-            self.sensor_here = open_sensor(emulator.address)
+        with make_emulator(self.emulated, bench()) as emulator:
+            self.sensor_here = make_sensor(emulator.address)
             yield self.sensor_here
             self.sensor_here.stop()
 
@@ -110,7 +110,7 @@ class TestBinary(OverASerialLine):
 
 
 def test_describe_returns_the_settings(emulator):
-    sensor = open_sensor(emulator.address)
+    sensor = make_sensor(emulator.address)
     sensor.start()
     described = sensor.describe()
     assert described["verified"] == "against an emulator only" and described["mode"] == "ascii"
@@ -146,8 +146,8 @@ def test_the_baud_rate_limits_the_rate_of_the_records(monkeypatch):
 
 
 def test_a_load_beyond_the_range_is_saturated():
-    with open_emulator("ati-serial:", bench(reach=2.5)) as emulator:
-        sensor = open_sensor(emulator.address)
+    with make_emulator("ati-serial:", bench(reach=2.5)) as emulator:
+        sensor = make_sensor(emulator.address)
         sensor.start()
         sample = read_records(sensor)[0]
         sensor.stop()
@@ -156,7 +156,7 @@ def test_a_load_beyond_the_range_is_saturated():
 
 def test_a_count_at_the_end_of_its_range_is_saturated(emulator, monkeypatch):
     """A count at the end of its range is saturated even if the controller does not set its flag."""
-    sensor = open_sensor(emulator.address)
+    sensor = make_sensor(emulator.address)
     sensor.start()
     monkeypatch.setattr(emulator, "_encode_next_record", lambda: b"0,  -102,-32768,  -225,   -20,    39,   -39\r\n")
     sample = wait_until(lambda: [each for each in sensor.read() if each.counts != COUNTS])[0]
@@ -167,7 +167,7 @@ def test_a_count_at_the_end_of_its_range_is_saturated(emulator, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["ascii", "binary"])
 def test_a_truncated_record_is_a_gap(emulator, monkeypatch, mode):
-    sensor = open_sensor(emulator.address.replace("ascii", mode))
+    sensor = make_sensor(emulator.address.replace("ascii", mode))
     sensor.start()
     read_records(sensor)
     whole, turn = emulator._encode_next_record, iter(range(10**6))
@@ -189,8 +189,8 @@ def test_garbled_records_are_counted_and_undetected_ones_differ_by_a_digit():
     """Without a checksum, accepted records are only known to be numbers in the right form."""
     # With this seed the first messages, which `start` requires, are intact.
     sound = next(seed for seed in range(1000) if first_garbled(seed) > 12)
-    with open_emulator("ati-serial:", bench(), Faults(garble=0.3, seed=sound)) as emulator:
-        sensor = open_sensor(emulator.address)
+    with make_emulator("ati-serial:", bench(), Faults(garble=0.3, seed=sound)) as emulator:
+        sensor = make_sensor(emulator.address)
         sensor.start()
         samples = read_records(sensor, 60)
         garbled = sensor.describe()["garbled_records"]
@@ -259,7 +259,7 @@ def test_a_stream_left_by_another_program_is_ended(emulator):
         line.write(mode + b"QS\r")
         line.read_exactly(60, LONG)
         line.close()
-        sensor = open_sensor(emulator.address)
+        sensor = make_sensor(emulator.address)
         sensor.start()
         assert read_records(sensor)[0].counts == COUNTS
         sensor.stop()
@@ -294,7 +294,7 @@ def test_a_wrong_baud_rate_raises(emulator, mode):
         sensor_at(emulator.path, baud=38400, mode=mode).start()
 
 
-class Talker(TerminalEmulator):
+class Talker(SerialDeviceEmulator):
     """Another device: sends the same answer to each carriage return."""
 
     name = "other device"
@@ -362,7 +362,7 @@ def test_an_answer_without_a_prompt_raises(emulator, monkeypatch, patience):
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["ascii", "binary"])
 def test_a_silent_controller_raises(emulator, monkeypatch, mode):
-    sensor = open_sensor(emulator.address.replace("ascii", mode))
+    sensor = make_sensor(emulator.address.replace("ascii", mode))
     sensor.start()
     assert read_records(sensor)
     sensor._receiver._silence = 1.0
@@ -377,7 +377,7 @@ def test_a_silent_controller_raises(emulator, monkeypatch, mode):
 @pytest.mark.slow
 def test_text_instead_of_records_raises_and_is_quoted(emulator, monkeypatch):
     """Some controllers report a saturated or disconnected sensor in words."""
-    sensor = open_sensor(emulator.address)
+    sensor = make_sensor(emulator.address)
     sensor.start()
     assert read_records(sensor)
     sensor._receiver._silence = 1.0
@@ -390,21 +390,21 @@ def test_text_instead_of_records_raises_and_is_quoted(emulator, monkeypatch):
 
 
 def test_a_disconnected_cable_raises_and_a_new_start_works(emulator):
-    sensor = open_sensor(emulator.address)
+    sensor = make_sensor(emulator.address)
     sensor.start()
     emulator.stop()
     with pytest.raises(DeviceError, match=r"the ATI controller at \S+ is gone .*; plug it in again and start again"):
         wait_until(lambda: sensor.read() and None)
     sensor.stop()
     emulator.start()
-    again = open_sensor(emulator.address)
+    again = make_sensor(emulator.address)
     again.start()
     assert read_records(again)[0].sequence == 0
     again.stop()
 
 
 def test_unread_records_are_lost_and_marked_as_a_gap(emulator, monkeypatch):
-    sensor = open_sensor(emulator.address)
+    sensor = make_sensor(emulator.address)
     sensor.start()
     read_records(sensor)
     waiting = sensor._receiver._waiting
@@ -435,7 +435,7 @@ def test_unread_records_are_lost_and_marked_as_a_gap(emulator, monkeypatch):
 ])
 def test_invalid_settings_are_refused(name, sentence):
     with pytest.raises(InputError, match=sentence):
-        open_sensor(name)
+        make_sensor(name)
 
 
 def test_invalid_settings_of_the_emulator_are_refused():
@@ -444,6 +444,6 @@ def test_invalid_settings_of_the_emulator_are_refused():
                            ("ati-serial:counts_per_N=-1", "counts_per_N: counts per unit and baud rate must be above "
                             "0; got -1")):
         with pytest.raises(InputError, match=sentence):
-            open_emulator(name, bench())
+            make_emulator(name, bench())
     with pytest.raises(InputError, match="mode: the mode of the records must be ascii or binary; got 'hex'"):
         AtiSerialSensor("/dev/ttyUSB0", 1.0, 1.0, mode="hex")

@@ -14,11 +14,11 @@ from waiting import wait_until
 
 from haptics.devices import grbl as grbl_stage
 from haptics.devices import grbl_connection
-from haptics.devices.back_ends import open_stage
+from haptics.devices.back_ends import make_stage
 from haptics.devices.contracts import DeviceError, SampleStatus
-from haptics.devices.grbl import open_grbl
+from haptics.devices.grbl import make_grbl_stage
 from haptics.devices.virtual.faults import Faults
-from haptics.emulators.emulator import open_emulator
+from haptics.emulators.emulator import make_emulator
 from haptics.emulators.grbl import GrblEmulator
 from tissue_sim.errors import InputError
 
@@ -50,8 +50,8 @@ class TestGrbl(StageContract):
     @pytest.fixture
     def stage(self):
         self.clock = Clock()
-        with open_emulator("grbl:" + self.settings, bench(start_at=0.002, clock=self.clock)) as self.emulator:
-            stage = self.stage = open_stage(self.emulator.address + self.more)
+        with make_emulator("grbl:" + self.settings, bench(start_at=0.002, clock=self.clock)) as self.emulator:
+            stage = self.stage = make_stage(self.emulator.address + self.more)
             yield stage
             stage.stop()
             assert self.emulator.most_queued <= 0.1 + 1e-3
@@ -90,7 +90,7 @@ def home(stage, clock):
 
 
 def homed(emulator, clock):
-    stage = open_stage(emulator.address)
+    stage = make_stage(emulator.address)
     stage.start()
     home(stage, clock)
     return stage
@@ -125,7 +125,7 @@ def test_a_hung_program_sends_no_more_jogs(emulator, clock, monkeypatch):
 @pytest.mark.slow
 def test_a_halt_while_homing_leaves_the_zero_unknown(clock):
     with GrblEmulator(bench(start_at=0.008, clock=clock), Faults()) as emulator:
-        stage = open_stage(emulator.address)
+        stage = make_stage(emulator.address)
         stage.start()
         stage.home()
         wait_until(lambda: emulator._homing, event="homing")
@@ -188,7 +188,7 @@ def test_an_alarm_sets_the_status_and_motions_raise(emulator, clock, number, wor
 
 def test_failed_homing_raises(clock):
     with GrblEmulator(bench(start_at=0.008, clock=clock), Faults()) as emulator:
-        stage = open_stage(emulator.address)
+        stage = make_stage(emulator.address)
         stage.start()
         stage.home()
         wait_until(lambda: emulator._homing, event="homing")
@@ -201,7 +201,7 @@ def test_failed_homing_raises(clock):
 
 def test_endless_homing_raises(clock):
     with GrblEmulator(bench(start_at=0.008, clock=clock), Faults()) as emulator:
-        stage = open_stage(emulator.address)
+        stage = make_stage(emulator.address)
         stage.start()
         stage._longest_homing = 0.2
         stage.home()
@@ -251,7 +251,7 @@ def test_a_jog_left_by_another_program_is_cancelled(emulator, clock):
     wait_until(lambda: emulator.queued_duration > 0.05)
     connection, stage._connection = stage._connection, None
     connection.close()  # like the death of the program
-    again = open_stage(emulator.address)
+    again = make_stage(emulator.address)
     again.start()
     wait_until(lambda: not again.position().moving)
     assert not emulator._motions
@@ -265,8 +265,8 @@ def test_a_jog_left_by_another_program_is_cancelled(emulator, clock):
     ("122=10", "is 0.8 mm/s, less than 4 mm/s; lower top_speed_mm_s, or raise .122"),
 ])
 def test_limits_beyond_those_of_the_machine_are_refused(clock, settings, words):
-    with open_emulator("grbl:" + settings, bench(clock=clock)) as emulator:
-        stage = open_stage(emulator.address)
+    with make_emulator("grbl:" + settings, bench(clock=clock)) as emulator:
+        stage = make_stage(emulator.address)
         for _ in range(2):
             with pytest.raises(DeviceError, match=words):
                 stage.start()
@@ -277,26 +277,26 @@ def test_limits_beyond_those_of_the_machine_are_refused(clock, settings, words):
 def test_another_version_is_refused(clock):
     with GrblEmulator(bench(clock=clock), Faults(), version="0.9j.20160303") as emulator, pytest.raises(
             DeviceError, match=r"reports 0\.9; install Grbl 1.1"):
-        open_stage(emulator.address).start()
+        make_stage(emulator.address).start()
 
 
 def test_a_machine_used_by_another_program_is_refused(clock):
     with GrblEmulator(bench(clock=clock), Faults()) as emulator:
         emulator._alarm, emulator._held = False, True
         with pytest.raises(DeviceError, match="in the state Hold because of another program; end that"):
-            open_stage(emulator.address).start()
+            make_stage(emulator.address).start()
 
 
 def test_a_missing_port_raises():
     with pytest.raises(DeviceError, match="there is no port /dev/ttyNOWHERE for the Grbl"):
-        open_grbl("/dev/ttyNOWHERE").start()
+        make_grbl_stage("/dev/ttyNOWHERE").start()
 
 
 def test_a_busy_port_raises_with_the_remedy(emulator):
-    first = open_stage(emulator.address)
+    first = make_stage(emulator.address)
     first.start()
     with pytest.raises(DeviceError, match="in use by another program; close that one"):
-        open_stage(emulator.address).start()
+        make_stage(emulator.address).start()
     first.stop()
 
 
@@ -306,7 +306,7 @@ def test_a_port_without_permission_raises_with_the_remedy(emulator, monkeypatch)
 
     monkeypatch.setattr(serial, "Serial", refuse)
     with pytest.raises(DeviceError, match=r"no permission to open .* for the Grbl.*usermod"):
-        open_stage(emulator.address).start()
+        make_stage(emulator.address).start()
 
 
 @pytest.mark.slow
@@ -318,13 +318,13 @@ def test_a_port_without_permission_raises_with_the_remedy(emulator, monkeypatch)
 def test_garbage_another_device_or_silence_raises(answer, words, monkeypatch):
     monkeypatch.setattr(grbl_connection, "TIMING", replace(grbl_connection.TIMING, boot=0.5))
     with port_that_answers(answer) as port, pytest.raises(DeviceError, match=words):
-        open_grbl(port).start()
+        make_grbl_stage(port).start()
 
 
 def test_a_tic_in_place_of_a_grbl_is_identified(clock, monkeypatch):
     monkeypatch.setattr(grbl_connection, "TIMING", replace(grbl_connection.TIMING, boot=0.5))
-    with open_emulator("tic:", bench(clock=clock)) as emulator, pytest.raises(DeviceError, match="name it tic:"):
-        open_grbl(emulator.path).start()
+    with make_emulator("tic:", bench(clock=clock)) as emulator, pytest.raises(DeviceError, match="name it tic:"):
+        make_grbl_stage(emulator.path).start()
 
 
 @pytest.mark.slow
@@ -356,7 +356,7 @@ def test_an_unplugged_controller_raises(emulator, clock):
 ])
 def test_invalid_settings_are_refused(settings, field):
     with pytest.raises(InputError) as caught:
-        open_grbl("/dev/ttyUSB0," + settings)
+        make_grbl_stage("/dev/ttyUSB0," + settings)
     assert caught.value.field == field
 
 

@@ -5,7 +5,7 @@ import serial
 from stepper_benches import Clock, bench
 
 from haptics.devices.virtual.faults import Faults
-from haptics.emulators.emulator import open_emulator
+from haptics.emulators.emulator import make_emulator
 from haptics.emulators.grbl import GrblEmulator
 from tissue_sim.errors import InputError
 
@@ -37,5 +37,5 @@ def test_answers_on_a_terminal_equal_the_documentation():
 def test_invalid_settings_of_the_emulator_are_refused():
     for text, field in (("112=-5", "112"), ("speed=1", "speed")):
         with pytest.raises(InputError) as caught:
-            open_emulator("grbl:" + text, bench())
+            make_emulator("grbl:" + text, bench())
         assert caught.value.field == field

@@ -11,13 +11,13 @@ import pytest
 from device_contracts import HapticDeviceContract
 from waiting import wait_until
 
-from haptics.devices.back_ends import open_haptic
+from haptics.devices.back_ends import make_haptic_device
 from haptics.devices.contracts import DeviceError
 from haptics.devices.haply import TIMING, HaplyDevice
 from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.hand import VirtualHand
-from haptics.emulators.emulator import open_emulator
-from haptics.emulators.haply import START, TIMES, HaplyEmulator, emulate_haply
+from haptics.emulators.emulator import make_emulator
+from haptics.emulators.haply import START, TIMES, HaplyEmulator, make_haply_emulator
 from haptics.loop.ticker import Ticker
 from haptics.protocols.haply import HaplyDeviceState, encode_state_message, find_force_in_client_message
 from tissue_sim.errors import InputError
@@ -30,13 +30,13 @@ NO_WRENCH = (0.0,) * 6
 
 @pytest.fixture
 def service():
-    with emulate_haply(None, "port=0", Faults()) as emulator:
+    with make_haply_emulator(None, "port=0", Faults()) as emulator:
         yield emulator
 
 
 @pytest.fixture
 def started(service):
-    device = open_haptic(f"{service.address},{AT_START}")
+    device = make_haptic_device(f"{service.address},{AT_START}")
     device.start()
     yield device
     device.stop()
@@ -54,7 +54,7 @@ class TestContract(HapticDeviceContract):
 
     @pytest.fixture
     def device(self, service):
-        return open_haptic(service.address)
+        return make_haptic_device(service.address)
 
     def test_a_force_moves_a_hand_and_leaves_a_motion_unchanged(self, device):
         """Run one device after the other, because the hand of the emulator restarts with each client."""
@@ -71,7 +71,6 @@ class TestContract(HapticDeviceContract):
         free, pushed = places
         assert pushed[2] > free[2] and pushed[:2] == pytest.approx(free[:2], abs=1e-12)
 
-
     def test_an_unstarted_device_can_be_pickled(self, device):
         """Compare the first poses that arrive; the ticks before them depend on the load of the computer."""
         poses = []
@@ -83,7 +82,7 @@ class TestContract(HapticDeviceContract):
 
 
 def test_the_first_pose_is_above_the_tissue(service):
-    device = open_haptic(f"{service.address},above_mm=7")
+    device = make_haptic_device(f"{service.address},above_mm=7")
     device.start()
     pose = device.pose(0.0)
     device.stop()
@@ -110,7 +109,7 @@ def test_a_large_force_is_limited_and_an_invalid_force_is_zero(started, service)
 
 def test_axes_and_scale_convert_motion_and_force(service):
     """Scene x, y, z are device y, z, x; the tool moves twice as far as the cursor, the hand feels half the force."""
-    device = open_haptic(f"{service.address},axes=yzx,scale=2,force_scale=0.5,x_mm=1,y_mm=-148,z_mm=147,turn=1")
+    device = make_haptic_device(f"{service.address},axes=yzx,scale=2,force_scale=0.5,x_mm=1,y_mm=-148,z_mm=147,turn=1")
     device.start()
     assert device.pose(0.0).position == pytest.approx((-4e-3, 6e-3, -2e-3), abs=1e-9)
     assert device.pose(0.0).orientation == (1.0, 0.0, 0.0, 0.0)
@@ -136,7 +135,7 @@ def test_the_tool_turns_with_the_grip_about_the_axes_of_the_scene():
     ("ws://127.0.0.1:1,largest_force_N=-1", "largest_force"), ("ws://127.0.0.1:1,speed=1", "speed")])
 def test_invalid_settings_are_refused(text, field):
     with pytest.raises(InputError) as caught:
-        open_haptic(f"haply:{text}")
+        make_haptic_device(f"haply:{text}")
     assert field in caught.value.field
 
 
@@ -208,8 +207,8 @@ def test_another_server_at_the_address_raises(answer):
 
 
 def test_a_silent_service_gives_no_pose():
-    with emulate_haply(None, "port=0", Faults(disconnect_after=0.3)) as service:
-        device = open_haptic(service.address)
+    with make_haply_emulator(None, "port=0", Faults(disconnect_after=0.3)) as service:
+        device = make_haptic_device(service.address)
         device.start()
         assert device.pose(0.0) is not None
         wait_until(lambda: device.render(NO_WRENCH) or device.pose(0.0) is None)
@@ -239,8 +238,8 @@ def test_invalid_answers_are_ignored_and_only_invalid_answers_give_no_pose():
 
 def test_a_slow_service_does_not_delay_the_loop():
     """Answers arrive after 0.2 s: poses are unknown in between, and no call waits for an answer."""
-    with emulate_haply(None, "port=0", Faults(delay=0.2)) as service:
-        device = open_haptic(service.address)
+    with make_haply_emulator(None, "port=0", Faults(delay=0.2)) as service:
+        device = make_haptic_device(service.address)
         device.start()
         began, none, ticker = time.monotonic(), 0, Ticker(1e-3)
         ticker.start_first_period()
@@ -284,8 +283,9 @@ def test_forces_do_not_accumulate_at_a_slow_service():
 
 
 def test_lost_messages_do_not_stop_the_exchange():
-    with emulate_haply(None, "port=0", Faults(loss=0.3, seed=2)) as service:  # with this seed the first message arrives
-        device = open_haptic(service.address)
+    with make_haply_emulator(None, "port=0",
+                             Faults(loss=0.3, seed=2)) as service:  # with this seed the first message arrives
+        device = make_haptic_device(service.address)
         device.start()
         before = service.messages
         wait_until(lambda: device.render(NO_WRENCH) or service.messages > before + 10)
@@ -319,8 +319,8 @@ def test_the_emulator_removes_the_force_after_a_silence(service):
 
 def test_the_emulated_hand_yields_to_a_force():
     """With a grip of 100 N/m a force of 1 N moves the hand by 10 mm."""
-    with emulate_haply(None, "port=0,grip_N_m=100,damping_N_s_m=8", Faults()) as service:
-        device = open_haptic(f"{service.address},{AT_START}")
+    with make_haply_emulator(None, "port=0,grip_N_m=100,damping_N_s_m=8", Faults()) as service:
+        device = make_haptic_device(f"{service.address},{AT_START}")
         device.start()
 
         def rises():
@@ -337,19 +337,19 @@ def test_the_emulated_hand_yields_to_a_force():
 def test_a_port_in_use_raises_with_the_remedy(service):
     port = service.address.rpartition(":")[2]
     with pytest.raises(DeviceError, match=f"port {port} cannot be opened.*another emulator"):
-        open_emulator(f"haply:port={port}", None).start()
+        make_emulator(f"haply:port={port}", None).start()
     with pytest.raises(InputError):
-        open_emulator("haply:depth=3", None)
+        make_emulator("haply:depth=3", None)
     assert "unverified" in service.describe() and isinstance(service, HaplyEmulator)
     json.dumps(service.describe())
 
 
 def test_the_emulator_accepts_another_hand():
-    from haptics.devices.motions import HandMotion
+    from haptics.devices.motions import TargetFollowingMotion
 
-    hand = VirtualHand(HandMotion(), grip=0.0)
+    hand = VirtualHand(TargetFollowingMotion(), grip=0.0)
     with HaplyEmulator(hand) as service:
-        device = open_haptic(f"{service.address},{AT_START}")
+        device = make_haptic_device(f"{service.address},{AT_START}")
         device.start()
 
         def has_moved():

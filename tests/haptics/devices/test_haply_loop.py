@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 from waiting import wait_until
 
-from haptics.devices.back_ends import open_haptic
+from haptics.devices.back_ends import make_haptic_device
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopError, LoopProcess
-from haptics.safety.limits import ForceLimits
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
@@ -28,7 +28,7 @@ class Block:
 
     def step(self, pose, dt):
         depth = max(pose.depth, 0.0)
-        return ToolForce.axial(300.0 * depth, 300.0 if depth else 0.0, ForceStatus.CONVERGED)
+        return ToolForce.from_axial_force(300.0 * depth, 300.0 if depth else 0.0, ForceStatus.CONVERGED)
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def felt(process):
 
 
 def loop_with(address, seconds=None):
-    return LoopProcess(Block, open_haptic(f"{address},{AT_START}"), ForceRendering(ForceLimits(5.0, 0.5)),
+    return LoopProcess(Block, make_haptic_device(f"{address},{AT_START}"), ForceRendering(ForceLimiter(5.0, 0.5)),
                        LoopSettings(seconds=seconds, real_time=False))
 
 
@@ -58,9 +58,9 @@ def loop_with(address, seconds=None):
 def test_the_loop_renders_the_tissue_to_the_device(other_process):
     with loop_with(other_process.address, seconds=1.5) as loop:
         loop.wait_until_ready()
-        with loop.ring() as ring:
+        with loop.open_ring_reader() as ring:
             report = loop.wait()
-            records = ring.since(0).records
+            records = ring.read_ticks_after(0).records
     hand = felt(other_process)
     # The grip of 1000 N/m yields to the tissue of 300 N/m: depth = 6 mm x 1000/1300, force = 300 N/m x depth.
     assert report.ended_by == "time" and report.largest_force == pytest.approx(300 * 6e-3 / 1.3, rel=0.1)
@@ -75,7 +75,7 @@ def test_the_loop_renders_the_tissue_to_the_device(other_process):
 def test_a_dead_service_leaves_no_force_and_the_loop_continues(other_process):
     with loop_with(other_process.address) as loop:
         loop.wait_until_ready()
-        with loop.ring() as ring:
+        with loop.open_ring_reader() as ring:
             wait_until(lambda: (last := ring.latest()) is not None and last["force"] > 0.5)
             other_process.kill()
             wait_until(lambda: ring.latest()["force"] == 0.0 and math.isnan(ring.latest()["device_pose"][0]))
@@ -87,7 +87,7 @@ def test_a_dead_service_leaves_no_force_and_the_loop_continues(other_process):
 
 
 def test_a_dead_service_is_described_after_the_stop(other_process):
-    device = open_haptic(f"{other_process.address},{AT_START}")
+    device = make_haptic_device(f"{other_process.address},{AT_START}")
     device.start()
     assert "trouble" not in device.describe()
     other_process.kill()
@@ -102,7 +102,6 @@ def test_a_loop_without_a_service_does_not_start():
         with loop_with(f"haply:ws://127.0.0.1:{taken.getsockname()[1]}") as loop, \
                 pytest.raises(LoopError, match="no Haply Inverse service answers"):
             loop.wait_until_ready()
-
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot hold a process still")

@@ -10,14 +10,14 @@ import pytest
 from stepper_benches import bench
 from waiting import wait_until
 
-from haptics.devices.back_ends import open_stage
-from haptics.emulators.emulator import open_emulator
+from haptics.devices.back_ends import make_stage
+from haptics.emulators.emulator import make_emulator
 
 PROGRAM = """
 import sys
-from haptics.devices.back_ends import open_stage
+from haptics.devices.back_ends import make_stage
 
-stage = open_stage(sys.argv[1])
+stage = make_stage(sys.argv[1])
 stage.start()
 stage.home()
 while not stage.position().homed or stage.position().moving:
@@ -41,7 +41,7 @@ SPEED = 0.002
 ])
 @pytest.mark.slow
 def test_the_motor_stops_soon_after_a_kill(protocol, late, root):
-    with open_emulator(protocol, bench(highest=HIGHEST, speed=SPEED)) as emulator:
+    with make_emulator(protocol, bench(highest=HIGHEST, speed=SPEED)) as emulator:
         program = subprocess.Popen([sys.executable, "-c", PROGRAM, emulator.address], stdout=subprocess.PIPE, text=True,
                                    cwd=root, env=os.environ | {"PYTHONPATH": str(root)})
         try:
@@ -58,9 +58,9 @@ def test_the_motor_stops_soon_after_a_kill(protocol, late, root):
         wait_until(lambda: not stage.position().moving, event="the motor to stand")
         way = stage.compute_tool_position_with_stall(time.monotonic()) - died_at
         assert 0.2e-3 < died_at < 0.5 * HIGHEST
-        assert 0.0 <= way <= SPEED * (open_stage(emulator.address).runs_on + late) + 2e-6
+        assert 0.0 <= way <= SPEED * (make_stage(emulator.address).runs_on + late) + 2e-6
         # Another program can use the stage.
-        again = open_stage(emulator.address)
+        again = make_stage(emulator.address)
         again.start()
         assert not again.position().moving
         again.stop()

@@ -10,12 +10,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from haptics.devices.back_ends import MOTIONS, open_motion
+from haptics.devices.back_ends import MOTIONS, make_motion
 from haptics.devices.contracts import Motion
-from haptics.devices.motions import HandMotion, ProtocolMotion, RandomWalk, SineMotion, SpatialWalk
+from haptics.devices.motions import ProtocolMotion, RandomWalk, SineMotion, SpatialWalk, TargetFollowingMotion
 from haptics.devices.virtual.hand import VirtualHand
 from tissue_sim.errors import InputError
-from tissue_sim.pose import Pose, motion
+from tissue_sim.pose import Pose, compute_rigid_motion
 
 
 @pytest.mark.parametrize("name", ["random:seed=3", "random:sideways_mm=4,turn_deg=5", "sine",
@@ -23,23 +23,23 @@ from tissue_sim.pose import Pose, motion
 class TestMotions(MotionContract):
     @pytest.fixture
     def device(self, name):
-        return open_motion(name)
+        return make_motion(name)
 
 
 def test_every_built_in_motion_is_made_by_its_name():
     assert list(MOTIONS) == ["random", "sine", "protocol", "hand"]
-    walk = open_motion("random:seed=7,depth_mm=6,lift=0.5,top_speed_mm_s=100")
+    walk = make_motion("random:seed=7,depth_mm=6,lift=0.5,top_speed_mm_s=100")
     np.testing.assert_array_equal(depths(walk, range(9)), depths(RandomWalk(7, 6e-3, -3e-3, 0.1), range(9)))
-    in_space = open_motion("random:seed=7,depth_mm=6,lift=0,top_speed_mm_s=100,sideways_mm=3,turn_deg=9,turn_deg_s=90")
+    in_space = make_motion("random:seed=7,depth_mm=6,lift=0,top_speed_mm_s=100,sideways_mm=3,turn_deg=9,turn_deg_s=90")
     twin = SpatialWalk(7, 6e-3, -0.0, 3e-3, math.radians(9.0), 0.1, math.radians(90.0))
     assert [in_space.pose(time) for time in range(9)] == [twin.pose(time) for time in range(9)]
-    np.testing.assert_allclose(depths(open_motion("sine:depth_mm=5,frequency_hz=2"), [0.0, 0.25]), [-1e-3, 5e-3])
-    repeated = open_motion("protocol:ramp 4mm @2mm/s; unload")
+    np.testing.assert_allclose(depths(make_motion("sine:depth_mm=5,frequency_hz=2"), [0.0, 0.25]), [-1e-3, 5e-3])
+    repeated = make_motion("protocol:ramp 4mm @2mm/s; unload")
     assert repeated.depth(6.0) == pytest.approx(4e-3), "it repeats where it closes"
-    hand = open_motion("hand:depth_mm=2,speed_mm_s=10")
+    hand = make_motion("hand:depth_mm=2,speed_mm_s=10")
     assert (hand.depth(0.0), hand.depth(0.1)) == (0.0, pytest.approx(1e-3)) and hand.depth(9.0) == pytest.approx(2e-3)
     with pytest.raises(InputError, match=r"unknown motion 'sin'; did you mean 'sine'\?"):
-        open_motion("sin:depth_mm=5")
+        make_motion("sin:depth_mm=5")
 
 
 def test_a_pose_is_upright_and_on_the_axis():
@@ -80,7 +80,7 @@ def test_a_sine_begins_at_the_upper_depth_at_rest():
 @pytest.mark.parametrize(("start", "target"), [(0.0, 5e-3), (5e-3, -2e-3)])
 def test_a_hand_approaches_its_target_as_a_critically_damped_spring(start, target, step):
     """The solution of x'' + 2 w x' + w^2 (x - target) = 0 from rest, for every time step."""
-    hand = HandMotion(start, speed=10.0, response=30.0)
+    hand = TargetFollowingMotion(start, speed=10.0, response=30.0)
     hand.aim(target)
     times = np.arange(0.0, 0.5, step)
     away = (start - target) * (1 + 30.0 * times) * np.exp(-30.0 * times)
@@ -88,7 +88,7 @@ def test_a_hand_approaches_its_target_as_a_critically_damped_spring(start, targe
 
 
 def test_a_hand_keeps_its_speed_limit():
-    hand = HandMotion(0.0, speed=0.05)
+    hand = TargetFollowingMotion(0.0, speed=0.05)
     hand.aim(0.02)
     way = depths(hand, np.arange(0.0, 1.0, 1e-3))
     assert np.diff(way).max() == pytest.approx(0.05e-3) and way[-1] == pytest.approx(0.02) and way.max() < 0.0201
@@ -149,7 +149,7 @@ def test_a_spatial_walk_keeps_its_bounds(seed, deepest, lift, aside, turn, speed
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= speed * 4e-3 * (1 + 1e-9)
     assert max(turned_by(pose) for pose in poses) <= turn + 1e-7
     # Between two orientations whose rotation vectors differ by d the angle is at most d.
-    assert all(math.hypot(*motion(one, other)[3:]) <= turn_speed * 4e-3 * (1 + 1e-6) + 1e-9
+    assert all(math.hypot(*compute_rigid_motion(one, other)[3:]) <= turn_speed * 4e-3 * (1 + 1e-6) + 1e-9
                for one, other in pairwise(poses))
     assert poses[0].position == pytest.approx((0.0, 0.0, lift), abs=1e-15) and turned_by(poses[0]) == 0.0, "upright"
     assert np.abs(path[1] - path[0]).max() < 1e-6, "and at rest"
@@ -182,10 +182,10 @@ def test_a_spatial_walk_depends_on_seed_and_time_alone():
                                   "protocol:ramp 4mm @2mm/s; unload"])
 def test_named_motions_follow_the_approach_of_the_tool(name):
     """With an oblique approach, motions follow its axis from first contact on; a motion keeps its first approach."""
-    approach, plain, leaning = ts.Approach(12e-3, math.radians(20.0)), open_motion(name), open_motion(name)
+    approach, plain, leaning = ts.Approach(12e-3, math.radians(20.0)), make_motion(name), make_motion(name)
     leaning.set_approach(approach)
     leaning.set_approach(ts.Approach(-12e-3))
-    followed = VirtualHand(open_motion(name), grip=400.0)
+    followed = VirtualHand(make_motion(name), grip=400.0)
     followed.set_approach(approach)
     assert followed.pose(0.0).position == pytest.approx(leaning.pose(0.0).position, abs=1e-15)
     for time in (0.0, 0.31, 0.8, 2.0):
@@ -209,7 +209,7 @@ def test_invalid_motions_are_refused(wrong):
 def test_a_hand_moves_along_the_axis_of_its_approach_and_sideways():
     """Targets on the axis of the approach and off it; the speed limit holds in every direction."""
     approach = ts.Approach(offset=12e-3, angle=math.radians(20.0))
-    hand = HandMotion(0.0, speed=0.05, approach=approach)
+    hand = TargetFollowingMotion(0.0, speed=0.05, approach=approach)
     assert hand.pose(0.0) == approach.pose(0.0)
     hand.aim(5e-3)
     path = [hand.pose(time) for time in np.arange(0.0, 1.0, 1e-3)]
@@ -229,7 +229,7 @@ def test_a_hand_moves_along_the_axis_of_its_approach_and_sideways():
 
 def test_a_hand_that_takes_over_keeps_position_and_orientation():
     pose = Pose((3e-3, -2e-3, -4e-3), (math.cos(0.1), 0.0, -math.sin(0.1), 0.0))
-    hand = HandMotion(None)
+    hand = TargetFollowingMotion(None)
     hand.continue_from_pose(pose)
     np.testing.assert_allclose(hand.pose(1.0).position, pose.position, atol=1e-15)
     assert hand.pose(2.0).orientation == pose.orientation

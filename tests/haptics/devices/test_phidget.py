@@ -11,7 +11,7 @@ import pytest
 from device_contracts import StageContract
 
 from haptics.devices import phidget
-from haptics.devices.back_ends import open_stage
+from haptics.devices.back_ends import make_stage
 from haptics.devices.contracts import DeviceError
 from tissue_sim.errors import InputError
 
@@ -147,7 +147,7 @@ class OverTheStandIn(StageContract):
 
     @pytest.fixture
     def stage(self, library):
-        self.stage_here = open_stage(self.name)
+        self.stage_here = make_stage(self.name)
         yield self.stage_here
         self.stage_here.stop()
 
@@ -171,7 +171,7 @@ class TestTheOtherWayRound(OverTheStandIn):
 
 @pytest.fixture
 def stage(library):
-    stage = open_stage("phidget:123,steps_per_mm=25")
+    stage = make_stage("phidget:123,steps_per_mm=25")
     stage.start()
     yield stage
     stage.stop()
@@ -224,7 +224,7 @@ def test_without_a_failsafe_runs_on_is_infinite(library, monkeypatch):
 
     monkeypatch.setattr(Stepper, "enableFailsafe", refuse)
     monkeypatch.setattr(Stepper, "resetFailsafe", refuse)
-    stage = open_stage("phidget:123,steps_per_mm=25")
+    stage = make_stage("phidget:123,steps_per_mm=25")
     stage.start()
     stage.home()
     stage.move(0.010, 0.005)
@@ -279,7 +279,7 @@ def test_a_failed_start_closes_the_controller(library, monkeypatch):
         raise PhidgetException(21, "Out of range.")
 
     monkeypatch.setattr(Stepper, "setAcceleration", refuse)
-    stage = open_stage("phidget:123,steps_per_mm=25")
+    stage = make_stage("phidget:123,steps_per_mm=25")
     with pytest.raises(DeviceError, match=r"reports an error \(Out of range\)"):
         stage.start()
     assert not Stepper.made[0].open
@@ -293,12 +293,12 @@ def test_a_missing_controller_raises(library):
             Stepper.attached = False
         with pytest.raises(DeviceError, match=rf"^{which} answers within 2 s; check its power, the cable and the "
                                               r"serial number, close the Phidget Control Panel, and on Linux .*udev"):
-            open_stage(f"phidget:{name},steps_per_mm=25").start()
+            make_stage(f"phidget:{name},steps_per_mm=25").start()
 
 
 def test_a_top_speed_beyond_the_motor_raises(library):
     with pytest.raises(DeviceError, match=r"is 625 mm/s at 25 steps per mm; give top_speed_mm_s=625 or less"):
-        open_stage("phidget:123,steps_per_mm=25,top_speed_mm_s=700").start()
+        make_stage("phidget:123,steps_per_mm=25,top_speed_mm_s=700").start()
 
 
 def test_a_missing_package_raises_with_the_remedy(library, monkeypatch):
@@ -306,7 +306,7 @@ def test_a_missing_package_raises_with_the_remedy(library, monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(DeviceError, match=r"^a Phidget requires the package phidget22, which is missing; install it "
                                           r"with pip install 'tissue-sim\[phidget\]'$"):
-        open_stage("phidget:123,steps_per_mm=25").start()
+        make_stage("phidget:123,steps_per_mm=25").start()
 
 
 @pytest.mark.parametrize(("error", "sentence"), [
@@ -321,7 +321,7 @@ def test_a_missing_library_raises_with_the_remedy(library, monkeypatch, error, s
 
     monkeypatch.setattr(library["Phidget22.Phidget"].Phidget, "getLibraryVersion", staticmethod(refuse))
     with pytest.raises(DeviceError, match=sentence):
-        open_stage("phidget:123,steps_per_mm=25").start()
+        make_stage("phidget:123,steps_per_mm=25").start()
     assert not Stepper.made
 
 
@@ -331,7 +331,7 @@ def test_the_real_package_without_a_controller(capfd, monkeypatch):
     """Without a controller, `start` raises one message, and prints nothing."""
     monkeypatch.setattr(phidget, "_TIMES", replace(phidget._TIMES, attach_ms=100))
     with pytest.raises(DeviceError) as caught:
-        open_stage("phidget:1,steps_per_mm=25").start()
+        make_stage("phidget:1,steps_per_mm=25").start()
     there = ctypes.util.find_library("usb-1.0")
     wanted = "no Phidget stepper 1 answers" if there else "a Phidget requires the library libusb-1.0"
     assert str(caught.value).startswith(wanted)
@@ -356,10 +356,10 @@ def test_the_real_package_without_a_controller(capfd, monkeypatch):
 ])
 def test_invalid_settings_are_refused(name, sentence):
     with pytest.raises(InputError, match=sentence):
-        open_stage(name)
+        make_stage(name)
 
 
 def test_describe_states_what_is_not_detectable():
-    described = open_stage("phidget:123,steps_per_mm=25").describe()
+    described = make_stage("phidget:123,steps_per_mm=25").describe()
     assert described["stall"] == "not detectable" and described["resolution_mm"] == pytest.approx(0.0025)
     assert described["verified"] == "against a stand-in for its library only"

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from waiting import wait_until
 
 from haptics.devices import rdt as rdt_device
-from haptics.devices.back_ends import open_sensor
+from haptics.devices.back_ends import make_sensor
 from haptics.devices.contracts import DeviceError, SampleStatus
-from haptics.devices.rdt import RdtSensor, RecordCounter
+from haptics.devices.rdt import RdtSensor, RecordSequenceTracker
 from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.emulators.rdt import RdtEmulator
@@ -56,7 +56,7 @@ def opened(emulated):
     clients = []
 
     def opened(**options):
-        client = open_sensor(emulated(**options).address)
+        client = make_sensor(emulated(**options).address)
         clients.append(client)
         client.start()
         return client
@@ -77,7 +77,7 @@ class TestRdt(ForceSensorContract):
 
     @pytest.fixture
     def sensor(self, emulated):
-        self.client = open_sensor(emulated(settings=BoxSettings(1e4, 1e6, rate=500.0)).address)
+        self.client = make_sensor(emulated(settings=BoxSettings(1e4, 1e6, rate=500.0)).address)
         yield self.client
         self.client.stop()
 
@@ -141,7 +141,7 @@ def test_a_silent_box_gives_no_samples_and_refuses_the_tare(opened, monkeypatch)
 
 def test_a_second_client_takes_over_the_stream(emulated):
     emulator = emulated()
-    first, second = open_sensor(emulator.address), open_sensor(emulator.address)
+    first, second = make_sensor(emulator.address), make_sensor(emulator.address)
     first.start()
     received(first, 10)
     second.start()
@@ -181,7 +181,7 @@ class Page:
     (200, b"<html>printer", "must be the XML page of an ATI box"),
     (200, b"<n><cfgcpf>1</cfgcpf><cfgcpt>1</cfgcpt><scfgfu>stone</scfgfu></n>",
      "the unit of force must be a known unit; got 'stone' from the box"),
-    (200, rdt.write_settings_page(BoxSettings(1.0, 1.0)), "sends no records by UDP; switch RDT on"),
+    (200, rdt.encode_settings_page(BoxSettings(1.0, 1.0)), "sends no records by UDP; switch RDT on"),
 ])
 def test_another_device_at_the_address_raises(code, body, said, monkeypatch):
     monkeypatch.setattr(rdt_device, "STREAM", replace(rdt_device.STREAM, first_record=0.1))
@@ -209,7 +209,7 @@ def test_a_port_in_use_raises_with_the_remedy(emulated):
     ("rdt://box,rate=3", "settings")])
 def test_invalid_addresses_are_refused(text, field):
     with pytest.raises(InputError) as caught:
-        open_sensor(text)
+        make_sensor(text)
     assert caught.value.field.endswith(field)
 
 
@@ -218,7 +218,7 @@ def test_invalid_addresses_are_refused(text, field):
     ("rdt://[::1]:50000,http_port=8080", "[::1]:50000"), ("rdt://box.lab/", "box.lab:49152"),
 ])
 def test_addresses_are_read(text, address):
-    assert open_sensor(text).describe()["address"] == address
+    assert make_sensor(text).describe()["address"] == address
 
 
 def numbered(*pairs, status=0):
@@ -227,7 +227,7 @@ def numbered(*pairs, status=0):
 
 def test_a_restart_of_the_box_is_detected():
     """The sequence restarts at 1; the sample number continues, or restarts after a loss of power."""
-    counter = RecordCounter()
+    counter = RecordSequenceTracker()
     counter.select_new_records(numbered((1, 70), (2, 80), (3, 90)), 0.0)
     (_, number, status), *rest = counter.select_new_records(numbered((1, 170), (2, 180)), 0.01)
     assert (number, status, counter.restarts) == (3, SampleStatus.GAP, 1)
@@ -237,7 +237,7 @@ def test_a_restart_of_the_box_is_detected():
 
 
 def test_a_delayed_record_is_late_and_no_restart():
-    counter = RecordCounter()
+    counter = RecordSequenceTracker()
     counter.select_new_records(numbered((1, 1), (2, 2), (4, 4)), 0.0)
     assert counter.select_new_records(numbered((3, 3)), 0.001) == [] and (counter.late, counter.lost) == (1, 0)
     assert counter.select_new_records(numbered((3, 3), (4, 4)), 0.001) == []
@@ -245,7 +245,7 @@ def test_a_delayed_record_is_late_and_no_restart():
 
 
 def test_sequence_numbers_continue_beyond_32_bits():
-    counter = RecordCounter()
+    counter = RecordSequenceTracker()
     counter.select_new_records(numbered((2**32 - 1, 7)), 0.0)
     (_, number, status), = counter.select_new_records(numbered((0, 8)), 0.001)
     assert (number, status, counter.lost, counter.restarts) == (1, SampleStatus.GOOD, 0, 0)
@@ -253,7 +253,7 @@ def test_sequence_numbers_continue_beyond_32_bits():
 
 @given(st.lists(st.integers(0, 400), min_size=1, max_size=200, unique=True))
 def test_sequence_numbers_are_unique_and_in_order(order):
-    counter, given_out = RecordCounter(), []
+    counter, given_out = RecordSequenceTracker(), []
     for sequence in order:
         given_out += counter.select_new_records(numbered((sequence + 1, sequence + 1)), 0.0)
     numbers = [number for _, number, _ in given_out]
@@ -262,5 +262,5 @@ def test_sequence_numbers_are_unique_and_in_order(order):
 
 
 def test_a_passed_threshold_is_no_fault():
-    (_, _, status), = RecordCounter().select_new_records(numbered((1, 1), status=0x00010000), 0.0)
+    (_, _, status), = RecordSequenceTracker().select_new_records(numbered((1, 1), status=0x00010000), 0.0)
     assert status == SampleStatus.GOOD

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from device_contracts import ForceSensorContract
 
-from haptics.devices.back_ends import open_sensor
+from haptics.devices.back_ends import make_sensor
 from haptics.devices.contracts import DeviceError
 from haptics.devices.replay import ReplaySensor
 from tissue_sim.errors import InputError
@@ -55,7 +55,7 @@ class TestByName(ForceSensorContract):
     @pytest.fixture
     def sensor(self, tmp_path):
         write_recording(recording(force=2.5, displacement=0.001), tmp_path / "needle_1.csv")
-        sensor = open_sensor(f"replay:{tmp_path / 'needle_1.csv'},speed=2,resolution_N=0.01")
+        sensor = make_sensor(f"replay:{tmp_path / 'needle_1.csv'},speed=2,resolution_N=0.01")
         assert sensor.channels == ("Fz",) and sensor.rate == pytest.approx(2000.0)
         self.clock = sensor._clock = Clock()
         return sensor
@@ -128,4 +128,4 @@ def test_invalid_names_are_refused(tmp_path):
                            (f"replay:{tmp_path / 'no.csv'}", "no such file"),
                            ("replay:x.csv,sped=2", "sped: unknown setting; did you mean 'speed'")):
         with pytest.raises(InputError, match=sentence):
-            open_sensor(name)
+            make_sensor(name)

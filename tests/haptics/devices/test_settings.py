@@ -3,11 +3,11 @@
 import pytest
 
 import tissue_sim as ts
-from haptics.devices.settings import read_settings
+from haptics.devices.settings import parse_number_settings
 
 
 def test_settings_are_read_by_name_with_defaults():
-    assert read_settings(" rate_hz = 500 ,", rate_hz=1000.0, count=3) == {"rate_hz": 500.0, "count": 3}
+    assert parse_number_settings(" rate_hz = 500 ,", rate_hz=1000.0, count=3) == {"rate_hz": 500.0, "count": 3}
 
 
 @pytest.mark.parametrize(("text", "field", "words"), [
@@ -18,5 +18,5 @@ def test_settings_are_read_by_name_with_defaults():
 ])
 def test_invalid_settings_are_refused_by_name(text, field, words):
     with pytest.raises(ts.InputError, match=words) as caught:
-        read_settings(text, rate_hz=1000.0, count=3)
+        parse_number_settings(text, rate_hz=1000.0, count=3)
     assert caught.value.field == field

@@ -13,11 +13,11 @@ from stepper_benches import Clock, bench, port_that_answers
 from waiting import wait_until
 
 from haptics.devices import tic as tic_stage
-from haptics.devices.back_ends import open_stage
+from haptics.devices.back_ends import make_stage
 from haptics.devices.contracts import DeviceError, SampleStatus, StageLimits
-from haptics.devices.tic import TicStage, open_tic
+from haptics.devices.tic import TicStage, make_tic_stage
 from haptics.devices.virtual.faults import Faults
-from haptics.emulators.emulator import open_emulator
+from haptics.emulators.emulator import make_emulator
 from haptics.emulators.tic import TicEmulator
 from haptics.protocols.tic import ErrorFlags, InputState, TicCommand, VariableOffset
 from tissue_sim.errors import InputError
@@ -33,8 +33,8 @@ class TestTic(StageContract):
     @pytest.fixture
     def stage(self, patient):
         self.clock = Clock()
-        with open_emulator("tic:" + self.settings, bench(start_at=0.002, clock=self.clock)) as emulator:
-            stage = open_stage(emulator.address + self.more)
+        with make_emulator("tic:" + self.settings, bench(start_at=0.002, clock=self.clock)) as emulator:
+            stage = make_stage(emulator.address + self.more)
             yield stage
             stage.stop()
 
@@ -68,7 +68,7 @@ def emulator(clock, patient):
 
 
 def homed(emulator, clock):
-    stage = open_stage(emulator.address)
+    stage = make_stage(emulator.address)
     stage.start()
     stage.home()
     for _ in range(1000):
@@ -80,8 +80,8 @@ def homed(emulator, clock):
 
 
 def test_runs_on_is_the_timeout_of_the_tic_plus_the_ramp(clock):
-    with open_emulator("tic:timeout_ms=400", bench(clock=clock)) as emulator:
-        stage = open_stage(emulator.address + ",ramp_ms=50")
+    with make_emulator("tic:timeout_ms=400", bench(clock=clock)) as emulator:
+        stage = make_stage(emulator.address + ",ramp_ms=50")
         assert stage.runs_on == pytest.approx(1.05)
         stage.start()
         assert stage.runs_on == pytest.approx(0.45) == stage.describe()["runs_on_s"]
@@ -89,13 +89,13 @@ def test_runs_on_is_the_timeout_of_the_tic_plus_the_ramp(clock):
 
 
 def test_describe_states_that_a_stalled_motor_is_not_detectable(emulator):
-    stage = open_stage(emulator.address)
+    stage = make_stage(emulator.address)
     assert stage.describe()["stalled_motor"] == "not detectable" and not stage.measures_position
     assert "unverified" in stage.describe()["checked_with"]
 
 
 def test_a_silent_program_stops_the_motor_and_the_next_sample_has_a_fault(clock):
-    with open_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
+    with make_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
         clock.now += 0.5
@@ -113,7 +113,7 @@ def test_a_silent_program_stops_the_motor_and_the_next_sample_has_a_fault(clock)
 
 def test_a_timeout_that_ended_before_the_next_sample_is_a_fault(clock):
     """The command that restarts the timeout comes after it: the error is gone, and the motor has stopped."""
-    with open_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
+    with make_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
         clock.now += 0.5
@@ -127,7 +127,7 @@ def test_a_timeout_that_ended_before_the_next_sample_is_a_fault(clock):
 
 
 def test_a_timeout_at_rest_is_no_fault(clock):
-    with open_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
+    with make_emulator("tic:timeout_ms=150", bench(clock=clock)) as emulator:
         stage = homed(emulator, clock)
         stage.move(0.002, 0.004)
         clock.now += 10.0
@@ -142,8 +142,8 @@ def test_a_timeout_at_rest_is_no_fault(clock):
 
 
 def test_a_timeout_during_homing_is_a_fault(clock):
-    with open_emulator("tic:timeout_ms=150", bench(start_at=0.008, clock=clock)) as emulator:
-        stage = open_stage(emulator.address)
+    with make_emulator("tic:timeout_ms=150", bench(start_at=0.008, clock=clock)) as emulator:
+        stage = make_stage(emulator.address)
         stage.start()
         stage.home()
         wait_until(lambda: emulator._errors & ErrorFlags.COMMAND_TIMEOUT, event="the command timeout")
@@ -153,7 +153,7 @@ def test_a_timeout_during_homing_is_a_fault(clock):
 
 
 def test_a_tic_without_safe_start_does_not_resume_by_itself(clock):
-    with open_emulator("tic:timeout_ms=150,safe_start=0", bench(clock=clock)) as emulator:
+    with make_emulator("tic:timeout_ms=150,safe_start=0", bench(clock=clock)) as emulator:
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
         clock.now += 0.5
@@ -209,7 +209,7 @@ def test_a_limit_switch_sets_the_status(emulator, clock):
 
 def test_a_halt_while_homing_leaves_the_zero_unknown(clock):
     with TicEmulator(bench(start_at=0.008, clock=clock), Faults()) as emulator:
-        stage = open_stage(emulator.address)
+        stage = make_stage(emulator.address)
         stage.start()
         stage.home()
         clock.now += 0.5
@@ -224,7 +224,7 @@ def test_a_halt_while_homing_leaves_the_zero_unknown(clock):
 
 def test_homing_without_a_limit_switch_raises(emulator, clock):
     emulator.has_limit_switch = False
-    stage = open_stage(emulator.address)
+    stage = make_stage(emulator.address)
     stage.start()
     with pytest.raises(DeviceError, match="does not begin to home; assign a reverse limit switch"):
         stage.home()
@@ -245,7 +245,7 @@ def test_the_input_state_is_that_of_the_requested_motion(emulator, clock, reques
 def test_endless_homing_raises_and_stops(clock, monkeypatch):
     monkeypatch.setattr(tic_stage, "TIMING", replace(tic_stage.TIMING, homing_margin=-1e6))
     with TicEmulator(bench(start_at=0.008, clock=clock), Faults()) as emulator:
-        stage = open_stage(emulator.address)
+        stage = make_stage(emulator.address)
         stage.start()
         stage.home()
         with pytest.raises(DeviceError, match="does not end; check the reverse limit switch"):
@@ -282,9 +282,9 @@ def test_a_halt_from_another_thread_stops_a_move_during_transmission(emulator, c
     ("response_crc=1", "another form of answers|no Tic, or its baud rate is not.*response_crc"),
 ])
 def test_unsuitable_settings_of_the_tic_raise_at_the_start(clock, settings, words):
-    with open_emulator("tic:" + settings, bench(clock=clock)) as emulator:
+    with make_emulator("tic:" + settings, bench(clock=clock)) as emulator:
         port = f"{emulator.path},steps_per_mm=800,highest_mm=10,top_speed_mm_s=4"
-        stage = open_tic(port)
+        stage = make_tic_stage(port)
         for _ in range(2):
             with pytest.raises(DeviceError, match=words):
                 stage.start()
@@ -298,21 +298,21 @@ def test_a_wrong_device_number_or_checksum_setting_raises(emulator, monkeypatch)
     monkeypatch.setattr(tic_stage, "TIMING", replace(tic_stage.TIMING, answer=2.0))
     for extra, words in ((",device=15", "answered 0 of 14 bytes.*device"), (",response_crc=1", "answered 14 of 15")):
         with pytest.raises(DeviceError, match=words):
-            open_stage(emulator.address + extra).start()
+            make_stage(emulator.address + extra).start()
 
 
 def test_a_missing_port_raises():
     with pytest.raises(DeviceError, match="there is no port /dev/ttyNOWHERE for the Tic"):
-        open_tic("/dev/ttyNOWHERE,steps_per_mm=800").start()
+        make_tic_stage("/dev/ttyNOWHERE,steps_per_mm=800").start()
 
 
 def test_a_busy_port_raises_with_the_remedy(emulator):
-    first = open_stage(emulator.address)
+    first = make_stage(emulator.address)
     first.start()
     with pytest.raises(DeviceError, match="in use by another program; close that one"):
-        open_stage(emulator.address).start()
+        make_stage(emulator.address).start()
     first.stop()
-    second = open_stage(emulator.address)
+    second = make_stage(emulator.address)
     second.start()
     second.stop()
 
@@ -323,14 +323,14 @@ def test_a_port_without_permission_raises_with_the_remedy(emulator, monkeypatch)
 
     monkeypatch.setattr(serial, "Serial", refuse)
     with pytest.raises(DeviceError, match=r"no permission to open .* for the Tic.*usermod"):
-        open_stage(emulator.address).start()
+        make_stage(emulator.address).start()
 
 
 def test_garbage_of_a_wrong_baud_rate_raises():
     rows = itertools.cycle([bytes([0xF8, 0x3C, 0x80, 0x1F] * 8)])
     with port_that_answers(lambda data: next(rows)) as port, pytest.raises(
             DeviceError, match="no Tic, or its baud rate is not 9600; check the baud rate"):
-        open_tic(port + ",steps_per_mm=800").start()
+        make_tic_stage(port + ",steps_per_mm=800").start()
 
 
 @pytest.mark.slow
@@ -341,12 +341,12 @@ def test_garbage_of_a_wrong_baud_rate_raises():
 ])
 def test_another_device_or_none_raises_with_a_hint(answer, words):
     with port_that_answers(answer) as port, pytest.raises(DeviceError, match=words):
-        open_tic(port + ",steps_per_mm=800").start()
+        make_tic_stage(port + ",steps_per_mm=800").start()
 
 
 def test_a_grbl_in_place_of_a_tic_is_identified(clock):
-    with open_emulator("grbl:", bench(clock=clock)) as emulator, pytest.raises(DeviceError, match="name it grbl:"):
-        open_tic(emulator.path + ",steps_per_mm=800").start()
+    with make_emulator("grbl:", bench(clock=clock)) as emulator, pytest.raises(DeviceError, match="name it grbl:"):
+        make_tic_stage(emulator.path + ",steps_per_mm=800").start()
 
 
 @pytest.mark.slow
@@ -406,13 +406,13 @@ def test_garbled_answers_never_pass_the_checksum(clock):
 ])
 def test_invalid_settings_are_refused(settings, field):
     with pytest.raises(InputError) as caught:
-        open_tic("/dev/ttyUSB0," + settings)
+        make_tic_stage("/dev/ttyUSB0," + settings)
     assert caught.value.field == field
 
 
 def test_a_missing_port_is_refused():
     with pytest.raises(InputError) as caught:
-        open_stage("tic:")
+        make_stage("tic:")
     assert caught.value.field == "tic.port"
 
 
@@ -428,6 +428,6 @@ def test_invalid_settings_of_the_emulator_are_refused():
     for text, field in (("steps_per_mm=0", "steps_per_mm"), ("timeout_ms=70000", "timeout_ms"),
                         ("device=128", "device")):
         with pytest.raises(InputError) as caught:
-            open_emulator("tic:" + text, bench())
+            make_emulator("tic:" + text, bench())
         assert caught.value.field == field
     assert TicStage("/dev/null", StageLimits(0.0, 0.01, 0.001), 8e5).limits.highest == 0.01

@@ -5,7 +5,7 @@ import math
 import pytest
 from device_contracts import ForceSensorContract
 
-from haptics.devices.back_ends import FORCE_SENSORS, open_sensor
+from haptics.devices.back_ends import FORCE_SENSORS, make_sensor
 from haptics.devices.contracts import SAMPLE_BUFFER, SampleStatus
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from tissue_sim.errors import InputError
@@ -53,7 +53,7 @@ class TestByName(ForceSensorContract):
 
     @pytest.fixture
     def sensor(self):
-        sensor = open_sensor("virtual:load_N=3,rate_hz=2000,resolution_N=0.01")
+        sensor = make_sensor("virtual:load_N=3,rate_hz=2000,resolution_N=0.01")
         self.clock = sensor._clock = Clock()
         return sensor
 
@@ -110,7 +110,7 @@ def test_invalid_sensors_are_refused(wrong, field):
 
 def test_an_unknown_name_is_refused_with_the_nearest():
     with pytest.raises(InputError, match=r"unknown force sensor 'virtul'; did you mean 'virtual'\?"):
-        open_sensor("virtul:")
+        make_sensor("virtul:")
     with pytest.raises(InputError, match=r"virtual\.rate: unknown setting; did you mean 'rate_hz'\?"):
-        open_sensor("virtual:rate=3")
+        make_sensor("virtual:rate=3")
     assert "virtual" in FORCE_SENSORS

@@ -7,11 +7,11 @@ import pytest
 from device_contracts import HapticDeviceContract
 
 from benchmarks.realtime.delayed_hand import DelayedHand
-from haptics.devices.back_ends import HAPTIC_DEVICES, open_haptic
+from haptics.devices.back_ends import HAPTIC_DEVICES, make_haptic_device
 from haptics.devices.contracts import Motion
-from haptics.devices.motions import HandMotion
+from haptics.devices.motions import TargetFollowingMotion
 from haptics.devices.virtual.hand import VirtualHand
-from haptics.safety.limits import ForceLimits
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
@@ -36,7 +36,7 @@ class TestVirtualHand(HapticDeviceContract):
 class TestByName(HapticDeviceContract):
     @pytest.fixture
     def device(self):
-        return open_haptic("virtual:sine:depth_mm=5,frequency_hz=2")
+        return make_haptic_device("virtual:sine:depth_mm=5,frequency_hz=2")
 
 
 def pushed(hand, force, times):
@@ -90,12 +90,13 @@ def test_an_unknown_pose_is_returned_as_none():
 
 def test_the_hand_rests_where_grip_and_tissue_balance():
     """Target 5 mm deep, grip 400 N/m, tissue 600 N/m: the hand rests 2 mm deep with 1.2 N."""
-    hand, rendering = VirtualHand(HandMotion(speed=1.0)), ForceRendering(ForceLimits(10.0, 1.0))
+    hand, rendering = VirtualHand(TargetFollowingMotion(speed=1.0)), ForceRendering(ForceLimiter(10.0, 1.0))
     hand.aim(5e-3)
     for tick in range(3000):
-        depth = rendering.pose_for(hand.pose(tick * 1e-3), 1e-3).depth
+        depth = rendering.advance_proxy(hand.pose(tick * 1e-3), 1e-3).depth
         stiffness = 600.0 if depth > 0 else 0.0
-        rendered = rendering.render(ToolForce.axial(stiffness * depth, stiffness, ForceStatus.CONVERGED), 1e-3)
+        rendered = rendering.render(ToolForce.from_axial_force(stiffness * depth, stiffness, ForceStatus.CONVERGED),
+                                    1e-3)
         hand.render(rendered.wrench)
     assert depth == pytest.approx(2e-3, rel=1e-6) and rendered.force == pytest.approx(1.2, rel=1e-6)
 
@@ -110,9 +111,9 @@ def test_invalid_hands_are_refused(wrong, field):
 
 
 def test_only_a_hand_with_a_steerable_motion_can_be_steered():
-    open_haptic("virtual:").aim(1e-3)
+    make_haptic_device("virtual:").aim(1e-3)
     with pytest.raises(InputError, match="requires a steerable motion; got a SineMotion"):
-        open_haptic("virtual:sine").aim(1e-3)
+        make_haptic_device("virtual:sine").aim(1e-3)
     assert "virtual" in HAPTIC_DEVICES
 
 

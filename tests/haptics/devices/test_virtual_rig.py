@@ -7,7 +7,7 @@ from device_contracts import ForceSensorContract, StageContract
 import tissue_sim as ts
 from haptics.devices.contracts import StageLimits
 from haptics.devices.virtual.faults import Faults, parse_faults
-from haptics.devices.virtual.rig import ElasticSpecimen, HistoryDependentSpecimen, VirtualRig
+from haptics.devices.virtual.rig import ElasticSpecimenForceModel, HistoryDependentForceModel, VirtualRig
 from tissue_sim.errors import InputError
 
 SURFACE = 2e-3
@@ -26,7 +26,7 @@ class Clock:
 
 
 class Spring:
-    def force(self, time, depth):
+    def advance_and_get_force(self, time, depth):
         return STIFFNESS * max(depth, 0.0)
 
 
@@ -90,8 +90,8 @@ def pressed():
 
 
 @pytest.mark.parametrize("values", [
-    {}, {"contact_offset": 2e-4}, {"displacement_gain": 0.05}, {"backlash": 1e-4}, {"step_loss": 3e-4,
-    "step_loss_depth": 1e-3}, {"sensor_gain": 0.02, "zero_offset": 0.3}, {"guide_friction": 0.05},
+    {}, {"contact_offset": 2e-4}, {"displacement_gain": 0.05}, {"backlash": 1e-4},
+    {"step_loss": 3e-4, "step_loss_depth": 1e-3}, {"sensor_gain": 0.02, "zero_offset": 0.3}, {"guide_friction": 0.05},
     {"rate_damping": 10.0}, {"sensor_drift": 0.01}, {"latency": 0.05},
 ])
 def test_the_virtual_rig_reads_the_forces_of_a_simulated_rig(pressed, values):
@@ -99,7 +99,7 @@ def test_the_virtual_rig_reads_the_forces_of_a_simulated_rig(pressed, values):
     rig = ts.Rig(**values)
     time, place, force = pressed(rig)
     motion = place - SURFACE
-    true = STIFFNESS * np.maximum(rig.tool_motion(np.append(-SURFACE, motion))[1:], 0.0)
+    true = STIFFNESS * np.maximum(rig.compute_unloaded_tool_displacement(np.append(-SURFACE, motion))[1:], 0.0)
     reported = rig.read(ts.Recording({"time": time, "displacement": motion, "force": true})).force
     speed = np.diff(motion, prepend=motion[0])
     # Speeds at reversals and at the first samples depend on the difference scheme; latency is interpolated there.
@@ -148,26 +148,26 @@ def needle(depth, **material):
 
 def test_the_force_of_an_elastic_specimen_equals_its_simulation():
     model = needle(2e-3)
-    specimen = ElasticSpecimen(model, 2e-3, "fast")
+    specimen = ElasticSpecimenForceModel(model, 2e-3, "fast")
     recording = ts.simulate(model)
-    forces = [specimen.force(0.0, depth) for depth in recording.displacement]
+    forces = [specimen.advance_and_get_force(0.0, depth) for depth in recording.displacement]
     np.testing.assert_allclose(forces, recording.force, atol=1e-5 * recording.force[-1])
-    assert specimen.force(0.0, -1e-3) == 0.0
-    soft = ElasticSpecimen(ts.with_values(model, {"rig.compliance": 1e-3}), 2e-3, "fast")
-    behind = soft.force(0.0, 2e-3)
-    assert behind == pytest.approx(specimen.force(0.0, 2e-3 - 1e-3 * behind), rel=1e-4)
+    assert specimen.advance_and_get_force(0.0, -1e-3) == 0.0
+    soft = ElasticSpecimenForceModel(ts.with_values(model, {"rig.compliance": 1e-3}), 2e-3, "fast")
+    behind = soft.advance_and_get_force(0.0, 2e-3)
+    assert behind == pytest.approx(specimen.advance_and_get_force(0.0, 2e-3 - 1e-3 * behind), rel=1e-4)
 
 
 def test_a_history_dependent_specimen_relaxes():
     model = needle(2e-3, viscoelastic=ts.Prony((ts.PronyTerm(0.4, 0.5),)))
-    with pytest.raises(InputError, match="make a HistoryDependentSpecimen"):
-        ElasticSpecimen(model, 2e-3)
-    specimen = HistoryDependentSpecimen(model)
-    way_in = [specimen.force(0.01 * step, 1e-4 * step) for step in range(11)]
-    held = [specimen.force(0.1 + 0.05 * step, 1e-3) for step in range(1, 60)]
+    with pytest.raises(InputError, match="make a HistoryDependentForceModel"):
+        ElasticSpecimenForceModel(model, 2e-3)
+    specimen = HistoryDependentForceModel(model)
+    way_in = [specimen.advance_and_get_force(0.01 * step, 1e-4 * step) for step in range(11)]
+    held = [specimen.advance_and_get_force(0.1 + 0.05 * step, 1e-3) for step in range(1, 60)]
     assert way_in[-1] > 0 and held[-1] < 0.75 * way_in[-1] and (np.diff(held) < 1e-9).all()
     with pytest.raises(InputError, match="compliance"):
-        HistoryDependentSpecimen(ts.with_values(model, {"rig.compliance": 1e-3}))
+        HistoryDependentForceModel(ts.with_values(model, {"rig.compliance": 1e-3}))
 
 
 def test_unsupported_rigs_and_channels_are_refused():

@@ -5,7 +5,7 @@ import math
 import pytest
 from device_contracts import StageContract
 
-from haptics.devices.back_ends import STAGES, open_stage
+from haptics.devices.back_ends import STAGES, make_stage
 from haptics.devices.contracts import StageLimits
 from haptics.devices.virtual.stage import VirtualStage
 from tissue_sim.errors import InputError
@@ -40,7 +40,7 @@ class TestByName(StageContract):
 
     @pytest.fixture
     def stage(self):
-        stage = open_stage("virtual:lowest_mm=-5,highest_mm=20,top_speed_mm_s=10,resolution_mm=0.01")
+        stage = make_stage("virtual:lowest_mm=-5,highest_mm=20,top_speed_mm_s=10,resolution_mm=0.01")
         self.clock = stage._clock = Clock()
         return stage
 
@@ -88,5 +88,5 @@ def test_invalid_stages_are_refused(limits, options, field):
 
 def test_an_unknown_name_is_refused_with_the_nearest():
     with pytest.raises(InputError, match=r"unknown stage 'virtua'; did you mean 'virtual'\?"):
-        open_stage("virtua:")
+        make_stage("virtua:")
     assert "virtual" in STAGES

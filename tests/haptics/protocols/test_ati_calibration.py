@@ -36,7 +36,7 @@ def test_the_matrix_consists_of_the_rows():
     assert calibration.matrix == MATRIX and calibration.reach == MAXIMA and calibration.volts == (-10.0, 10.0)
     assert (calibration.serial, calibration.part, calibration.date) == ("FT00001", "SI-40-2", "1/2/2003")
     assert calibration.rows == "UserAxis"
-    wrench = calibration.compute_wrench_from_voltages((0.0, 0.0, 2.0, 0.0, 0.0, 1.0))
+    wrench = calibration.compute_wrench_from_voltage_changes((0.0, 0.0, 2.0, 0.0, 0.0, 1.0))
     assert wrench == pytest.approx((9.1, -4.9, 32.5, -1.5, -1.0, -0.4))
     assert parse_ati_calibration(file_of().encode()) == calibration
 

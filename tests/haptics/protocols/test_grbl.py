@@ -34,16 +34,16 @@ def test_reports_of_the_documentation_are_read(line, report):
 
 def test_other_lines_of_the_documentation_are_read():
     # interface.md: response messages, "$" settings, "$I", start up message.
-    assert grbl.parse_answer_kind_and_number("ok") == ("ok", 0)
-    assert grbl.parse_answer_kind_and_number("error:15") == ("error", 15) \
-        and grbl.parse_answer_kind_and_number("ALARM:9") == ("ALARM", 9)
+    assert grbl.parse_answer_kind_and_number_or_none("ok") == ("ok", 0)
+    assert grbl.parse_answer_kind_and_number_or_none("error:15") == ("error", 15) \
+        and grbl.parse_answer_kind_and_number_or_none("ALARM:9") == ("ALARM", 9)
     assert grbl.parse_setting_or_none("$112=500.000") == (112, 500.0) and grbl.parse_setting_or_none("$22=0") \
         == (22, 0.0)
-    assert grbl.parse_version_and_date("[VER:v1.1d.20161014:Some string]") == ("1.1", "20161014")
-    assert grbl.parse_version_and_date("[VER:1.1h.20190825:]") == ("1.1", "20190825")
+    assert grbl.parse_version_and_date_or_none("[VER:v1.1d.20161014:Some string]") == ("1.1", "20161014")
+    assert grbl.parse_version_and_date_or_none("[VER:1.1h.20190825:]") == ("1.1", "20190825")
     assert grbl.parse_banner_version_or_none("Grbl 1.1e ['$' for help]") == "1.1"
     for line in ("[MSG:'$H'|'$X' to unlock]", ">G54G20:ok", "$N0=G54", "[OPT:VL]", ""):
-        assert (grbl.parse_answer_kind_and_number(line), grbl.parse_setting_or_none(line),
+        assert (grbl.parse_answer_kind_and_number_or_none(line), grbl.parse_setting_or_none(line),
                 grbl.parse_report_or_none(line)) == (None, None, None)
 
 
@@ -67,7 +67,7 @@ def test_all_errors_and_alarms_have_a_text():
 @given(st.sampled_from("XYZ"), thousandths, st.integers(1, 10**6).map(lambda number: number / 100))
 @settings(max_examples=CASES, deadline=None)
 def test_a_jog_line_is_parsed_to_the_same_jog(axis, target, feed):
-    jog = grbl.parse_jog_or_none(grbl.encode_machine_jog_line(axis, target, feed).decode().strip())
+    jog = grbl.parse_jog_or_none(grbl.encode_jog_in_machine_coordinates(axis, target, feed).decode().strip())
     assert jog == JogCommand(pytest.approx(feed, abs=1e-3), {axis: pytest.approx(target, abs=1e-4)}, machine=True)
 
 
@@ -105,6 +105,6 @@ def test_a_garbled_report_is_read_literally_or_refused(report, data):
 @given(st.text(max_size=80))
 @settings(max_examples=CASES, deadline=None)
 def test_any_text_is_accepted_by_the_parsers(text):
-    for parse in (grbl.parse_report_or_none, grbl.parse_answer_kind_and_number, grbl.parse_setting_or_none,
-                  grbl.parse_version_and_date, grbl.parse_banner_version_or_none, grbl.parse_jog_or_none):
+    for parse in (grbl.parse_report_or_none, grbl.parse_answer_kind_and_number_or_none, grbl.parse_setting_or_none,
+                  grbl.parse_version_and_date_or_none, grbl.parse_banner_version_or_none, grbl.parse_jog_or_none):
         parse(text)

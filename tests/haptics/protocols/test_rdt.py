@@ -92,7 +92,7 @@ def test_an_unknown_unit_is_refused_with_the_remedy(name):
 
 def test_a_written_settings_page_is_read_back():
     box = BoxSettings(1e6, 2.5e5, "lbf", "lbf-in", 7000.0, "Net F/T <1>", "FT12345")
-    assert rdt.read_settings_page(rdt.write_settings_page(box)) == box
+    assert rdt.parse_settings_page(rdt.encode_settings_page(box)) == box
 
 
 def test_a_page_of_a_real_box_is_read():
@@ -100,7 +100,7 @@ def test_a_page_of_a_real_box_is_read():
     page = (b'<?xml version="1.0"?><netft xmlns="urn:x"><runstat>0x00000000</runstat><setcfgsel>0</setcfgsel>'
             b"<cfgcpf>1000000</cfgcpf><cfgcpt>1000000000</cfgcpt><scfgfu>N</scfgfu><scfgtu>N-mm</scfgtu>"
             b"<cfgcalsn>FT01234</cfgcalsn></netft>")
-    assert rdt.read_settings_page(page) == BoxSettings(1e6, 1e9, "N", "N-mm", None, "", "FT01234")
+    assert rdt.parse_settings_page(page) == BoxSettings(1e6, 1e9, "N", "N-mm", None, "", "FT01234")
 
 
 @pytest.mark.parametrize(("page", "field"), [
@@ -111,7 +111,7 @@ def test_a_page_of_a_real_box_is_read():
 ])
 def test_pages_of_other_servers_are_refused(page, field):
     with pytest.raises(InputError) as caught:
-        rdt.read_settings_page(page)
+        rdt.parse_settings_page(page)
     assert caught.value.field == field
 
 
@@ -122,7 +122,7 @@ def test_pages_of_other_servers_are_refused(page, field):
                  .map(lambda parts: "".join(["<n>", *(f"<{k}>{v}</{k}>" for k, v in parts), "</n>"]).encode())))
 def test_a_page_with_an_invalid_scale_is_refused(page):
     try:
-        box = rdt.read_settings_page(page)
+        box = rdt.parse_settings_page(page)
     except InputError:
         return
     assert 0 < box.counts_per_force < float("inf") and 0 < box.counts_per_torque < float("inf")

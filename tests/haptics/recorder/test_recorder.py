@@ -102,10 +102,10 @@ class StickySpring(Spring):
         super().__init__()
         self.residue = 0.0
 
-    def force(self, time, depth):
+    def advance_and_get_force(self, time, depth):
         if depth > 2e-3:
             self.residue = 0.2
-        return super().force(time, depth) + self.residue
+        return super().advance_and_get_force(time, depth) + self.residue
 
 
 STOPS = [
@@ -189,7 +189,7 @@ def test_a_stalled_stage_does_not_retract(bench):
 class BilateralSpring(Spring):
     """Also pulls at negative depths, as a specimen that is glued to the tool."""
 
-    def force(self, time, depth):
+    def advance_and_get_force(self, time, depth):
         return self.stiffness * depth
 
 
@@ -207,9 +207,10 @@ class PullingSpring(Spring):
         super().__init__()
         self.deepest = 0.0
 
-    def force(self, time, depth):
+    def advance_and_get_force(self, time, depth):
         self.deepest = max(self.deepest, depth)
-        return super().force(time, depth) - (2e4 * (self.deepest - depth) if self.deepest > 2e-3 else 0.0)
+        return super().advance_and_get_force(time,
+                                             depth) - (2e4 * (self.deepest - depth) if self.deepest > 2e-3 else 0.0)
 
 
 def test_the_force_is_checked_during_retraction(bench):
@@ -246,8 +247,10 @@ def test_no_recording_is_saved_after_lost_steps(bench):
 
 def test_no_recording_is_saved_without_sensor_signal(bench):
     class FadingSpring(Spring):
-        def force(self, time, depth):
-            return 0.0 if bench.moments and bench.moments[-1].replicate == 2 else super().force(time, depth)
+        def advance_and_get_force(self, time, depth):
+            if bench.moments and bench.moments[-1].replicate == 2:
+                return 0.0
+            return super().advance_and_get_force(time, depth)
 
     with pytest.raises(StoppedError, match="does not feel the tool"):
         bench.run(plan=bench.plan(touch="once"), rig=bench.rig(FadingSpring()))
@@ -256,8 +259,11 @@ def test_no_recording_is_saved_without_sensor_signal(bench):
 
 def test_a_shifted_contact_point_is_detected(bench):
     class SinkingSpring(Spring):
-        def force(self, time, depth):
-            return super().force(time, depth - (8e-4 if bench.moments and bench.moments[-1].replicate == 2 else 0.0))
+        def advance_and_get_force(self, time, depth):
+            return super().advance_and_get_force(time,
+                                                 depth
+                                                 - (8e-4 if bench.moments and bench.moments[-1].replicate == 2
+                                                    else 0.0))
 
     with pytest.raises(StoppedError, match="the first contact was at"):
         bench.run(rig=bench.rig(SinkingSpring()))

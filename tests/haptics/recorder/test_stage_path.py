@@ -41,20 +41,20 @@ def test_the_true_position_lies_within_the_bound(motion):
     polls, starts, speeds, knots, positions = motion
     path, times = StagePath(polls, starts, speeds), np.linspace(0.0, knots[-1], 300)
     error = np.abs(path.interpolate_position(times) - np.interp(times, knots, positions))
-    assert np.all(error <= path.bound_position_error(times) + 1e-9)
+    assert np.all(error <= path.compute_position_error_bound(times) + 1e-9)
 
 
 def test_the_bound_is_zero_in_uniform_motion():
     polls = [StagePoll(at, at, 2e-3 * at) for at in (1.0, 1.3, 1.9)]
     times = np.linspace(1.0, 1.9, 50)
-    assert StagePath(polls, [0.0], [0.0, 2e-3]).bound_position_error(times) == pytest.approx(0.0, abs=1e-12)
+    assert StagePath(polls, [0.0], [0.0, 2e-3]).compute_position_error_bound(times) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_the_bound_contains_a_reversal_between_two_polls():
     # 0.4 s at 2 mm/s between two equal positions: the stage can be 0.4 mm away in the middle.
     polls = [StagePoll(1.0, 1.0, 1e-3), StagePoll(1.4, 1.4, 1e-3)]
     path = StagePath(polls, [0.0, 1.2], [0.0, 2e-3, 2e-3])
-    assert path.bound_position_error(np.array([1.0, 1.2, 1.5])) == pytest.approx([0.0, 0.4e-3, np.inf])
+    assert path.compute_position_error_bound(np.array([1.0, 1.2, 1.5])) == pytest.approx([0.0, 0.4e-3, np.inf])
 
 
 def test_the_position_is_known_in_a_hold_at_any_interval_of_the_polls():

@@ -5,7 +5,7 @@ import itertools
 from haptics.devices.contracts import StageLimits
 from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.rig import VirtualRig
-from haptics.recorder.plan import IndentationPlan
+from haptics.recorder.plan import BenchTestPlan
 from haptics.recorder.recorder import Recorder
 from haptics.recorder.run_folder import RunFolder
 from haptics.safety.motion_guard import GUARD, MotionLimits
@@ -42,7 +42,7 @@ class Spring:
     def __init__(self, stiffness=STIFFNESS):
         self.stiffness = stiffness
 
-    def force(self, time, depth):
+    def advance_and_get_force(self, time, depth):
         return self.stiffness * max(depth, 0.0)
 
 
@@ -61,8 +61,8 @@ class VirtualBench:
                                "stiffness": 1000.0, "force_margin": 2.0, **changes})
 
     def plan(self, protocol="ramp 3mm @2mm/s; hold 0.5s; unload", **changes):
-        return IndentationPlan(**{"name": "spring", "legs": tuple(iterate_motion_legs(parse_protocol(protocol), 1e-3)),
-                                  "replicates": 2, "contact_force": 0.05, "approach_speed": 2e-3, **changes})
+        return BenchTestPlan(**{"name": "spring", "legs": tuple(iterate_motion_legs(parse_protocol(protocol), 1e-3)),
+                                "replicates": 2, "contact_force": 0.05, "approach_speed": 2e-3, **changes})
 
     def rig(self, specimen=None, rig=None, **options):
         options = {"resolution": 1e-4, "rate": 500.0, "surface": SURFACE, "start_at": -3e-3, **options}

@@ -38,7 +38,7 @@ class ManualPool:
         self.tasks.append((arguments, Future()))
         return self.tasks[-1][1]
 
-    def stop(self):
+    def abandon_tasks(self):
         self.stopped = True
 
 

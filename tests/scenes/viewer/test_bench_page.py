@@ -11,14 +11,14 @@ from haptics.recorder.live import LIVE_FILE, LiveProgressFile, convert_progress_
 from haptics.recorder.recorder import RunProgress
 from haptics.recorder.run_folder import RunFolder
 from scenes.viewer.bench.page import make_bench_status_html
-from scenes.viewer.bench.sources import ConnectedDevicesSource, RecordRunSource
+from scenes.viewer.bench.sources import ConnectedDevicesSource, RunFolderSource
 from tissue_sim.errors import InputError
 
 HEADER = ["time [s]", "displacement [mm]", "force [N]", "segment"]
 
 
 def test_the_folder_of_a_running_recorder_is_read(tmp_path):
-    source = RecordRunSource(tmp_path / "run")
+    source = RunFolderSource(tmp_path / "run")
     assert "No run in" in source.read().title and "tissue-sim record" in source.read().message
     folder = RunFolder(tmp_path / "run", "digest")
     with folder:
@@ -26,7 +26,7 @@ def test_the_folder_of_a_running_recorder_is_read(tmp_path):
         assert "may have been killed" in source.read().message
         moment = RunProgress("needle", "ramp", 2, 5e-3, 3e-3, 0.4, 0.25)
         (tmp_path / "run" / LIVE_FILE).write_text(json.dumps(convert_progress_to_dict(moment)), encoding="utf-8")
-        partial = folder.open_partial("needle_2", HEADER)
+        partial = folder.create_partial_recording("needle_2", HEADER)
         partial.queue_rows([(0.01 * row, 0.1 * row, 0.02 * row, "ramp") for row in range(5)])
         partial.close()
         view = source.read()
@@ -37,7 +37,7 @@ def test_the_folder_of_a_running_recorder_is_read(tmp_path):
             file.write("0.05,0.5,0.1,ramp\n0.06,0.6,0.1")  # half a row is none yet
         assert source.read().time.size == 6
         partial.path.unlink()
-        again = folder.open_partial("needle_2", HEADER)
+        again = folder.create_partial_recording("needle_2", HEADER)
         again.queue_rows([(0.01 * row, 0.2, 1.0, "ramp") for row in range(20)])
         again.close()
         np.testing.assert_allclose(source.read().forces, np.ones(20))
@@ -49,7 +49,7 @@ def test_the_folder_of_a_running_recorder_is_read(tmp_path):
 def test_the_live_file_is_written_by_another_thread_and_removed_at_the_end(tmp_path):
     live = LiveProgressFile(tmp_path)
     file = tmp_path / LIVE_FILE
-    with live.running_writing_thread():
+    with live.run_writing_thread():
         live.set_progress(RunProgress("a", "approach", 0, 1e-3, float("nan"), float("nan"), 0.0))
         while not file.exists():
             pass
@@ -99,7 +99,7 @@ def test_an_unknown_channel_is_refused():
 
 
 def test_texts_are_escaped_in_html():
-    from scenes.viewer.bench.sources import BenchView
+    from scenes.viewer.bench.sources import BenchState
 
-    page = make_bench_status_html(BenchView("<b>", "a & b", None, None, 0.5))
+    page = make_bench_status_html(BenchState("<b>", "a & b", None, None, 0.5))
     assert "&lt;b&gt;" in page and "a &amp; b" in page and "width:50.0%" in page and "–" in page

@@ -13,7 +13,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes.viewer.calibration_commands import CALIBRATED, CALIBRATION_COMMANDS, use_finished_calibration_in_scene
-from scenes.viewer.calibration_run import CalibrationRun, CalibrationState, FitProgress, group_replicate_file_names
+from scenes.viewer.calibration_run import CalibrationState, FitProgress, SessionCalibrations, group_replicate_file_names
 from scenes.viewer.calibration_task import (
     PROGRESS_FILE,
     RECORDINGS,
@@ -29,14 +29,14 @@ from tissue_sim.parameters import with_values
 
 @pytest.fixture
 def pool(pool, monkeypatch):
-    """Process pool without processes that each `CalibrationRun` uses."""
+    """Process pool without processes that each `SessionCalibrations` uses."""
     monkeypatch.setattr("scenes.viewer.calibration_run.ProcessPool", lambda count: pool)
     return pool
 
 
 @pytest.fixture
 def run(pool):
-    run = CalibrationRun()
+    run = SessionCalibrations()
     yield run
     run.close()
 
@@ -53,7 +53,7 @@ def sidecar(**said):
 
 
 def upload(run, name="a.csv", content=None):
-    run.add_all_uploads_or_none(read_uploaded_recordings_or_sidecar(name, csv() if content is None else content))
+    run.add_uploads_atomically(read_uploaded_recordings_or_sidecar(name, csv() if content is None else content))
 
 
 class MinimalSession:
@@ -126,7 +126,7 @@ def machine_file(head="Zeit (s);Extension (mm);Load (N)"):
 @pytest.mark.parametrize("name", ["gel 3.csv", "gel 3.TXT"])
 def test_a_test_machine_file_is_read_and_its_interpretation_is_displayed(run, needle, name):
     uploaded, = read_uploaded_recordings_or_sidecar(name, machine_file())
-    run.add_all_uploads_or_none([uploaded])
+    run.add_uploads_atomically([uploaded])
     each, = run.state.recordings
     own, = read_uploaded_recordings_or_sidecar("own.csv", csv())
     for channel in ("time", "displacement", "force"):
@@ -154,7 +154,7 @@ def test_several_recordings_are_added_together_or_not_at_all(run):
     first, = read_uploaded_recordings_or_sidecar("a.csv", csv())
     second, = read_uploaded_recordings_or_sidecar("b.csv", csv())
     with pytest.raises(InputError, match="A recording of this name was uploaded before"):
-        run.add_all_uploads_or_none([first, second, first])
+        run.add_uploads_atomically([first, second, first])
     assert run.state.recordings == ()
 
 

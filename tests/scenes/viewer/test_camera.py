@@ -6,7 +6,11 @@ import pytest
 import tissue_sim as ts
 from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, compute_preset_camera_pose
 from scenes.viewer.revolution import WedgeOpening
-from scenes.viewer.tool_picture import compute_height_of_tool_with_longest_arrow, make_base_plate, make_tool_mesh
+from scenes.viewer.tool_picture import (
+    compute_height_of_tool_with_longest_arrow,
+    make_base_plate,
+    make_drawn_tool_surface,
+)
 
 #: Flat needle.
 NEEDLE = ts.Tool("flat", radius=0.008)
@@ -25,7 +29,7 @@ def drawn(specimen, tool, depth):
     rim = specimen.radius * np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
     above = compute_height_of_tool_with_longest_arrow(tool, specimen)
     return np.concatenate([rim, rim - [0.0, 0.0, specimen.height], make_base_plate(specimen, OPENING).vertices,
-                           make_tool_mesh(tool, specimen, OPENING).vertices - np.array([0.0, 0.0, depth]),
+                           make_drawn_tool_surface(tool, specimen, OPENING).vertices - np.array([0.0, 0.0, depth]),
                            [[0.0, 0.0, above - depth]]])
 
 

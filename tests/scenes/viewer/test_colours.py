@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from scenes.colour_scale import compute_low_and_high_volume_quantile
+from scenes.colour_scale import compute_volume_weighted_quantiles
 from scenes.viewer.colours import (
     PALETTE,
     choose_band_levels,
     colour_bar_html,
     compute_field_quantile_range,
-    update_band_levels,
+    keep_or_choose_band_levels,
 )
 
 RANGES = st.tuples(st.floats(-1e6, 1e6), st.floats(1e-9, 1e6)).map(lambda pair: (pair[0], pair[0] + pair[1]))
@@ -84,18 +84,18 @@ def test_an_invalid_range_is_refused(ends):
 
 def test_levels_are_kept_while_they_are_suitable():
     levels = choose_band_levels(0.0, 5.3)
-    assert update_band_levels(levels, 0.0, 5.9) is levels
-    assert update_band_levels(levels, 0.0, 3.1) is levels
-    assert update_band_levels(levels, 0.0, 6.1)[-1] > 6.1
-    assert update_band_levels(levels, 0.0, 2.0)[-1] < 3.1
-    assert update_band_levels(None, 0.0, 5.3).tolist() == levels.tolist()
-    assert len(update_band_levels(levels, 0.0, 5.3, 8)) == 9
+    assert keep_or_choose_band_levels(levels, 0.0, 5.9) is levels
+    assert keep_or_choose_band_levels(levels, 0.0, 3.1) is levels
+    assert keep_or_choose_band_levels(levels, 0.0, 6.1)[-1] > 6.1
+    assert keep_or_choose_band_levels(levels, 0.0, 2.0)[-1] < 3.1
+    assert keep_or_choose_band_levels(None, 0.0, 5.3).tolist() == levels.tolist()
+    assert len(keep_or_choose_band_levels(levels, 0.0, 5.3, 8)) == 9
 
 
 def test_levels_change_rarely_for_an_oscillating_range():
     levels, changes = None, 0
     for k in range(600):
-        new = update_band_levels(levels, 0.0, 4.0 + 0.4 * np.sin(0.3 * k))
+        new = keep_or_choose_band_levels(levels, 0.0, 4.0 + 0.4 * np.sin(0.3 * k))
         changes += new is not levels
         levels = new
     assert changes == 2  # the first ones, and those that cover the largest
@@ -104,11 +104,11 @@ def test_levels_change_rarely_for_an_oscillating_range():
 def test_range_excludes_a_fraction_of_the_volume_at_either_end():
     values = np.concatenate([[-1e6], np.linspace(0.0, 1.0, 1001), [1e6]])
     weights = np.concatenate([[1.0], np.ones(1001), [1.0]])
-    low, high = compute_low_and_high_volume_quantile(values, weights)
+    low, high = compute_volume_weighted_quantiles(values, weights)
     assert 0.0 < low < 0.02 and 0.98 < high < 1.0
     # A small volume counts as little as it is.
-    assert compute_low_and_high_volume_quantile(np.array([[0.0, 1.0], [2.0, 1e9]]),
-                                                np.array([[1.0, 1.0], [1.0, 1e-6]]))[1] < 3.0
+    assert compute_volume_weighted_quantiles(np.array([[0.0, 1.0], [2.0, 1e9]]),
+                                             np.array([[1.0, 1.0], [1.0, 1e-6]]))[1] < 3.0
 
 
 def test_range_of_a_field_ignores_rounding_errors():

@@ -6,7 +6,7 @@ import pytest
 import tissue_sim as ts
 from scenes.viewer.cut_away import TriangulatedHalfSection
 from scenes.viewer.revolution import TriangulatedSurface, WedgeOpening, concatenate_surfaces, revolve_polyline_by_band
-from tissue_sim.mesh import cylinder_mesh, needle_mesh
+from tissue_sim.mesh import cylinder_mesh, cylinder_mesh_refined_under_needle
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 
 #: Radius, m.
@@ -45,7 +45,7 @@ def bulged(mesh):
 def volume_by_quadrature(mesh, place):
     """Volume: integral of 2 pi r over the curved elements; exact with three points per direction."""
     points, weights = mesh.element.quadrature
-    shapes, slopes = mesh.element.evaluate_shape_functions(points)
+    shapes, slopes = mesh.element.evaluate_shape_functions_and_gradients(points)
     of_elements = place[mesh.connectivity]
     r = np.einsum("qa,ea->eq", shapes, of_elements[..., 0])
     return 2.0 * np.pi * float(np.sum(r * np.linalg.det(np.einsum("eai,qaj->eqij", of_elements, slopes)) * weights))
@@ -182,7 +182,7 @@ def test_a_cut_angle_outside_its_range_is_refused(cut):
 
 
 def test_mesh_lines_are_the_element_edges_in_front_of_both_faces():
-    mesh = needle_mesh(RADIUS, HEIGHT, 0.008, Q9P1, smallest=0.002, growth=1.8, largest=0.02)
+    mesh = cylinder_mesh_refined_under_needle(RADIUS, HEIGHT, 0.008, Q9P1, smallest=0.002, growth=1.8, largest=0.02)
     section, opening = TriangulatedHalfSection.from_mesh(mesh), WedgeOpening(np.radians(120.0))
     lines = section.compute_element_edge_lines(mesh.nodes, opening)
     rows, columns = np.unique(mesh.nodes[:, 1]).size // 2, np.unique(mesh.nodes[:, 0]).size // 2

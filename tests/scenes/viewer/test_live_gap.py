@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from haptics.loop.ring import TICK
-from scenes.viewer.live_gap import find_largest_live_force_gap, select_forces_of_late_ticks_on_grid
+from scenes.viewer.live_gap import find_largest_live_model_difference, select_forces_of_late_ticks_on_grid
 from scenes.viewer.trace import Trace
 from tissue_sim.tool_force import ForceStatus
 
@@ -22,18 +22,18 @@ def felt(late_from=np.inf, late_to=np.inf):
     records["inertial"] = depth > 2e-3
     records["status"][(depth > late_from) & (depth < late_to)] = ForceStatus.LATE
     trace = Trace()
-    trace.append_ticks_and_count_points(records)
+    trace.append_ticks_and_count_new_points(records)
     return trace
 
 
 def test_the_largest_gap_has_depth_and_tool_speed():
     trace, model = felt(), (200.0 * GRID, 200.0 * GRID)
-    gap = find_largest_live_force_gap(trace, GRID, trace.interpolate_newest_force_at_each_depth(GRID), model)
+    gap = find_largest_live_model_difference(trace, GRID, trace.interpolate_newest_force_at_each_depth(GRID), model)
     assert gap.force == pytest.approx(0.1, rel=0.01) and 2e-3 < gap.depth < 3e-3
     assert gap.speed == pytest.approx(SPEED, rel=0.05) and gap.late_fraction == 0.0
     assert gap.inertia_fraction == pytest.approx(0.5, abs=0.1)
-    assert find_largest_live_force_gap(trace, GRID, trace.interpolate_newest_force_at_each_depth(GRID),
-                                       (np.full(101, np.nan),) * 2) is None
+    assert find_largest_live_model_difference(trace, GRID, trace.interpolate_newest_force_at_each_depth(GRID),
+                                              (np.full(101, np.nan),) * 2) is None
 
 
 def test_forces_of_late_ticks_are_counted_and_returned_separately():
@@ -42,6 +42,7 @@ def test_forces_of_late_ticks_are_counted_and_returned_separately():
     there = GRID[np.isfinite(forces)]
     assert len(there) > 3 and there.min() > 0.9e-3 and there.max() < 2.1e-3
     assert forces[np.isfinite(forces)] == pytest.approx(200.0 * there, abs=0.02)
-    gap = find_largest_live_force_gap(trace, GRID, trace.interpolate_newest_force_at_each_depth(GRID), (GRID, GRID))
+    gap = find_largest_live_model_difference(trace, GRID, trace.interpolate_newest_force_at_each_depth(GRID),
+                                             (GRID, GRID))
     assert gap.late_fraction == pytest.approx(0.15, abs=0.1)
     assert np.isnan(select_forces_of_late_ticks_on_grid(felt(), GRID)).all()

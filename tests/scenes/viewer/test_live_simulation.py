@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from haptics.devices.motions import HandMotion
+from haptics.devices.motions import TargetFollowingMotion
 from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, TICK, RingReader, RingWriter
-from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
+from haptics.loop.snapshot_board import SnapshotReader, SnapshotWriter
 from scenes.viewer.frame import Phase
 from scenes.viewer.live_simulation import LiveSimulation
 from tissue_sim.fem.axisymmetric.fields import Fields
@@ -41,7 +41,7 @@ class Watched:
 
 @pytest.fixture(scope="module")
 def needle_loop(needle, until):
-    simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), settings=LOOP)
+    simulation = LiveSimulation(needle.model, TargetFollowingMotion(0.0, 0.05), settings=LOOP)
     watched = Watched(simulation)
     assert simulation.phase is Phase.STARTING and simulation.readouts is None and simulation.snapshot is None
     with pytest.raises(ts.InputError, match=r"The simulation is not running \(starting\)\."):
@@ -161,10 +161,10 @@ def test_a_changed_material_is_shown_on_the_same_mesh(needle_loop, needle, until
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_killed_process_gives_a_message(of_gel, needle, until):
-    simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), settings=LOOP)
+    simulation = LiveSimulation(needle.model, TargetFollowingMotion(0.0, 0.05), settings=LOOP)
     try:
         until(simulation.poll_loop_process, lambda _: simulation.snapshot is not None)
-        process = simulation.process
+        process = simulation.haptic_loop_process
         os.kill(process.pid, signal.SIGKILL)
         # The last polls may still read a newer snapshot.
         until(simulation.poll_loop_process, lambda records: records is None)
@@ -181,9 +181,9 @@ def test_a_killed_process_gives_a_message(of_gel, needle, until):
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_process_killed_during_its_start_gives_a_message(of_gel, needle, until):
-    simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), settings=LOOP)
+    simulation = LiveSimulation(needle.model, TargetFollowingMotion(0.0, 0.05), settings=LOOP)
     try:
-        os.kill(simulation.process.pid, signal.SIGKILL)
+        os.kill(simulation.haptic_loop_process.pid, signal.SIGKILL)
         until(simulation.poll_loop_process, lambda _: simulation.phase is Phase.DIED)
         assert "was killed by signal 9 during its start" in simulation.message
     finally:
@@ -193,7 +193,7 @@ def test_a_process_killed_during_its_start_gives_a_message(of_gel, needle, until
 def tick(number, depth=0.0, force=0.0, stiffness=0.0, status=0, iterations=0, compute_time=0.0, late=0, missed=0,
          flags=0):
     """Arguments of `RingWriter.append` for a tick along z."""
-    answer = ToolForce.axial(force, stiffness, ForceStatus(status), iterations)
+    answer = ToolForce.from_axial_force(force, stiffness, ForceStatus(status), iterations)
     return (number, number * 1e-3, Pose.at_depth(depth), Pose.at_depth(depth), answer.wrench, answer, compute_time, 0.0,
             late, missed, flags)
 
@@ -210,7 +210,7 @@ class Written:
         empty = np.zeros(0)
         fields = Fields(None, None, 0.0, np.zeros((1, 2)), empty, empty, empty, empty)
         self.pattern = Snapshot(Pose.at_depth(0.0), 0.0, fields)
-        self.board = SnapshotBoard(self.snapshot_path, self.pattern)
+        self.board = SnapshotWriter(self.snapshot_path, self.pattern)
         self.message, self.report, self.now, self.number = "running", None, 100.0, 0
 
     def __call__(self, *arguments, **options):
@@ -219,13 +219,13 @@ class Written:
     def start(self):
         pass
 
-    def poll(self):
+    def read_message_and_check_ready(self):
         return True
 
-    def ring(self):
+    def open_ring_reader(self):
         return RingReader(self.ring_path)
 
-    def snapshots(self):
+    def open_snapshot_reader(self):
         return SnapshotReader(self.snapshot_path, self.pattern)
 
     def stop(self):
@@ -245,7 +245,7 @@ def written(monkeypatch, needle, tmp_path):
     loop = Written(tmp_path)
     monkeypatch.setattr("scenes.viewer.live_simulation.LoopProcess", loop)
     monkeypatch.setattr("scenes.viewer.live_simulation.time", SimpleNamespace(monotonic=lambda: loop.now))
-    simulation = LiveSimulation(needle.model, HandMotion())
+    simulation = LiveSimulation(needle.model, TargetFollowingMotion())
     yield simulation, loop
     simulation.close()
 
@@ -336,6 +336,6 @@ def test_the_budget_is_extended_for_slow_solvers_only(needle, monkeypatch):
     assert quick.budget == 10.0
     slow = ExtendableBudgetSimulator(needle.model, resolution="realtime_20", budget=1e-9)
     slow.warm_up()
-    assert slow.budget == 2.0 * slow.solve_time > 1e-9
+    assert slow.budget == 2.0 * slow.linear_solve_time > 1e-9
     statuses = [slow.step(5e-5, 1e-3).status for _ in range(40)]
     assert ForceStatus.CONVERGED in statuses

@@ -8,9 +8,9 @@ import pytest
 
 import tissue_sim as ts
 from scenes.viewer.frame import Phase, PlotCurves, SessionFrame, SimulationReadouts
-from scenes.viewer.live_gap import LargestLiveForceGap
+from scenes.viewer.live_gap import LargestLiveModelDifference
 from scenes.viewer.page.readouts import (
-    largest_live_model_gap_html,
+    largest_live_model_difference_html,
     model_rmse_html,
     readouts_html,
     scene_title_html,
@@ -113,11 +113,13 @@ def test_the_title_names_test_specimen_tool_and_material(shape):
 
 
 def test_the_gap_to_the_model_names_its_causes():
-    assert largest_live_model_gap_html(None) == ""
-    fast = texts(largest_live_model_gap_html(LargestLiveForceGap(0.1234, 3.35e-3, 20e-3, 0.012, 0.8)))["live-gap"]
+    assert largest_live_model_difference_html(None) == ""
+    fast = texts(largest_live_model_difference_html(LargestLiveModelDifference(0.1234, 3.35e-3, 20e-3, 0.012,
+                                                                               0.8)))["live-gap"]
     assert fast == ("live \u2212 model: up to 0.123 N at 3.35 mm; at 20 mm/s the inertia of the tissue contributes; "
                     "1.2% of the points are extrapolated by late ticks (grey)")
-    slow = texts(largest_live_model_gap_html(LargestLiveForceGap(-0.001, 1e-3, 1e-3, 0.0, 0.0)))["live-gap"]
+    slow = texts(largest_live_model_difference_html(LargestLiveModelDifference(-0.001, 1e-3, 1e-3, 0.0,
+                                                                               0.0)))["live-gap"]
     assert slow == "live \u2212 model: up to -0.001 N at 1 mm"
     # Quasi-static tissue has no inertia at any speed.
-    assert "inertia" not in largest_live_model_gap_html(LargestLiveForceGap(0.1, 1e-3, 20e-3, 0.0, 0.0))
+    assert "inertia" not in largest_live_model_difference_html(LargestLiveModelDifference(0.1, 1e-3, 20e-3, 0.0, 0.0))

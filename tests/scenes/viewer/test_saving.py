@@ -46,7 +46,7 @@ def pressed(status):
     records["tissue_force"] = 200.0 * records["tool_depth"]
     records["status"] = status
     trace = Trace()
-    trace.append_ticks_and_count_points(records)
+    trace.append_ticks_and_count_new_points(records)
     return trace
 
 

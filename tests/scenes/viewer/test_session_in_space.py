@@ -42,7 +42,7 @@ def session(scene, until):
         patch.setattr("scenes.viewer.live_simulation.BUDGET", None)
         session = Session(scene, settings=LOOP, curve_resolution="realtime")
     try:
-        until(session.frame, lambda frame: frame.readouts is not None and frame.snapshot is not None)
+        until(session.update_and_make_frame, lambda frame: frame.readouts is not None and frame.snapshot is not None)
         yield session
     finally:
         session.close()
@@ -52,7 +52,7 @@ def session(scene, until):
 def asked(session, command, **values):
     told = []
     session.post(command, reply=told.append, **values)
-    frame = session.frame()
+    frame = session.update_and_make_frame()
     assert told == [None]
     return frame
 
@@ -64,7 +64,7 @@ def at(place):
 
 
 def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
-    first = session.frame()
+    first = session.update_and_make_frame()
     assert first.phase is Phase.RUNNING
     assert first.snapshot.is_three_dimensional and can_draw_fields(first.snapshot.fields)
     assert first.snapshot.skin is None and first.surface is None
@@ -74,9 +74,9 @@ def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
     # In stages: friction depends on the path, and on a busy computer one tick may contain a whole motion.
     for stage in np.linspace(0.0, depth, STAGES + 1)[1:]:
         asked(session, "aim", depth=stage)
-        frame = until(session.frame, at(approach.pose(stage).position))
+        frame = until(session.update_and_make_frame, at(approach.pose(stage).position))
     assert frame.snapshot.pose.orientation == approach.pose(depth).orientation
-    frame = until(session.frame, lambda frame: frame.readouts.status == "in equilibrium")
+    frame = until(session.update_and_make_frame, lambda frame: frame.readouts.status == "in equilibrium")
     assert frame.readouts.depth == pytest.approx(depth, abs=1e-6), "along the axis, as displacements are"
     # The same way in a simulation: the force of the whole test at that displacement.
     model = ts.Model(replace(scene.experiment, protocol=ts.Protocol.ramp(depth, STAGES + 1)), scene.material)
@@ -88,23 +88,23 @@ def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
     moved = np.array(frame.snapshot.pose.position)
     for fraction in np.linspace(0.0, 1.0, STAGES + 1)[1:]:
         asked(session, "aim", across=(OFFSET - fraction * 0.4e-3, fraction * 0.5e-3))
-        frame = until(session.frame, at(moved + fraction * np.array([-0.4e-3, 0.5e-3, 0.0])))
+        frame = until(session.update_and_make_frame, at(moved + fraction * np.array([-0.4e-3, 0.5e-3, 0.0])))
     assert frame.across == pytest.approx((OFFSET - 0.4e-3, 0.5e-3)) and frame.target == depth, "as deep as it was"
-    frame = until(session.frame, lambda frame: frame.readouts.status == "in equilibrium")
+    frame = until(session.update_and_make_frame, lambda frame: frame.readouts.status == "in equilibrium")
     assert frame.readouts.across[1] < 0.0, "the tissue holds back what is dragged towards +y"
     asked(session, "reset")
-    frame = until(session.frame, at((OFFSET, 0.0, 0.0)))
+    frame = until(session.update_and_make_frame, at((OFFSET, 0.0, 0.0)))
     assert frame.across == (OFFSET, 0.0) and frame.target == 0.0
 
 
 def test_a_protocol_is_played_along_the_axis_of_the_tool(session, scene, until):
     asked(session, "play", text="ramp 0.2mm @2mm/s; hold 600s; unload")
-    until(session.frame, at(scene.experiment.approach.pose(0.2e-3).position))
+    until(session.update_and_make_frame, at(scene.experiment.approach.pose(0.2e-3).position))
     asked(session, "reset")
 
 
 def test_no_part_of_the_tool_leaves_the_top(session, scene, until):
-    snapshot = session.frame().snapshot
+    snapshot = session.update_and_make_frame().snapshot
     frame = asked(session, "aim", depth=-2e-3, across=(1.0, 1.0))
     x, y = frame.across
     assert x == pytest.approx(y)

@@ -4,20 +4,20 @@ import re
 
 import viser
 
-from scenes.viewer.shell import LARGEST_UPLOAD, inject_shell
+from scenes.viewer.shell import LARGEST_UPLOAD, insert_page_additions
 from scenes.viewer.web_server import open_viewer_server
 
 PAGE = b"<html><head><title>Viser</title></head>\n  <body>\n<div id=\"root\"></div></body></html>"
 
 
 def test_the_shell_is_injected_into_viser_pages_only():
-    page = inject_shell(PAGE, "needle </script> & <tissue>").decode()
+    page = insert_page_additions(PAGE, "needle </script> & <tissue>").decode()
     assert "<title>needle &lt;/script&gt; &amp; &lt;tissue&gt;</title>" in page
     assert page.count("<script>") == page.count("</script>") == 2 and '<div id="root">' in page
     assert re.search(r'id="shell-loading".*id="root"', page, re.DOTALL)
     assert str(LARGEST_UPLOAD) in page
     for other in (b"a picture", b"<title>Viser</title>", b"<body>"):
-        assert inject_shell(other, "needle") == other
+        assert insert_page_additions(other, "needle") == other
 
 
 def test_files_above_the_bound_are_not_kept():

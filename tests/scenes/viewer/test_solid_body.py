@@ -9,7 +9,7 @@ from scenes.viewer.solid_body import SETTINGS, ThreeDimensionalMeshBody
 from scenes.viewer.wedge import Wedge
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_needle_mesh
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
 
 SIDE = 0.04
@@ -108,7 +108,7 @@ def test_mesh_lines_lie_in_front_of_the_remaining_body(element):
 @pytest.mark.parametrize("pose", [Pose((9e-3, 0.0, 0.0)), Pose((9e-3, 0.0, 0.0), leaning(0.0).orientation)])
 def test_contact_is_the_rim_of_the_tool_and_a_line_across_the_cut(pose):
     """Undeformed cylinder under a flat tool that touches it away from the axis."""
-    tool, mesh = ts.Tool("flat", radius=8e-3), create_needle_mesh(
+    tool, mesh = ts.Tool("flat", radius=8e-3), create_cylinder_mesh_under_needle(
         0.04, 0.07, 8e-3, HEX27P1, smallest=2e-3, growth=2.2, largest=20e-3, around=4, centre=(9e-3, 0.0))
     body = ThreeDimensionalMeshBody.from_mesh(mesh)
     closed = body.find_contact_lines_or_none(mesh.nodes, tool, Wedge(WedgeOpening(0.0), pose))

@@ -11,9 +11,9 @@ from scenes.viewer.tool_picture import (
     compute_height_of_tool_with_longest_arrow,
     find_tool_contact,
     make_base_plate,
+    make_drawn_tool_outline,
+    make_drawn_tool_surface,
     make_force_arrow_or_none,
-    make_tool_mesh,
-    make_tool_outline,
 )
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q9P1
@@ -45,24 +45,24 @@ def revolved_volume(outline, opening):
 @pytest.mark.parametrize("name", TOOLS)
 def test_a_tool_is_a_closed_surface_with_the_volume_of_its_profile(name, cut):
     tool, opening = TOOLS[name], WedgeOpening(np.radians(cut))
-    outline = make_tool_outline(tool, SPECIMEN)
+    outline = make_drawn_tool_outline(tool, SPECIMEN)
     # The recess of the section faces is all that is missing.
-    mesh = make_tool_mesh(tool, SPECIMEN, opening)
+    mesh = make_drawn_tool_surface(tool, SPECIMEN, opening)
     assert volume(mesh) == pytest.approx(revolved_volume(outline, opening), rel=0.012)
 
 
 def test_volumes_of_simple_tools_match_formulas():
     opening = WedgeOpening(0.0, segments=720)
-    sphere, flat = (make_tool_mesh(TOOLS[name], SPECIMEN, opening) for name in ("sphere", "flat"))
+    sphere, flat = (make_drawn_tool_surface(TOOLS[name], SPECIMEN, opening) for name in ("sphere", "flat"))
     assert volume(sphere) == pytest.approx(4 / 3 * np.pi * 0.012**3, rel=5e-3)
-    height = make_tool_outline(TOOLS["flat"], SPECIMEN)[:, 1].max()
+    height = make_drawn_tool_outline(TOOLS["flat"], SPECIMEN)[:, 1].max()
     assert volume(flat) == pytest.approx(np.pi * 0.008**2 * height, rel=5e-3)
 
 
 @pytest.mark.parametrize("name", NEEDLES)
 def test_the_drawn_tool_lies_inside_its_outline(name):
     tool = NEEDLES[name]
-    outline = make_tool_outline(tool, SPECIMEN)
+    outline = make_drawn_tool_outline(tool, SPECIMEN)
     below = outline[outline[:, 1] < (tool.radius if tool.shape == "sphere" else outline[:, 1].max())]
     gap = tool.profile.gap(below)
     assert gap.max() < 0.0 and gap.min() > -2e-3 * tool.radius
@@ -73,19 +73,20 @@ def test_the_drawn_tool_lies_inside_its_outline(name):
 @pytest.mark.parametrize("name", NEEDLES)
 def test_the_shaft_ends_above_the_specimen_and_the_tip_is_complete(name):
     tool = NEEDLES[name]
-    outline = make_tool_outline(tool, SPECIMEN)
+    outline = make_drawn_tool_outline(tool, SPECIMEN)
     assert outline[:, 0].max() == pytest.approx(tool.radius, rel=2e-3)
     top = outline[:, 1].max()
     assert top == pytest.approx(2 * tool.radius if name == "sphere" else 0.035, rel=1e-2)
     height = compute_height_of_tool_with_longest_arrow(tool, SPECIMEN)
     assert height == pytest.approx(top + SETTINGS.arrow_length * SPECIMEN.height)
     # On a flat specimen the whole tip is there, too.
-    flat = make_tool_outline(tool, ts.Specimen(0.04, 0.002))
+    flat = make_drawn_tool_outline(tool, ts.Specimen(0.04, 0.002))
     assert flat[:, 0].max() == pytest.approx(tool.radius, rel=2e-3)
 
 
 def test_plate_and_base_are_wider_than_the_specimen():
-    plate, base = make_tool_mesh(TOOLS["plate"], SPECIMEN, WedgeOpening()), make_base_plate(SPECIMEN, WedgeOpening())
+    plate, base = make_drawn_tool_surface(TOOLS["plate"], SPECIMEN, WedgeOpening()), make_base_plate(SPECIMEN,
+                                                                                                     WedgeOpening())
     for surface in (plate, base):
         assert 1.1 * 0.04 < np.linalg.norm(surface.vertices[:, :2], axis=1).max() < 1.3 * 0.04
     assert 0.0 <= plate.vertices[:, 2].min() < 1e-4
@@ -98,7 +99,7 @@ def test_plate_and_base_are_wider_than_the_specimen():
 
 def test_the_arrow_has_the_length_and_direction_of_the_force():
     tool = TOOLS["flat"]
-    top = make_tool_outline(tool, SPECIMEN)[:, 1].max()
+    top = make_drawn_tool_outline(tool, SPECIMEN)[:, 1].max()
     half, full, pull = (make_force_arrow_or_none(force, 4.0, tool, SPECIMEN) for force in (2.0, 4.0, -2.0))
     assert half.tip[2] - half.start[2] == pytest.approx(0.5 * SETTINGS.arrow_length * 0.07)
     assert full.tip[2] - full.start[2] == pytest.approx(SETTINGS.arrow_length * 0.07)

@@ -14,7 +14,7 @@ from haptics.loop.ring import PAUSED, TICK
 from scenes.catalogue import SCENES
 from scenes.cli import main
 from scenes.provenance import make_kind_specimen_tool_metadata
-from scenes.viewer.page.saving import make_trace_files
+from scenes.viewer.page.saving import make_trace_file_bytes_by_name
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch_force, make_csv_and_sidecar_bytes_by_name
 from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_strictly_monotone_sample_indices
@@ -40,7 +40,7 @@ def fed(records, catch=40, **options):
     """Trace that received the ticks in batches of a given size."""
     trace = Trace(**options)
     for first in range(0, len(records), catch):
-        trace.append_ticks_and_count_points(records[first:first + catch])
+        trace.append_ticks_and_count_new_points(records[first:first + catch])
     return trace
 
 
@@ -92,7 +92,7 @@ def test_paused_and_nonfinite_ticks_are_skipped():
     for begin, end in ((2, 3), (4, 4.5), (6, 6.5)):
         assert not ((trace.time >= begin) & (trace.time < end - 1e-9)).any()
     assert np.isfinite(trace.depth).all() and np.isfinite(trace.force).all()
-    assert Trace().append_ticks_and_count_points(records[2000:3000]) == 0
+    assert Trace().append_ticks_and_count_new_points(records[2000:3000]) == 0
 
 
 def test_fading_forces_are_not_drawn_and_late_forces_not_recorded():
@@ -103,11 +103,11 @@ def test_fading_forces_are_not_drawn_and_late_forces_not_recorded():
     drawn = {int(time) for time in trace.time if time < len(ForceStatus) and time % 1 < 0.5 - 1e-9}
     assert drawn == {ForceStatus.CONVERGED, ForceStatus.LATE}
     assert trace.is_late.any() and (np.floor(trace.time[trace.is_late]) == ForceStatus.LATE).all()
-    recorded = trace.recording({}).time + trace.time[0]
+    recorded = trace.make_equilibrium_recording({}).time + trace.time[0]
     assert np.isin(recorded, trace.time[~trace.is_late]).all() and len(recorded) == (~trace.is_late).sum()
     records["status"] = ForceStatus.LATE
     with pytest.raises(ts.InputError, match="two equilibrium points"):
-        fed(records).recording({})
+        fed(records).make_equilibrium_recording({})
 
 
 def test_the_oldest_points_are_dropped_at_the_limit():
@@ -117,21 +117,22 @@ def test_the_oldest_points_are_dropped_at_the_limit():
     for name in ("time", "depth", "force"):
         assert getattr(short, name).tolist() == getattr(whole, name)[-500:].tolist()
     assert short._points.shape[1] == 1000
-    for mine, full in zip(short.branches(), whole.branches(), strict=True):
+    for mine, full in zip(short.get_newest_loading_and_unloading(), whole.get_newest_loading_and_unloading(),
+                          strict=True):
         assert mine.time.tolist() == full.time.tolist()
 
 
 def test_a_new_loop_clears_the_trace():
     trace = fed(played(CYCLE, 14))
-    trace.append_ticks_and_count_points(played([(0, 1e-3), (1, 2e-3)], 1))
+    trace.append_ticks_and_count_new_points(played([(0, 1e-3), (1, 2e-3)], 1))
     assert trace.time[-1] < 1.0 and trace.depth.min() == pytest.approx(1e-3)
     trace.delete_all_points()
-    assert len(trace) == 0 and trace.branches() == (None, None)
+    assert len(trace) == 0 and trace.get_newest_loading_and_unloading() == (None, None)
 
 
 def test_newest_branches_of_two_cycles():
     trace = fed(played([(0, 0), (4, 8e-3), (8, 2e-3), (12, 10e-3), (14, 6e-3)], 14))
-    load, unload = trace.branches()
+    load, unload = trace.get_newest_loading_and_unloading()
     assert (load.depth.min(), load.depth.max()) == pytest.approx((2e-3, 10e-3), abs=2 * SETTINGS.depth_step)
     assert (unload.depth.min(), unload.depth.max()) == pytest.approx((6e-3, 10e-3), abs=2 * SETTINGS.depth_step)
     assert load.time[0] == pytest.approx(8, abs=0.03) and unload.time[0] == pytest.approx(12, abs=0.03)
@@ -158,7 +159,7 @@ def test_a_short_reversal_replaces_only_its_part_of_the_curve():
     assert np.isnan(load[grid > 9.05e-3]).all()
     assert np.isfinite(unload[(grid > 7.05e-3) & (grid < 7.95e-3)]).all()
     assert np.isnan(unload[(grid < 6.9e-3) | (grid > 8.05e-3)]).all()
-    newest, _ = trace.branches()
+    newest, _ = trace.get_newest_loading_and_unloading()
     assert newest.depth.min() > 6.9e-3  # what the newest branch alone would show
 
 
@@ -170,7 +171,8 @@ def test_the_newest_pass_is_returned():
 
 
 def test_recording_has_segments_and_cycles():
-    record = fed(played([*CYCLE, (19, 10e-3), (24, 0)], 24)).recording({"name": "felt", "kind": "needle_indentation"})
+    record = fed(played([*CYCLE, (19, 10e-3), (24, 0)], 24)).make_equilibrium_recording({"name": "felt",
+                                                                                         "kind": "needle_indentation"})
     assert record.name == "felt" and record.time[0] == 0
     segment, cycle = record.labels["segment"], record.labels["cycle"]
     middles = {2: ("ramp", 1), 6.5: ("hold", 1), 10: ("unload", 1), 16: ("reload", 2), 21: ("unload", 2)}
@@ -184,7 +186,8 @@ def test_recording_has_segments_and_cycles():
 
 
 def test_recording_reads_back_equal(tmp_path):
-    record = fed(played(CYCLE, 14, noise=0.01e-3)).recording({"name": "felt", "kind": "needle_indentation"})
+    record = fed(played(CYCLE, 14, noise=0.01e-3)).make_equilibrium_recording({"name": "felt",
+                                                                               "kind": "needle_indentation"})
     for name, content in make_csv_and_sidecar_bytes_by_name(record, "felt").items():
         (tmp_path / name).write_bytes(content)
     again = ts.read_recording(tmp_path / "felt.csv", kind="needle_indentation")
@@ -205,7 +208,7 @@ def test_a_saved_curve_has_the_metadata_of_a_simulated_one(tmp_path, kind, speci
     tests = {} if tool is None else {"tool": tool}
     experiment = ts.KINDS[kind].experiment(specimen=specimen, protocol=ts.Protocol.ramp(4e-3, 5), **tests)
     scene = Scene(SCENES[kind], experiment, ts.Material("neo_hooke", {"C10": 1000.0}))
-    for name, content in make_trace_files(scene, fed(played([(0, 0), (5, 4e-3), (10, 0)], 10))).items():
+    for name, content in make_trace_file_bytes_by_name(scene, fed(played([(0, 0), (5, 4e-3), (10, 0)], 10))).items():
         (tmp_path / name).write_bytes(content)
     felt = ts.read_recording(tmp_path / f"{kind}.csv")
     assert {key: felt.metadata[key] for key in ("kind", "specimen", "tool")} \
@@ -221,7 +224,7 @@ def test_a_saved_curve_has_the_metadata_of_a_simulated_one(tmp_path, kind, speci
 
 def test_a_trace_without_equilibria_gives_no_recording():
     with pytest.raises(ts.InputError, match="two equilibrium points"):
-        Trace().recording({})
+        Trace().make_equilibrium_recording({})
 
 
 depths = st.lists(st.floats(0.0, 0.02), min_size=2, max_size=30)

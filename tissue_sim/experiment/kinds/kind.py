@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import OldName, with_old_names
 from tissue_sim.registry import Registry
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ class FaceInterface:
     stated: bool = False
 
 
+@with_old_names(can_pull="allows_reversed_load")
 @dataclass(frozen=True, kw_only=True)
 class TestKind:
     """Kind of test: default tool, interfaces, channels, sign of the load, and closed form if one exists.
@@ -107,7 +108,7 @@ class TestKind:
         return self.tool is None
 
     @property
-    def can_pull(self) -> bool:
+    def allows_reversed_load(self) -> bool:
         """Whether the specimen can be pulled against the direction of loading: it is gripped, or the tool is bonded."""
         return self.has_gripped_ends or self.face.usual == "bonded"
 

@@ -33,7 +33,7 @@ class Cone(Tool):
                                   default=0.0)
 
     def __post_init__(self):
-        self.require_sizes("tip_radius")
+        self.require_valid_radius_and_roundings("tip_radius")
         if not _SHARPEST <= self.half_angle < math.pi / 2:
             raise InputError("must be at least 0.6 degrees and below 90 degrees, between the axis and the side of "
                              f"the cone; got {math.degrees(self.half_angle):g} degrees.", field="tool.half_angle")

@@ -23,7 +23,7 @@ class Flat(Tool):
     edge_radius: float = edge_radius()
 
     def __post_init__(self):
-        self.require_sizes("edge_radius")
+        self.require_valid_radius_and_roundings("edge_radius")
 
     @property
     def profile(self) -> Profile:

@@ -31,7 +31,7 @@ class OutlineLineColumn(IntEnum):
     LENGTH = 4
 
 
-class ClosestOutlinePoints(NamedTuple):
+class PolylineDistances(NamedTuple):
     """Distances and normals at the closest points of a polyline.
 
     Attributes:
@@ -84,8 +84,8 @@ class Profile:
         length = np.linalg.norm(segment, axis=1)
         return np.column_stack([self.vertices[:-1], segment / length[:, None], length])
 
-    def find_closest_points(self, points: np.ndarray, first_line: int = 0,
-                            is_endless: bool = False) -> ClosestOutlinePoints:
+    def compute_distances_to_polyline(self, points: np.ndarray, first_line: int = 0,
+                                      is_endless: bool = False) -> PolylineDistances:
         """Compute distances and normals at the closest points of the polyline, without its rounding.
 
         `tissue_sim.fem.contact.closest_point` is the same algorithm for kernels.
@@ -116,7 +116,7 @@ class Profile:
         beyond = (share != along) & (distance > 0.0)
         safe = np.where(distance > 0.0, distance, 1.0)
         normal = np.where(beyond[:, None], (sign / safe)[:, None] * arrow, np.stack([t[best, 1], -t[best, 0]], axis=-1))
-        return ClosestOutlinePoints(best + first_line, sign * distance, normal, np.where(beyond, sign / safe, 0.0))
+        return PolylineDistances(best + first_line, sign * distance, normal, np.where(beyond, sign / safe, 0.0))
 
     def gap(self, points: np.ndarray) -> np.ndarray:
         """Return the signed distance of points from the surface, m, positive outside, shape (n,).
@@ -124,7 +124,7 @@ class Profile:
         Args:
             points: (r, z), m, shape (n, 2).
         """
-        return self.find_closest_points(points).distance - self.rounding
+        return self.compute_distances_to_polyline(points).distance - self.rounding
 
     def sample_outline_up_to_height(self, height: float) -> np.ndarray:
         """Return points (r, z), m, on the surface from the axis up to `height`, m, for drawing, shape (n, 2)."""

@@ -46,8 +46,8 @@ class ProfileTool(Tool):
         points: content of the file, (r, z) of each point, m, if the file is not to be read again.
 
     Raises:
-        InputError: no file, a radius that differs from that of the file, an error of `read_profile`, a segment that is
-            too short for the rounding.
+        InputError: no file, a radius that differs from that of the file, an error of `read_outline_points`, a segment
+            that is too short for the rounding.
     """
 
     name = "profile"
@@ -64,7 +64,7 @@ class ProfileTool(Tool):
         object.__setattr__(self, "radius", widest)
         if not self.edge_radius:
             self._set_largest_fitting_rounding()
-        self.require_sizes("edge_radius")
+        self.require_valid_radius_and_roundings("edge_radius")
 
     def _set_largest_fitting_rounding(self) -> None:
         """Set `edge_radius` to the default rounding, halved until the rounding fits the outline."""
@@ -79,7 +79,7 @@ class ProfileTool(Tool):
     @cached_property
     def outline(self) -> np.ndarray:
         """Outline of the file, (r, z), m, shape (n, 2)."""
-        from tissue_sim.experiment.tools.profile_file import find_first_invalid_point_and_problem, read_profile
+        from tissue_sim.experiment.tools.profile_file import find_first_invalid_point_and_problem, read_outline_points
 
         if self.points is not None:
             import numpy as np
@@ -92,7 +92,7 @@ class ProfileTool(Tool):
             return outline
         if self.profile_file is None:
             raise InputError("a profile tool needs the file of its profile", field="tool.profile_file")
-        return read_profile(self.profile_file)
+        return read_outline_points(self.profile_file)
 
     @property
     def _largest_outline_radius(self) -> float:

@@ -13,7 +13,7 @@ from tissue_sim.files import read_text
 _LARGEST = 1_000_000
 
 
-def read_profile(path: str | Path) -> np.ndarray:
+def read_outline_points(path: str | Path) -> np.ndarray:
     """Read the outline of a tool.
 
     The file has two columns of numbers, r and z in mm, separated by commas, semicolons or blanks; lines that start

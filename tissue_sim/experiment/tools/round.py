@@ -11,7 +11,7 @@ from tissue_sim.experiment.tools.tool import Tool
 
 
 @dataclass(frozen=True)
-class Round(Tool):
+class HemisphericalNeedle(Tool):
     """A needle with a hemispherical tip.
 
     Attributes:
@@ -22,7 +22,7 @@ class Round(Tool):
     radius: float = radius()
 
     def __post_init__(self):
-        self.require_sizes()
+        self.require_valid_radius_and_roundings()
 
     @property
     def profile(self) -> Profile:

@@ -23,7 +23,7 @@ class Sphere(Tool):
     radius: float = radius()
 
     def __post_init__(self):
-        self.require_sizes()
+        self.require_valid_radius_and_roundings()
 
     @property
     def profile(self) -> Profile:

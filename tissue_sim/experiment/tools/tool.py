@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from tissue_sim.errors import InputError, require_positive_length
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.parameters import Declaration, list_field_declarations
+from tissue_sim.public_names import with_old_names
 from tissue_sim.registry import Registry
 
 
@@ -41,6 +42,7 @@ class _MakeToolByShapeNameMeta(type):
         return kind(**sizes)
 
 
+@with_old_names(require_sizes="require_valid_radius_and_roundings")
 class Tool(metaclass=_MakeToolByShapeNameMeta):
     """A rigid body that is moved into the specimen.
 
@@ -114,7 +116,7 @@ class Tool(metaclass=_MakeToolByShapeNameMeta):
         require_positive_length(radius, "tool.radius")
         return radius
 
-    def require_sizes(self, *roundings: str) -> None:
+    def require_valid_radius_and_roundings(self, *roundings: str) -> None:
         """Check the radius, and that roundings are smaller than the radius.
 
         Args:
@@ -145,7 +147,7 @@ def _make_inapplicable_size_error(kind: type[Tool], name: str) -> InputError:
 #: Shape -> its class.
 TOOLS: Registry[type[Tool]] = Registry("tool shape", "tissue_sim.tools", {
     name: f"tissue_sim.experiment.tools.{module}" for name, module in {
-        "plate": "plate:Plate", "flat": "flat:Flat", "round": "round:Round", "cone": "cone:Cone",
+        "plate": "plate:Plate", "flat": "flat:Flat", "round": "round:HemisphericalNeedle", "cone": "cone:Cone",
         "sphere": "sphere:Sphere", "profile": "profile:ProfileTool"}.items()},
     accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Tool) and is_dataclass(kind),
     expected="a frozen dataclass derived from Tool")

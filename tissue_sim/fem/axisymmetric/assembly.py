@@ -33,12 +33,12 @@ class ElementAssemblyFunctions(NamedTuple):
     add_weight_forces: object
     add_interior_node_inertial_force: object
     compute_condensed_stiffness_and_success: object
-    add_stiffness_to_band_and_pull: object
+    scatter_stiffness_and_force_per_depth: object
 
 
 @cache
-def make_taichi_element_functions(element_name: str, energy: KernelEnergy,
-                                  effects: tuple[FormulaClassAndConstants, ...] = ()) -> ElementAssemblyFunctions:
+def make_element_assembly_functions(element_name: str, energy: KernelEnergy,
+                                    effects: tuple[FormulaClassAndConstants, ...] = ()) -> ElementAssemblyFunctions:
     """Return the Taichi functions of an element type and a law; a kernel calls them in this order for each batch b."""
     ti = get_initialised_taichi()
     element = ELEMENTS[element_name]
@@ -63,8 +63,8 @@ def make_taichi_element_functions(element_name: str, energy: KernelEnergy,
     # Arrays are updated by `a = a + b`, because `a += b` is an atomic operation in Taichi, four times slower here.
 
     @ti.func
-    def evaluate_quadrature_point(b, q, F, J, p, remembers, tangents: ti.template(), elements: ti.template(),
-                                  tissue: ti.template()):
+    def store_weighted_stress_and_tangent(b, q, F, J, p, remembers, tangents: ti.template(), elements: ti.template(),
+                                          tissue: ti.template()):
         """Store stress, tangent and dJ/dF of quadrature point q, each times the weight of the point."""
         root = inverse_cube_root(ti.max(J, 1e-6))
         W, P, A = (with_tangent if ti.static(tangents) else without)(F, root, tissue.coefficients)
@@ -151,9 +151,9 @@ def make_taichi_element_functions(element_name: str, energy: KernelEnergy,
             F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
             # Tissue with memory always gets a tangent: a variant without it would double the compile time.
             if tangent == 1 or remembers == 1:
-                evaluate_quadrature_point(b, q, F, 1.0 + dilation, p, remembers, True, elements, tissue)
+                store_weighted_stress_and_tangent(b, q, F, 1.0 + dilation, p, remembers, True, elements, tissue)
             else:
-                evaluate_quadrature_point(b, q, F, 1.0 + dilation, p, remembers, False, elements, tissue)
+                store_weighted_stress_and_tangent(b, q, F, 1.0 + dilation, p, remembers, False, elements, tissue)
         for a in range(nodes):
             fr, fz = vec(0.0), vec(0.0)
             vr, vz = [vec(0.0) for _m in ti.static(range(modes))], [vec(0.0) for _m in ti.static(range(modes))]
@@ -295,7 +295,8 @@ def make_taichi_element_functions(element_name: str, energy: KernelEnergy,
         return good
 
     @ti.func
-    def add_stiffness_to_band_and_pull(b, elements: ti.template(), scattered: ti.template(), pull: ti.template()):
+    def scatter_stiffness_and_force_per_depth(b, elements: ti.template(), scattered: ti.template(),
+                                              pull: ti.template()):
         """Add the stiffness of batch b to the band matrix, and the forces of moving nodes to `pull`."""
         for i in range(4 * pairs):
             at, stiffness = elements.places[b * 4 * pairs + i], elements.stiffness[i]
@@ -307,4 +308,4 @@ def make_taichi_element_functions(element_name: str, energy: KernelEnergy,
 
     return ElementAssemblyFunctions(compute_nodal_forces_and_least_jacobian, add_weight_forces,
                                     add_interior_node_inertial_force,
-                                    compute_condensed_stiffness_and_success, add_stiffness_to_band_and_pull)
+                                    compute_condensed_stiffness_and_success, scatter_stiffness_and_force_per_depth)

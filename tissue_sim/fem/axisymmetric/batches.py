@@ -88,7 +88,7 @@ class ElementBatches:
         taken = values[self.elements]
         return copy_to_addressable_array(np.moveaxis(taken, 1, -1).reshape(-1, LANES))
 
-    def make_arrays_by_name(self) -> dict[str, np.ndarray]:
+    def collect_arrays_by_name(self) -> dict[str, np.ndarray]:
         """Return all arrays by their names in `tissue_sim.fem.axisymmetric.array_layouts.ELEMENT_ARRAYS`."""
         named = {"numbers": self.elements, "dofs": self.dofs, "real": self.real, "point_weights": self.weights,
                  "mode_values": self.modes, "volumes": self.volumes, "moduli": self.moduli, "places": self.places,
@@ -154,9 +154,9 @@ class ElementBatches:
         places = np.where(places < 0, last, places)
         lanes = np.where(self.real[:, :, None, None] > 0, places[self.elements], last)
         self.places = copy_to_addressable_array(np.moveaxis(lanes, 1, -1).reshape(-1, LANES).astype(np.int32))
-        self._store_pull_table_of_moving_nodes(mesh, own, direction, rows, columns, twice, free)
+        self._store_force_per_depth_table(mesh, own, direction, rows, columns, twice, free)
 
-    def _store_pull_table_of_moving_nodes(self, mesh, own, direction, rows, columns, twice, free) -> None:
+    def _store_force_per_depth_table(self, mesh, own, direction, rows, columns, twice, free) -> None:
         """Store the table `pulls`: stiffness between moving and free nodes, and within the moving nodes."""
         shared = mesh.element.boundary_nodes
         moves = np.zeros(int(own.max()) + 1)

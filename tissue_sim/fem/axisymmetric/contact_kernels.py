@@ -27,7 +27,7 @@ from tissue_sim.fem.axisymmetric.contact import (
 )
 from tissue_sim.fem.axisymmetric.contact_gap import make_gap_function
 from tissue_sim.fem.axisymmetric.contact_laws import make_contact_law_functions
-from tissue_sim.fem.axisymmetric.newton_tables import NEWTON, SettingIndex
+from tissue_sim.fem.axisymmetric.newton_tables import NEWTON, StepSettingIndex
 from tissue_sim.fem.contact_settings import ALL_POINTS, ActiveSetSettings, ContactBondState
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
@@ -78,9 +78,9 @@ def make_contact_force_functions(laws: tuple[FormulaClassAndConstants, ...] = ()
         """
         axial, squares, violation, slipping, switched, wanting = 0.0, 0.0, 0.0, 0, 0, 0
         # Motion that is still to be made, and difference between z in the frame of the tool and z, m.
-        move, lift = settings[SettingIndex.DEPTH] - depth, depth - settings[SettingIndex.TOUCH]
-        tolerance, reach = settings[SettingIndex.CONTACT_TOLERANCE], settings[SettingIndex.REACH]
-        negligible = NEWTON.friction_floor * settings[SettingIndex.FLOOR]
+        move, lift = settings[StepSettingIndex.DEPTH] - depth, depth - settings[StepSettingIndex.TOUCH]
+        tolerance, reach = settings[StepSettingIndex.CONTACT_TOLERANCE], settings[StepSettingIndex.REACH]
+        negligible = NEWTON.friction_floor * settings[StepSettingIndex.FLOOR]
         multipliers = state.x.shape[0] - 2 * surface.springs.shape[0]
         for i in range(count):
             moves = float(surface.spans[i, OutlineSpanColumn.MOVES])

@@ -40,7 +40,7 @@ def build_contact_pairs_or_none(experiment: Experiment, mesh: Mesh, *, tool: boo
     Returns:
         Contact pairs; None if no edge may come into contact.
     """
-    homogeneous = experiment.homogeneous if homogeneous is None else homogeneous
+    homogeneous = experiment.has_homogeneous_deformation if homogeneous is None else homogeneous
     low, high = (None, None) if homogeneous else _split_side_edges_at_mid_height(mesh)
     pairs = _make_base_pairs(experiment, mesh, low)
     if tool:

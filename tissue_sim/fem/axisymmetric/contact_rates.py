@@ -20,31 +20,31 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 CHANGE_TOLERANCE = 0.01
 
 
-class ContactRateFunctions(NamedTuple):
+class ContactStiffnessFunctions(NamedTuple):
     """Taichi functions that add the derivatives of the contact forces to the matrix of a step."""
 
-    clear_factorised_rates: object
+    clear_factorised_contact_stiffness: object
     find_first_changed_and_slipping_rows: object
-    add_contact_rates_to_matrix: object
-    have_contact_rates_changed: object
+    add_contact_stiffness_to_matrix: object
+    has_contact_stiffness_changed: object
     add_depth_derivatives_and_get_stiffness: object
 
 
 @cache
-def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
+def make_contact_stiffness_functions(slips: bool) -> ContactStiffnessFunctions:
     """Return the functions; if `slips` is false, no contact point can slip and the matrix is symmetric."""
     ti = get_initialised_taichi()
     add_lower_entry, add_unsymmetric_entry = make_add_lower_entry_function(), make_add_unsymmetric_entry_function()
 
     @ti.func
-    def clear_factorised_rates(count, surface: ti.template()):
+    def clear_factorised_contact_stiffness(count, surface: ti.template()):
         """Set the stored derivatives of the factorised matrix to zero, as in a matrix without contact."""
         for i in range(count):
             for k in ti.static(range(KNOWN_RATE_COLUMNS)):
                 surface.known_rates[i, k] = 0.0
 
     @ti.func
-    def has_point_rate_changed(i, surface: ti.template()):
+    def has_point_stiffness_changed(i, surface: ti.template()):
         """Return 1 if a derivative of point i differs from the factorised matrix by more than `CHANGE_TOLERANCE`."""
         changed = 0
         for k in ti.static(range(4)):
@@ -53,11 +53,11 @@ def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
         return changed
 
     @ti.func
-    def have_contact_rates_changed(count, surface: ti.template()):
-        """Return 1 if `has_point_rate_changed` holds for any point: it touched, separated, stuck or slipped."""
+    def has_contact_stiffness_changed(count, surface: ti.template()):
+        """Return 1 if `has_point_stiffness_changed` holds for any point: it touched, separated, stuck or slipped."""
         changed = 0
         for i in range(count):
-            changed = ti.max(changed, has_point_rate_changed(i, surface))
+            changed = ti.max(changed, has_point_stiffness_changed(i, surface))
         return changed
 
     @ti.func
@@ -76,19 +76,19 @@ def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
                         first = ti.min(first, row // BLOCK)
             if surface.rates[i, ContactLinearisationColumn.FRICTION] > 0.0 and surface.slip_signs[i] != 0.0:
                 skewed = ti.min(skewed, first)
-            if fresh == 0 and has_point_rate_changed(i, surface) == 1:
+            if fresh == 0 and has_point_stiffness_changed(i, surface) == 1:
                 changed = ti.min(changed, first)
         return changed, skewed
 
     @ti.func
-    def add_contact_rates_to_matrix(count, fresh, unsymmetric, free, band_table: ti.template(),
-                                    surface: ti.template(), state: ti.template()):
+    def add_contact_stiffness_to_matrix(count, fresh, unsymmetric, free, band_table: ti.template(),
+                                        surface: ti.template(), state: ti.template()):
         """Add the changes of the contact derivatives to the matrix; all derivatives if the matrix is `fresh`.
 
         The upper half of the matrix is needed only if points slip.
         """
         for i in range(count):
-            if fresh == 1 or has_point_rate_changed(i, surface) == 1:
+            if fresh == 1 or has_point_stiffness_changed(i, surface) == 1:
                 for a in range(surface.shapes.shape[1]):
                     for b in range(surface.shapes.shape[1]):
                         share = surface.shapes[i, a] * surface.shapes[i, b]
@@ -137,6 +137,6 @@ def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
                     state.reaction[iz] = state.reaction[iz] + share * kzz
         return stiff
 
-    return ContactRateFunctions(clear_factorised_rates, find_first_changed_and_slipping_rows,
-                                add_contact_rates_to_matrix,
-                                have_contact_rates_changed, add_depth_derivatives_and_get_stiffness)
+    return ContactStiffnessFunctions(clear_factorised_contact_stiffness, find_first_changed_and_slipping_rows,
+                                     add_contact_stiffness_to_matrix,
+                                     has_contact_stiffness_changed, add_depth_derivatives_and_get_stiffness)

@@ -11,16 +11,16 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.fem.axisymmetric.contact_pairs import build_contact_pairs_or_none
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, STUDY_SLENDERNESS, UNMEASURED, MeshResolution
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
-from tissue_sim.fem.settling import settle
+from tissue_sim.fem.settling import solve_self_weight_equilibrium
 from tissue_sim.fem.solver import Step
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh import (
     Mesh,
     cylinder_mesh,
+    cylinder_mesh_refined_under_needle,
     cylinder_mesh_refined_under_tip,
-    needle_mesh,
+    insert_interfaces_and_refine_layers,
     structured_mesh,
-    with_lines,
 )
 from tissue_sim.mesh.elements import Q9P1, QuadrilateralElement
 from tissue_sim.model import Model
@@ -73,7 +73,8 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Quadri
         known = [*UNMEASURED, *RESOLUTIONS]
         raise InputError(f"unknown resolution {resolution!r}{make_hint_with_similar_or_known_words(resolution, known)}",
                          field="resolution")
-    mesh = _make_unlayered_mesh(experiment, chosen, element, small=experiment.homogeneous and not layers)
+    mesh = _make_unlayered_mesh(experiment, chosen, element,
+                                small=experiment.has_homogeneous_deformation and not layers)
     if not layers:
         return mesh
     interfaces = -np.cumsum([layer.thickness for layer in layers])
@@ -82,7 +83,8 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Quadri
                          f"{-interfaces[-1] * 1e3:g} mm.", field="layers")
     corners = mesh.nodes[mesh.connectivity[:, :4]].reshape(-1, 2)
     r, z = np.unique(corners[:, 0]), np.unique(corners[:, 1])
-    layered = structured_mesh(r, with_lines(z, interfaces.tolist(), chosen.layer_elements), element)
+    layered = structured_mesh(r, insert_interfaces_and_refine_layers(z, interfaces.tolist(), chosen.layer_elements),
+                              element)
     top, old = layered.sets["top"], mesh.sets["top"]
     top_sets = {name: top[np.isin(old, nodes)] for name, nodes in mesh.sets.items() if name in ("face", "free")}
     return replace(layered, sets={**layered.sets, **top_sets})
@@ -110,7 +112,7 @@ def _make_unlayered_mesh(experiment: Experiment, resolution: MeshResolution, ele
         edge, rubbed = tool.edge_radius / radius, resolution.rubbed_edge
         if rubbed and 0.0 < edge < smallest and experiment.friction not in ("bonded", "frictionless"):
             smallest, largest, growth = rubbed._replace(smallest=max(edge, rubbed.smallest))
-        return needle_mesh(
+        return cylinder_mesh_refined_under_needle(
             specimen.radius, specimen.height, tool.face_radius, element, growth=growth,
             smallest=max(smallest * radius, _SETTINGS.edge_fraction * tool.edge_radius),
             largest=max(largest * radius, upper_limit))
@@ -164,10 +166,10 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = N
     meshed = model if topology is None else topology
     if mesh is None:
         mesh = build_mesh(meshed.experiment, resolution, layers=meshed.material.layers)
-    return build_solver(model, move_mesh_to_geometry(mesh, meshed, model))
+    return build_solver_on_mesh(model, move_mesh_to_geometry(mesh, meshed, model))
 
 
-def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
+def build_solver_on_mesh(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     """Return the solver of an experiment on a mesh, in the state in which the tool first touches.
 
     A specimen with weight has settled under its weight. If its height was measured as placed, `solver.mesh` has the
@@ -178,10 +180,11 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     """
     experiment = model.experiment
     start, weight = None, experiment.specimen.specific_weight
-    layers = element_layers(mesh, model.material.layers)
-    uniform = experiment.homogeneous and not model.material.layers
+    layers = find_element_layer_indices(mesh, model.material.layers)
+    uniform = experiment.has_homogeneous_deformation and not model.material.layers
     if weight:
-        start = settle(_SelfWeight(model, mesh, layers), experiment.specimen, -float(mesh.nodes[:, 1].min()))
+        start = solve_self_weight_equilibrium(_SelfWeight(model, mesh, layers), experiment.specimen,
+                                              -float(mesh.nodes[:, 1].min()))
         mesh = start.mesh
     held = {}
     if experiment.friction == "bonded":
@@ -192,7 +195,7 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
                               start=start)
 
 
-def element_layers(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
+def find_element_layer_indices(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
     """Return the index of the layer with the centre of each element, shape (elements,).
 
     Elements below all layers have the number of layers as index.
@@ -214,7 +217,7 @@ class _SelfWeight:
     Attributes:
         model: experiment and material.
         mesh: undeformed mesh of the stated height.
-        layers: layer of each element, see `element_layers`.
+        layers: layer of each element, see `find_element_layer_indices`.
     """
 
     model: Model
@@ -229,8 +232,8 @@ class _SelfWeight:
                                   contact=build_contact_pairs_or_none(experiment, mesh, tool=False),
                                   element_layers=self.layers, contact_radius=experiment.contact_radius)
 
-    def apply_weight(self, solver: AxisymmetricSolver, specific_weight: float) -> Step:
-        """See `SelfWeightProblem.apply_weight`."""
+    def solve_equilibrium_under_weight(self, solver: AxisymmetricSolver, specific_weight: float) -> Step:
+        """See `SelfWeightProblem.solve_equilibrium_under_weight`."""
         solver.equations.specific_weight = specific_weight
         return solver.step(0.0, np.inf)
 

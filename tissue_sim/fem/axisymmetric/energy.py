@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from tissue_sim.fem.energy import (
     list_lower_triangle_index_pairs,
-    make_invariant_derivatives,
-    make_stretch_derivatives,
+    make_energy_derivatives_by_invariants,
+    make_energy_derivatives_by_stretch,
     make_taichi_expression_builder,
 )
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
@@ -145,9 +145,9 @@ def make_stress_function(energy: KernelEnergy, tangents: bool = True):
 def _make_stress_function_of_invariants(energy: KernelEnergy, tangents: bool):
     """Return `compute_stress_and_tangent` of an energy that depends on the isochoric invariants."""
     ti = get_initialised_taichi()
-    count = energy.count
+    count = energy.coefficient_count
 
-    derivatives = make_invariant_derivatives(energy, tangents)
+    derivatives = make_energy_derivatives_by_invariants(energy, tangents)
     chain = _make_isochoric_chain_rule(tangents)
 
     @ti.func
@@ -183,9 +183,9 @@ def _make_stress_function_of_invariants(energy: KernelEnergy, tangents: bool):
 def _make_stress_function_of_stretches(energy: KernelEnergy, tangents: bool):
     """Return `compute_stress_and_tangent` of an energy that is a sum over the isochoric principal stretches."""
     ti = get_initialised_taichi()
-    count = energy.count
+    count = energy.coefficient_count
 
-    derivatives = make_stretch_derivatives(energy)
+    derivatives = make_energy_derivatives_by_stretch(energy)
 
     @ti.func
     def compute_stress_and_tangent(F, root, coefficients: ti.template()):

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.contact_law import sum_pulls_at_touch
+from tissue_sim.experiment.contact_law import sum_attractive_tractions_at_zero_gap
 from tissue_sim.fem.axisymmetric import contact_kernels, newton
 from tissue_sim.fem.axisymmetric.array_layouts import ELEMENT_ARRAYS, STATE_ARRAYS, SURFACE_ARRAYS, TISSUE_ARRAYS
 from tissue_sim.fem.axisymmetric.batches import ElementBatches
@@ -54,8 +54,8 @@ class EquilibriumEquations:
         moduli: moduli of the elements in units of the material's modulus, shape (elements,).
         bulk_modulus: K, Pa.
         counts: integer inputs and outputs of a step, see `newton.StepIntegerIndex`.
-        settings: inputs of a step, see `newton.SettingIndex`.
-        report: results of a step, see `newton.ReportIndex`.
+        settings: inputs of a step, see `newton.StepSettingIndex`.
+        report: results of a step, see `newton.StepReportIndex`.
         entries: lower blocks of the tangent.
         upper: upper blocks of the tangent if contact points can slip.
         residual: residual forces, N.
@@ -89,11 +89,11 @@ class EquilibriumEquations:
         self.start = copy_to_addressable_array(x[:freedoms])
         self._target, self._motion, self.masses, self.rest = (allocate_array((freedoms,)) for _ in range(4))
         self.weights, self._predicted = copy_to_addressable_array(np.array([1.0, 0.0, 0.0])), 0.0
-        self.report, self.settings = np.zeros(len(newton.ReportIndex)), np.zeros(len(newton.SettingIndex))
+        self.report, self.settings = np.zeros(len(newton.StepReportIndex)), np.zeros(len(newton.StepSettingIndex))
         if contact is not None:
             reach = max((law.reach for law in contact.laws), default=0.0)
-            self.settings[newton.SettingIndex.CONTACT_TOLERANCE: newton.SettingIndex.INERTIA] = (
-                contact.tolerance, sum_pulls_at_touch(contact.laws, contact.face), reach)
+            self.settings[newton.StepSettingIndex.CONTACT_TOLERANCE: newton.StepSettingIndex.INERTIA] = (
+                contact.tolerance, sum_attractive_tractions_at_zero_gap(contact.laws, contact.face), reach)
         laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
         self._laws = tuple(map(FormulaClassAndConstants.from_law_or_effect, laws))
         self._law_settings = copy_to_addressable_array(pack_contact_law_settings(laws, face))
@@ -103,7 +103,7 @@ class EquilibriumEquations:
         self._tissue_table = TISSUE_ARRAYS.make_table(self._collect_tissue_arrays_by_name())
         #: Tables of the arrays, by the names of the arguments of the kernels.
         self.tables = {
-            "element_table": ELEMENT_ARRAYS.make_table(self.batches.make_arrays_by_name()),
+            "element_table": ELEMENT_ARRAYS.make_table(self.batches.collect_arrays_by_name()),
             "tissue_table": self._tissue_table,
             "surface_table": SURFACE_ARRAYS.make_table({**vars(self.surface), "law_settings": self._law_settings}),
             "state_table": STATE_ARRAYS.make_table(self._collect_state_arrays_by_name()),
@@ -152,7 +152,8 @@ class EquilibriumEquations:
             self._coefficients[:] = coefficients
         else:
             self._coefficients = copy_to_addressable_array(np.array(coefficients))
-        self.memory.set_material(self.get_prony_series_for_contact_radius(material), material.softening, factor)
+        self.memory.set_relaxation_and_softening(self.get_prony_series_for_contact_radius(material), material.softening,
+                                                 factor)
         self.effects.set_effects(material.effects.values())
         self.counts[newton.StepIntegerIndex.REMEMBERS] = self.has_material_history
         with LOCK:
@@ -194,7 +195,7 @@ class EquilibriumEquations:
 
     def get_prony_series_for_contact_radius(self, material: Material) -> Prony | None:
         """Return the Prony series of a material for the contact radius of this problem; None without relaxation."""
-        return material.relaxation(self._contact_radius)
+        return material.make_prony_series(self._contact_radius)
 
     @property
     def iterates_contact_on_linearisation(self) -> bool:
@@ -238,7 +239,7 @@ class EquilibriumEquations:
         resumes = resumed_depth is not None
         rounding = (self._rounding_rate * (abs(depth) + self._sag_per_weight * self.specific_weight)
                     + self._coordinate_rounding)
-        self.settings[: newton.SettingIndex.TOUCH] = (
+        self.settings[: newton.StepSettingIndex.TOUCH] = (
             depth, resumed_depth if resumes else self._predicted, self.bulk_modulus, self.specific_weight,
             tolerance,
             max(self._floor, FLOOR_FRACTION * self.state.largest_force), rounding)
@@ -259,7 +260,7 @@ class EquilibriumEquations:
         """Bind the free points under a no-slip face that the tool reaches in a step to `depth`, m."""
         state, surface, freedoms = self.state, self.surface, self.start.size
         points = surface.face[surface.anchors[surface.face, 0] == contact_kernels.FREE]
-        lift, descent = state.depths[0] - self.settings[newton.SettingIndex.TOUCH], depth - state.depths[0]
+        lift, descent = state.depths[0] - self.settings[newton.StepSettingIndex.TOUCH], depth - state.depths[0]
         dofs = 2 * surface.nodes[points] + 1
         heights = surface.places[points, 1] + (
             surface.shapes[points] * state.history[state.slots[:, None, None], dofs]).sum(axis=-1)
@@ -289,8 +290,8 @@ class EquilibriumEquations:
             return
         remembered = [(array, array.copy()) for array in (
             self.memory.stresses, self.memory.energies, self.effects.found, self.state.x, surface.forces)]
-        self.settings[newton.SettingIndex.PREDICTED] = self.settings[newton.SettingIndex.DEPTH]
-        self.settings[newton.SettingIndex.TOLERANCE] = -1.0
+        self.settings[newton.StepSettingIndex.PREDICTED] = self.settings[newton.StepSettingIndex.DEPTH]
+        self.settings[newton.StepSettingIndex.TOLERANCE] = -1.0
         self.counts[newton.StepIntegerIndex.MAX_ITERATIONS] = 0
         self.counts[newton.StepIntegerIndex.START_MODE] = mode
         with LOCK:
@@ -310,15 +311,15 @@ class EquilibriumEquations:
             not positive definite, so that the tissue is unstable without its mass.
         """
         report, right = self.report.copy(), self._right.copy()
-        inertia = float(self.settings[newton.SettingIndex.INERTIA])
-        self.settings[newton.SettingIndex.INERTIA] = 0.0
+        inertia = float(self.settings[newton.StepSettingIndex.INERTIA])
+        self.settings[newton.StepSettingIndex.INERTIA] = 0.0
         self.launch_on_exact_equilibrium_tangent(_do_nothing, mode=newton.StartMode.STIFFNESS_ONLY)
-        self.settings[newton.SettingIndex.INERTIA] = inertia
-        stiffness = float(self.report[newton.ReportIndex.STIFFNESS])
+        self.settings[newton.StepSettingIndex.INERTIA] = inertia
+        stiffness = float(self.report[newton.StepReportIndex.STIFFNESS])
         self.report[:], self._right[:] = report, right
         return stiffness if self.counts[newton.StepIntegerIndex.FACTORISED] else None
 
-    def tangent(self) -> np.ndarray:
+    def assemble_committed_tangent(self) -> np.ndarray:
         """Return the condensed tangent at the last committed state, N/m, in LAPACK's lower band storage.
 
         Returns:
@@ -363,13 +364,13 @@ class EquilibriumEquations:
             Masses, array of the displacements towards which the damping acts (m), and density. Pass masses and density
             to `restore_masses_and_density`.
         """
-        masses, density = self.masses.copy(), float(self.settings[newton.SettingIndex.DENSITY])
-        self.masses[:], self.settings[newton.SettingIndex.DENSITY] = self.dof_volumes_of_shared_nodes, 1.0
+        masses, density = self.masses.copy(), float(self.settings[newton.StepSettingIndex.DENSITY])
+        self.masses[:], self.settings[newton.StepSettingIndex.DENSITY] = self.dof_volumes_of_shared_nodes, 1.0
         return masses, self.rest, density
 
     def restore_masses_and_density(self, masses: np.ndarray, density: float) -> None:
         """Restore the masses and the density that `replace_masses_by_damping_volumes` returned."""
-        self.masses[:], self.settings[newton.SettingIndex.DENSITY] = masses, density
+        self.masses[:], self.settings[newton.StepSettingIndex.DENSITY] = masses, density
 
     def collect_shared_kernel_arrays_by_name(self) -> dict[str, np.ndarray]:
         """Return the arguments that the kernels of the step and of the sensitivities share, by their names in both."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
-from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate_to_nodes_and_average, volume_quantile
+from tissue_sim.fem.fields import FIELD_UNITS, TAIL, compute_volume_weighted_quantile, extrapolate_to_nodes_and_average
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 
@@ -92,7 +92,7 @@ class Fields:
             raise InputError(f"unknown field {name!r}{make_hint_with_similar_or_known_words(name, FIELD_UNITS)}",
                              field="field")
         if name == "displacement":
-            shapes, _ = self.mesh.element.evaluate_shape_functions(self.mesh.element.quadrature[0])
+            shapes, _ = self.mesh.element.evaluate_shape_functions_and_gradients(self.mesh.element.quadrature[0])
             u = np.einsum("qa,eai->eqi", shapes, self.displacement(sample)[self.mesh.connectivity])
             return np.linalg.norm(u, axis=-1)
         F = self.deformation_gradient(sample)
@@ -136,8 +136,8 @@ class Fields:
         """Return the smallest and largest principal stretch, without the fraction `TAIL` of the volume at each end."""
         F = self.deformation_gradient(sample)
         stretches = np.stack([*_compute_principal_angle_and_stretches(F)[1], F[..., 4]], axis=-1)
-        return (volume_quantile(stretches.min(axis=-1), self.weights, TAIL),
-                volume_quantile(stretches.max(axis=-1), self.weights, 1 - TAIL))
+        return (compute_volume_weighted_quantile(stretches.min(axis=-1), self.weights, TAIL),
+                compute_volume_weighted_quantile(stretches.max(axis=-1), self.weights, 1 - TAIL))
 
     def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
         """Return a field at the nodes, shape (nodes,).

@@ -22,14 +22,14 @@ class KinematicFunctions(NamedTuple):
         gather_node_vector_of_row: the same for row k of a matrix: ``(values, k, elements, i)``.
         compute_gradient_of_stored_displacements: ``(b, q, elements) -> h0, ..., h4``: displacement gradient of the
             displacements UR and UZ in the scratch field at quadrature point q.
-        integrate_stored_stresses: ``(a, b, first, elements) -> (r, z)``: force on node a from the stresses times
+        compute_node_force_from_stresses: ``(a, b, first, elements) -> (r, z)``: force on node a from the stresses times
             weights in the scratch field, five for each quadrature point from `first` on.
     """
 
     gather_node_vector: object
     gather_node_vector_of_row: object
     compute_gradient_of_stored_displacements: object
-    integrate_stored_stresses: object
+    compute_node_force_from_stresses: object
 
 
 @cache
@@ -70,7 +70,7 @@ def make_kinematic_functions(element_name: str) -> KinematicFunctions:
         return h0, h1, h2, h3, h4
 
     @ti.func
-    def integrate_stored_stresses(a, b, first, elements: ti.template()):
+    def compute_node_force_from_stresses(a, b, first, elements: ti.template()):
         """Return the force (r, z) on node a from the stored stresses times weights, whose first entry is `first`."""
         fr, fz = vec(0.0), vec(0.0)
         for q in range(points):
@@ -81,4 +81,4 @@ def make_kinematic_functions(element_name: str) -> KinematicFunctions:
         return fr, fz
 
     return KinematicFunctions(gather_node_vector, gather_node_vector_of_row, compute_gradient_of_stored_displacements,
-                              integrate_stored_stresses)
+                              compute_node_force_from_stresses)

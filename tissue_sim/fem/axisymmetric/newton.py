@@ -10,23 +10,23 @@ from functools import cache
 
 from tissue_sim.fem.axisymmetric import contact_kernels
 from tissue_sim.fem.axisymmetric.array_layouts import ELEMENT_ARRAYS, STATE_ARRAYS, SURFACE_ARRAYS, TISSUE_ARRAYS
-from tissue_sim.fem.axisymmetric.assembly import make_taichi_element_functions
+from tissue_sim.fem.axisymmetric.assembly import make_element_assembly_functions
 from tissue_sim.fem.axisymmetric.condensation import make_condensation_functions
-from tissue_sim.fem.axisymmetric.contact_rates import make_contact_rate_functions
+from tissue_sim.fem.axisymmetric.contact_rates import make_contact_stiffness_functions
 from tissue_sim.fem.axisymmetric.newton_tables import (
     NEWTON,
     EvaluatedEquations,
-    ReportIndex,
-    SettingIndex,
     StartMode,
     StepIntegerIndex,
+    StepReportIndex,
+    StepSettingIndex,
 )
 from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.band import BandTableIndex
 from tissue_sim.fem.linear.cholesky import make_cholesky_functions
 from tissue_sim.fem.linear.lu import make_lu_functions
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.fem.taichi.origins import get_origin
+from tissue_sim.fem.taichi.origins import get_address_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
@@ -48,18 +48,19 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
         laws: contact laws (adhesion).
     """
     ti = get_initialised_taichi()
-    work, own = make_taichi_element_functions(element_name, energy, effects), make_condensation_functions(element_name)
+    work, own = make_element_assembly_functions(element_name, energy,
+                                                effects), make_condensation_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
     block = ti.types.vector(band_matrix.BLOCK, ti.f64)
     B = band_matrix.BLOCK
     int1, real1 = ti.types.ndarray(dtype=ti.i32, ndim=1), ti.types.ndarray(dtype=ti.f64, ndim=1)
     modes = ELEMENTS[element_name].pressure_modes
-    vectors = get_origin().field
-    fill_unused_diagonal = band_matrix.make_fill_diagonal_function()
+    vectors = get_address_origin().field
+    fill_unused_diagonal = band_matrix.make_fill_unused_diagonal_function()
     symmetrise_diagonal_blocks = band_matrix.make_symmetrise_diagonal_blocks_function()
     copy_lower_band_to_upper_band = band_matrix.make_copy_lower_to_upper_band_function()
     cholesky, lu = make_cholesky_functions(), make_lu_functions()
-    contact, rates = contact_kernels.make_contact_force_functions(laws), make_contact_rate_functions(slips)
+    contact, rates = contact_kernels.make_contact_force_functions(laws), make_contact_stiffness_functions(slips)
     # Contact laws act at a distance, so that the contact cannot iterate on the linearised elements.
     has_contact_rounds = not laws
     converged, inverted, indefinite, slow, diverged = (float(status) for status in (
@@ -86,10 +87,10 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
             surface, state = SURFACE_ARRAYS.open_table(surface_table), STATE_ARRAYS.open_table(state_table)
             free, max_iterations = counts[StepIntegerIndex.FREE], counts[StepIntegerIndex.MAX_ITERATIONS]
             contacts = counts[StepIntegerIndex.CONTACTS]
-            depth, kappa = settings[SettingIndex.DEPTH], settings[SettingIndex.KAPPA]
-            tolerance, inertia = settings[SettingIndex.TOLERANCE], settings[SettingIndex.INERTIA]
-            floor, rounding = settings[SettingIndex.FLOOR], settings[SettingIndex.ROUNDING]
-            weight = settings[SettingIndex.WEIGHT]
+            depth, kappa = settings[StepSettingIndex.DEPTH], settings[StepSettingIndex.KAPPA]
+            tolerance, inertia = settings[StepSettingIndex.TOLERANCE], settings[StepSettingIndex.INERTIA]
+            floor, rounding = settings[StepSettingIndex.FLOOR], settings[StepSettingIndex.ROUNDING]
+            weight = settings[StepSettingIndex.WEIGHT]
             width, rows = band_table[BandTableIndex.WIDTH], band_table[BandTableIndex.ROWS]
             right, matrix = band_table[BandTableIndex.RIGHT], band_table[BandTableIndex.MATRIX]
             batches = counts[StepIntegerIndex.BATCHES]
@@ -101,9 +102,9 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
             if counts[StepIntegerIndex.START_MODE] != StartMode.RESUME:
                 counts[StepIntegerIndex.CHANGEABLE] = (
                     contact_kernels.ALL_POINTS if counts[StepIntegerIndex.START_MODE] == StartMode.PREDICT else 0)
-            strength, reach = settings[SettingIndex.STRENGTH], settings[SettingIndex.REACH]
+            strength, reach = settings[StepSettingIndex.STRENGTH], settings[StepSettingIndex.REACH]
             pending = 0
-            if contacts > 0 and ti.abs(depth - settings[SettingIndex.PREDICTED]) > 1e-10 * ti.abs(depth):
+            if contacts > 0 and ti.abs(depth - settings[StepSettingIndex.PREDICTED]) > 1e-10 * ti.abs(depth):
                 pending = 1
             for dof in range(pressures):
                 state.target[dof] = state.start[dof] + depth * state.direction[dof]
@@ -114,7 +115,7 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                         state.motion[dof] = state.target[dof] - state.x[dof]
                     else:
                         state.x[dof] = state.target[dof]  # removes the rounding error of the extrapolation
-            report[ReportIndex.STATUS], report[ReportIndex.STIFFNESS] = 0.0, 0.0
+            report[StepReportIndex.STATUS], report[StepReportIndex.STIFFNESS] = 0.0, 0.0
             iterations, tangent, halvings = 0, 1, NEWTON.max_halvings
             # Mode of the pass, and first block row that must be factorised again.
             part, settled, cycles, waits, begin = EvaluatedEquations.FULL, 0, 0, 0, 0
@@ -129,7 +130,7 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
             # The status is stored in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
             # Each linear solve may need more passes: halvings, a skipped tangent, changed points, contact rounds.
             for _attempt in range((NEWTON.max_halvings + NEWTON.max_contact_rounds + 4) * max_iterations + 4):
-                if report[ReportIndex.STATUS] != 0.0:
+                if report[StepReportIndex.STATUS] != 0.0:
                     break
                 for i in range(state.residual.shape[0]):
                     state.residual[i] = 0.0
@@ -147,13 +148,13 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                     if weight != 0.0:
                         work.add_weight_forces(b, weight, elements)
                     if inertia != 0.0:
-                        work.add_interior_node_inertial_force(b, inertia, settings[SettingIndex.DENSITY], elements,
+                        work.add_interior_node_inertial_force(b, inertia, settings[StepSettingIndex.DENSITY], elements,
                                                               state.rest)
                     if tangent == 1:
                         own.copy_volume_derivatives_to_factorised(b, elements)
                         definite = ti.min(definite, work.compute_condensed_stiffness_and_success(
-                            b, kappa, pending, inertia * settings[SettingIndex.DENSITY], state.motion, elements))
-                        work.add_stiffness_to_band_and_pull(b, elements, state.scattered, state.pull)
+                            b, kappa, pending, inertia * settings[StepSettingIndex.DENSITY], state.motion, elements))
+                        work.scatter_stiffness_and_force_per_depth(b, elements, state.scattered, state.pull)
                     interior += own.condense_interior_force_and_get_square(b, b, elements, elements.force_r,
                                                                            elements.force_z)
                     own.add_forces_to_residual(b, elements, state.residual)
@@ -173,7 +174,7 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                             if tangent == 1 and i < free:
                                 at = matrix + ((i // B + 1) * width - 1) * B + i % B
                                 vectors[at][i % B] = vectors[at][i % B] + inertia * state.masses[dof]
-                tool = settings[SettingIndex.PREDICTED] if pending == 1 else depth
+                tool = settings[StepSettingIndex.PREDICTED] if pending == 1 else depth
                 # Initially points that just touch are active: the tool is about to move, or a law attracts.
                 slack = 1e-9 if pending == 1 or (strength > 0.0 and iterations == 0) else 0.0
                 (axial, balanced, violation, slipping, switched,
@@ -190,13 +191,13 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                     continue
                 if part == EvaluatedEquations.FULL:
                     wanting, waits = ti.max(wanting, waits), 0
-                report[ReportIndex.VIOLATION], report[ReportIndex.SLIPPING] = violation, slipping
+                report[StepReportIndex.VIOLATION], report[StepReportIndex.SLIPPING] = violation, slipping
                 if fresh == 1:
-                    rates.clear_factorised_rates(contacts, surface)
+                    rates.clear_factorised_contact_stiffness(contacts, surface)
                     counts[StepIntegerIndex.UNSYMMETRIC], counts[StepIntegerIndex.SKEWED], begin = 0, rows, 0
                 if fresh == 1 or part != EvaluatedEquations.FULL:
                     changed, skewed = rates.find_first_changed_and_slipping_rows(contacts, fresh, free, rows, surface,
-                                                                             state)
+                                                                                 state)
                     begin = ti.min(begin, changed)
                     if ti.static(slips):
                         if slipping > 0:
@@ -207,8 +208,8 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                             if skewed < counts[StepIntegerIndex.SKEWED]:
                                 copy_lower_band_to_upper_band(band_table, skewed, counts[StepIntegerIndex.SKEWED])
                                 counts[StepIntegerIndex.SKEWED] = skewed
-                    rates.add_contact_rates_to_matrix(contacts, fresh, counts[StepIntegerIndex.UNSYMMETRIC], free,
-                                                      band_table, surface, state)
+                    rates.add_contact_stiffness_to_matrix(contacts, fresh, counts[StepIntegerIndex.UNSYMMETRIC], free,
+                                                          band_table, surface, state)
                     if begin < rows:
                         counts[StepIntegerIndex.FACTORISED] = 0
                 unbalanced, total = interior, axial
@@ -224,21 +225,21 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                 # The tolerance includes a bounded allowance for rounding errors.
                 goal = tolerance + ti.min(rounding / scale, 1e-5)
                 if part == EvaluatedEquations.FULL:
-                    report[ReportIndex.RESIDUAL], report[ReportIndex.FORCE] = ratio, total
+                    report[StepReportIndex.RESIDUAL], report[StepReportIndex.FORCE] = ratio, total
                     if iterations == first:
                         first_ratio = ratio
                 solves = 0
                 if part == EvaluatedEquations.CONTACT:
                     settled, solves = settled + 1, 1
                 elif part == EvaluatedEquations.STIFFNESS:
-                    report[ReportIndex.STATUS] = converged
+                    report[StepReportIndex.STATUS] = converged
                 elif smallest <= 0.0 or smallest >= 1e30 or ti.math.isnan(smallest):
-                    report[ReportIndex.STATUS] = inverted
+                    report[StepReportIndex.STATUS] = inverted
                 elif ti.math.isnan(ratio) or ti.math.isinf(ratio):
-                    report[ReportIndex.STATUS] = diverged
+                    report[StepReportIndex.STATUS] = diverged
                 elif pending == 0 and ratio <= goal:
                     released = 0
-                    if violation <= settings[SettingIndex.CONTACT_TOLERANCE]:
+                    if violation <= settings[StepSettingIndex.CONTACT_TOLERANCE]:
                         released = contact.release_points_under_tension(
                             contacts, NEWTON.friction_floor * floor, strength, reach, surface)
                     if released > 0:
@@ -247,16 +248,16 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                         counts[StepIntegerIndex.CHANGEABLE] = contact_kernels.ALL_POINTS
                     elif wanting > 0 and iterations < max_iterations:
                         counts[StepIntegerIndex.CHANGEABLE], tangent = contact_kernels.ALL_POINTS, 1
-                    elif violation <= settings[SettingIndex.CONTACT_TOLERANCE] and wanting == 0:
+                    elif violation <= settings[StepSettingIndex.CONTACT_TOLERANCE] and wanting == 0:
                         bound = contact.commit_contact_bonds_and_count_changes(contacts, surface)
                         if counts[StepIntegerIndex.STIFFNESS_ASKED] == 1 \
-                            and (bound > 0 or rates.have_contact_rates_changed(contacts, surface) == 1):
+                            and (bound > 0 or rates.has_contact_stiffness_changed(contacts, surface) == 1):
                             # The stiffness is computed with the new bonds.
                             part = EvaluatedEquations.STIFFNESS
                         else:
-                            report[ReportIndex.STATUS] = converged
+                            report[StepReportIndex.STATUS] = converged
                     elif iterations >= max_iterations:
-                        report[ReportIndex.STATUS] = slow
+                        report[StepReportIndex.STATUS] = slow
                         if wanting > 0:
                             counts[StepIntegerIndex.CHANGEABLE] = contact_kernels.ALL_POINTS
                     elif tangent == 0:
@@ -264,9 +265,9 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                     else:
                         solves = 1
                 elif iterations >= max_iterations:
-                    report[ReportIndex.STATUS] = slow
+                    report[StepReportIndex.STATUS] = slow
                 elif iterations > first + 2 and ratio > 1e3 * ti.max(first_ratio, 1.0):
-                    report[ReportIndex.STATUS] = diverged
+                    report[StepReportIndex.STATUS] = diverged
                 elif tangent == 0 and (switched > 0 or (
                         ratio > gain * last_ratio and ratio * (ratio / last_ratio)**more > goal)):
                     tangent = 1
@@ -274,7 +275,7 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                     solves = 1
                 asked = 0
                 if counts[StepIntegerIndex.STIFFNESS_ASKED] == 1 and (
-                        report[ReportIndex.STATUS] == converged
+                        report[StepReportIndex.STATUS] == converged
                         or counts[StepIntegerIndex.START_MODE] == StartMode.STIFFNESS_ONLY):
                     asked = 1
                 if solves + asked > 0:
@@ -314,13 +315,13 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                     if asked == 1 and definite == 1:
                         for i in range(free):
                             stiff -= state.reaction[i] * vectors[right + i // B][i % B]
-                        report[ReportIndex.STIFFNESS] = stiff
+                        report[StepReportIndex.STIFFNESS] = stiff
                     elif part == EvaluatedEquations.CONTACT and definite == 0:
                         part, tangent = EvaluatedEquations.FULL, 1
                     elif solves == 1 and definite == 0 and bending > 0.0:
                         bending, last_ratio = 0.0, 0.0
                     elif solves == 1 and definite == 0:
-                        report[ReportIndex.STATUS] = indefinite
+                        report[StepReportIndex.STATUS] = indefinite
                     elif solves == 1:
                         if part == EvaluatedEquations.FULL:
                             for i in range(state.x.shape[0]):
@@ -358,8 +359,8 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                         counts[StepIntegerIndex.CHANGEABLE] = contact_kernels.ALL_POINTS
                         if made > NEWTON.all_points_iterations:
                             counts[StepIntegerIndex.CHANGEABLE] = made + settled
-            if report[ReportIndex.STATUS] == 0.0:
-                report[ReportIndex.STATUS] = slow
-            report[ReportIndex.ITERATIONS] = iterations
+            if report[StepReportIndex.STATUS] == 0.0:
+                report[StepReportIndex.STATUS] = slow
+            report[StepReportIndex.ITERATIONS] = iterations
 
     return solve_step_into_report_array

@@ -40,7 +40,7 @@ class StepIntegerIndex(IntEnum):
     BATCHES = 13
 
 
-class SettingIndex(IntEnum):
+class StepSettingIndex(IntEnum):
     """Indices of `EquilibriumEquations.settings`, the numbers that a step reads.
 
     Attributes:
@@ -74,7 +74,7 @@ class SettingIndex(IntEnum):
     DENSITY = 12
 
 
-class ReportIndex(IntEnum):
+class StepReportIndex(IntEnum):
     """Indices of `EquilibriumEquations.report`, the results of a step.
 
     Attributes:
@@ -133,7 +133,7 @@ class NewtonKernelConstants:
     The kernel contains the values as constants.
 
     Attributes:
-        friction_floor: friction below this fraction of `SettingIndex.FLOOR` is neglected.
+        friction_floor: friction below this fraction of `StepSettingIndex.FLOOR` is neglected.
         reuse_ratio: the factorisation is reused if a linear solve reduces the residual to this fraction or less.
         reuse_solves: the factorisation is also reused if this number of additional solves, each with the last
             reduction, reaches the tolerance.

@@ -40,7 +40,7 @@ def compute_undeformed_mesh_quadrature(mesh: Mesh) -> UndeformedMeshQuadrature:
     """
     element = mesh.element
     points, weights = element.quadrature
-    N, dN = element.evaluate_shape_functions(points)
+    N, dN = element.evaluate_shape_functions_and_gradients(points)
     X = mesh.nodes[mesh.connectivity]  # (elements, nodes, 2)
     jacobian = np.einsum("eai,qaj->eqij", X, dN)
     inverse = np.linalg.inv(jacobian)

@@ -6,7 +6,7 @@ from math import isnan, nan
 from typing import NamedTuple
 
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.fem.solver import ErrorEstimate, ResolutionLevel
+from tissue_sim.fem.solver import ErrorEstimationRule, ResolutionLevel
 
 
 class NeedleMeshGrading(NamedTuple):
@@ -39,7 +39,7 @@ class MeshResolution(NamedTuple):
         rubbed_edge: grading under a flat tool with friction or stick whose edge radius is smaller than the elements:
             the smallest elements are as large as the edge radius but not smaller than `rubbed_edge.smallest`. None: as
             under other tools.
-        error_estimate: reference resolution and factor of the estimated error. Coarser meshes give no estimate,
+        error_estimation_rule: reference resolution and factor of the estimated error. Coarser meshes give no estimate,
             because the error of the contact around an edge differs from mesh to mesh. Half of the difference from a
             much finer mesh is close to the error if the depth steps are too long.
     """
@@ -50,7 +50,7 @@ class MeshResolution(NamedTuple):
     force_errors: tuple[float, ...] = ()
     layer_elements: int = 2
     rubbed_edge: NeedleMeshGrading | None = None
-    error_estimate: ErrorEstimate | None = None
+    error_estimation_rule: ErrorEstimationRule | None = None
 
 
 #: Height over radius of the specimen of the study (radius 40 mm, height 70 mm).
@@ -67,10 +67,10 @@ RESOLUTIONS = {
                                   NeedleMeshGrading(0.35, 4.0, 4.0), (0.01, 0.027, 0.022, nan)),
     "fast": MeshResolution(((6, 8), (10.0, 4.0)), NeedleMeshGrading(0.1625, 1.875, 1.8),
                            NeedleMeshGrading(0.25, 2.5, 1.6), rubbed_edge=NeedleMeshGrading(0.03, 1.875, 2.2),
-                           error_estimate=ErrorEstimate("realtime_120", 1.0)),
+                           error_estimation_rule=ErrorEstimationRule("realtime_120", 1.0)),
     "accurate": MeshResolution(((16, 20), (50.0, 25.0)), NeedleMeshGrading(0.00625, 1.5, 1.5),
                                NeedleMeshGrading(0.08, 1.5, 1.35), layer_elements=4,
-                               error_estimate=ErrorEstimate("realtime_120", 0.5)),
+                               error_estimation_rule=ErrorEstimationRule("realtime_120", 0.5)),
     "finest": MeshResolution(((22, 28), (150.0, 25.0)), NeedleMeshGrading(0.005, 1.0, 1.4),
                              NeedleMeshGrading(0.05, 1.0, 1.25), layer_elements=6),
 }

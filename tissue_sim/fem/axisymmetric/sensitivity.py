@@ -12,7 +12,7 @@ from tissue_sim.fem.axisymmetric.contact import ContactLinearisationColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
 from tissue_sim.fem.axisymmetric.sensitivity_kernel import make_force_and_state_sensitivity_kernels
-from tissue_sim.fem.axisymmetric.sensitivity_tables import SensitivityControlIndex, StoredRecordOffset
+from tissue_sim.fem.axisymmetric.sensitivity_tables import SensitivityControlIndex, StoredPointRecordOffset
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
@@ -77,7 +77,7 @@ class MaterialSensitivity:
                                                            equations.material.energy_law.kernel_energy,
                                                            memory.works, surface.has_coulomb_friction_points)
         arrays = {
-            **self._differentiate_material_inputs(neighbours), **self._allocate_point_rate_lanes_by_name(m, terms),
+            **self._differentiate_material_inputs(neighbours), **self._allocate_point_derivatives_by_name(m, terms),
             "past_rates": self._past_rates, "decay": self._decay, "gain": self._gain,
             "decay_rates": self._decay_rates, "gain_rates": self._gain_rates,
             "multiplier_rates": self._multiplier_rates, "anchor_rates": self._anchor_rates,
@@ -116,14 +116,14 @@ class MaterialSensitivity:
                  "moduli_rates": moduli_rates[:, equations.batches.elements].reshape(-1, LANES)}
         return {name: copy_to_addressable_array(array) for name, array in found.items()}
 
-    def _allocate_point_rate_lanes_by_name(self, m: int, terms: int) -> dict[str, np.ndarray]:
+    def _allocate_point_derivatives_by_name(self, m: int, terms: int) -> dict[str, np.ndarray]:
         """Allocate the derivatives at the quadrature points, by kernel names.
 
         Rows of lanes are numbered by batch, point, parameter, term and component, the last fastest.
         """
         batches, q = self._equations.batches.batches, self._equations.reference.weights.shape[1]
         modes = self._equations.mesh.element.pressure_modes
-        rows = {"centre_r": m, "centre_z": m, "way_r": 1, "way_z": 1, "law": StoredRecordOffset.SIZE * q,
+        rows = {"centre_r": m, "centre_z": m, "way_r": 1, "way_z": 1, "law": StoredPointRecordOffset.SIZE * q,
                 "pressure_rates": modes,
                 "swelling": modes}
         of_memory = {"largest_rates": m * q, "energy_rates": m * q, "stress_rates": 4 * m * q,
@@ -162,7 +162,7 @@ class MaterialSensitivity:
         counts, settings = self._equations.counts, self._equations.settings
         few = SETTINGS.max_refined_slip if counts[newton.StepIntegerIndex.UNSYMMETRIC] else SETTINGS.max_refined
         return (not self._equations.memory.works and self.force.size <= few
-                and settings[newton.SettingIndex.INERTIA] == 0 and counts[newton.StepIntegerIndex.FACTORISED] == 1
+                and settings[newton.StepSettingIndex.INERTIA] == 0 and counts[newton.StepIntegerIndex.FACTORISED] == 1
                 and counts[newton.StepIntegerIndex.BENDING] == 1)
 
     def _refine_iteratively(self) -> bool:

@@ -26,7 +26,7 @@ from tissue_sim.fem.axisymmetric.contact import (
     OutlineSpanColumn,
 )
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
-from tissue_sim.fem.axisymmetric.newton_tables import SettingIndex, StepIntegerIndex
+from tissue_sim.fem.axisymmetric.newton_tables import StepIntegerIndex, StepSettingIndex
 from tissue_sim.fem.axisymmetric.sensitivity_points import make_sensitivity_functions
 from tissue_sim.fem.axisymmetric.sensitivity_product import make_tangent_product_functions
 from tissue_sim.fem.axisymmetric.sensitivity_tables import SensitivityControlIndex
@@ -34,7 +34,7 @@ from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.band import BandTableIndex
 from tissue_sim.fem.linear.cholesky import make_cholesky_functions
 from tissue_sim.fem.linear.lu import make_lu_functions
-from tissue_sim.fem.taichi.origins import get_origin
+from tissue_sim.fem.taichi.origins import get_address_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.laws import KernelEnergy
@@ -86,12 +86,12 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
     B = band_matrix.BLOCK
     int1, real1 = ti.types.ndarray(dtype=ti.i32, ndim=1), ti.types.ndarray(dtype=ti.f64, ndim=1)
     modes = ELEMENTS[element_name].pressure_modes
-    vectors = get_origin().field
-    fill_unused_diagonal = band_matrix.make_fill_diagonal_function()
+    vectors = get_address_origin().field
+    fill_unused_diagonal = band_matrix.make_fill_unused_diagonal_function()
     cholesky, lu = make_cholesky_functions(), make_lu_functions()
 
     @ti.func
-    def compute_contact_force_rate(i, k, dr, dz, surface: ti.template(), rates: ti.template()):
+    def compute_contact_force_derivative(i, k, dr, dz, surface: ti.template(), rates: ti.template()):
         """Return the derivative of the force of point i with respect to parameter k for given (dr, dz)/dtheta_k.
 
         The residual of the constraint is multiplied by the derivatives that the matrix contains.
@@ -139,9 +139,9 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
         return good
 
     @ti.func
-    def solve_one_parameter_derivative(k, kappa, which: ti.template(), counts: ti.template(),
-                                       band_table: ti.template(), elements: ti.template(), surface: ti.template(),
-                                       state: ti.template(), rates: ti.template()):
+    def solve_derivatives_by_one_parameter(k, kappa, which: ti.template(), counts: ti.template(),
+                                           band_table: ti.template(), elements: ti.template(), surface: ti.template(),
+                                           state: ti.template(), rates: ti.template()):
         """Solve for the derivatives of displacements and contact forces with respect to parameter k.
 
         Each round solves with the factorisation and updates the derivatives of the contact forces. With the
@@ -179,8 +179,8 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
             for i in range(free, state.residual.shape[0]):
                 rates.motion[state.equation.shape[0] + i] = state.residual[i]
             for c in range(counts[StepIntegerIndex.CONTACTS]):
-                fr, fz = compute_contact_force_rate(c, k, goes_on * rates.point_rates[k, c, 0],
-                                                    goes_on * rates.point_rates[k, c, 1], surface, rates)
+                fr, fz = compute_contact_force_derivative(c, k, goes_on * rates.point_rates[k, c, 0],
+                                                          goes_on * rates.point_rates[k, c, 1], surface, rates)
                 for a in range(surface.shapes.shape[1]):
                     ir, iz = state.equation[2 * surface.nodes[c, a]], state.equation[2 * surface.nodes[c, a] + 1]
                     state.residual[ir] = state.residual[ir] + surface.shapes[c, a] * fr
@@ -222,7 +222,7 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
                 for a in range(surface.shapes.shape[1]):
                     dr += surface.shapes[c, a] * rates.dx[k, 2 * surface.nodes[c, a]]
                     dz += surface.shapes[c, a] * rates.dx[k, 2 * surface.nodes[c, a] + 1]
-                fr, fz = compute_contact_force_rate(c, k, dr, dz, surface, rates)
+                fr, fz = compute_contact_force_derivative(c, k, dr, dz, surface, rates)
                 changed += ti.abs(fr - rates.multiplier_rates[k, c, 0]) + ti.abs(fz - rates.multiplier_rates[k, c, 1])
                 largest_rate += ti.abs(fr) + ti.abs(fz)
                 rates.multiplier_rates[k, c, 0], rates.multiplier_rates[k, c, 1] = fr, fz
@@ -235,15 +235,16 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
                 last = changed
 
     @ti.kernel
-    def differentiate_forces(which: int1, counts: int1, settings: real1, element_table: int1, tissue_table: int1,
-                             state_table: int1, rate_table: int1, band_table: int1):
+    def factorise_and_differentiate_forces(which: int1, counts: int1, settings: real1, element_table: int1,
+                                           tissue_table: int1,
+                                           state_table: int1, rate_table: int1, band_table: int1):
         ti.loop_config(serialize=True)
         for _ in range(which[SensitivityControlIndex.PASSES]):
             elements, tissue = ELEMENT_ARRAYS.open_table(element_table), TISSUE_ARRAYS.open_table(tissue_table)
             state, rates = STATE_ARRAYS.open_table(state_table), RATE_ARRAYS.open_table(rate_table)
             batches, pressures = counts[StepIntegerIndex.BATCHES], state.equation.shape[0]
             parameters = rates.forces.shape[0]
-            kappa = settings[SettingIndex.KAPPA]
+            kappa = settings[StepSettingIndex.KAPPA]
             if which[SensitivityControlIndex.REFINES] == 1:
                 which[SensitivityControlIndex.FACTORISES] = 0
             else:
@@ -252,7 +253,7 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
                 for i in range(state.residual.shape[0]):
                     rates.forces[k, i] = 0.0
             for b in range(batches):
-                work.store_point_data(b, which, pressures, elements, tissue, state, rates)
+                work.store_point_stresses_and_tangents(b, which, pressures, elements, tissue, state, rates)
                 if ti.static(remembers):
                     if which[SensitivityControlIndex.RELAXES] == 1:
                         work.copy_stress_history_to_buffers(b, which, elements, tissue, rates)
@@ -270,11 +271,11 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
             surface = SURFACE_ARRAYS.open_table(surface_table)
             batches, pressures = counts[StepIntegerIndex.BATCHES], state.equation.shape[0]
             parameters = rates.force_rates.shape[0]
-            free, kappa = counts[StepIntegerIndex.FREE], settings[SettingIndex.KAPPA]
+            free, kappa = counts[StepIntegerIndex.FREE], settings[StepSettingIndex.KAPPA]
             for k in range(parameters):
                 if which[SensitivityControlIndex.FACTORISES] == 0 or which[SensitivityControlIndex.REFINES] == 0:
-                    solve_one_parameter_derivative(k, kappa, which, counts, band_table, elements, surface, state,
-                                                   rates)
+                    solve_derivatives_by_one_parameter(k, kappa, which, counts, band_table, elements, surface, state,
+                                                       rates)
                     if which[SensitivityControlIndex.REFINES] == 1 and which[SensitivityControlIndex.SETTLED] == 0:
                         which[SensitivityControlIndex.FACTORISES] = 1
                 # Force on the tool: of contact points, and of tissue that is bonded to the tool.
@@ -295,4 +296,4 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
                     for k in range(parameters):
                         work.update_memory_derivatives(b, k, parameters, batches, which, elements, tissue, rates)
 
-    return differentiate_forces, solve_state_derivatives
+    return factorise_and_differentiate_forces, solve_state_derivatives

@@ -14,9 +14,9 @@ from tissue_sim.fem.axisymmetric.condensation import make_condensation_functions
 from tissue_sim.fem.axisymmetric.kinematics import make_kinematic_functions
 from tissue_sim.fem.axisymmetric.scratch import AT, get_axisymmetric_scratch_field
 from tissue_sim.fem.axisymmetric.sensitivity_tables import (
-    PointRecordOffset,
+    ScratchRecordOffset,
     SensitivityControlIndex,
-    StoredRecordOffset,
+    StoredPointRecordOffset,
 )
 from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
@@ -29,7 +29,7 @@ from tissue_sim.mesh.elements import ELEMENTS
 class SensitivityFunctions(NamedTuple):
     """Taichi functions that differentiate forces and memory of one element type and one family of laws."""
 
-    store_point_data: object
+    store_point_stresses_and_tangents: object
     copy_stress_history_to_buffers: object
     add_force_derivatives_at_fixed_displacement: object
     update_memory_derivatives: object
@@ -50,7 +50,8 @@ def build_directional_derivative_energy(energy: KernelEnergy) -> KernelEnergy:
 def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remembers: bool) -> SensitivityFunctions:
     """Return the Taichi functions of an element type and a law.
 
-    Tissue without memory uses `store_point_data` and `add_force_derivatives_at_fixed_displacement` only.
+    Tissue without memory uses `store_point_stresses_and_tangents` and `add_force_derivatives_at_fixed_displacement`
+    only.
 
     Rows of arrays of vectors are numbered by batch, point, parameter, term and component, the last fastest.
     """
@@ -99,8 +100,9 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 F[2] * S[1] + F[3] * S[2], F[4] * S[3]]
 
     @ti.func
-    def store_point_data(b, which: ti.template(), pressures, elements: ti.template(), tissue: ti.template(),
-                         state: ti.template(), rates: ti.template()):
+    def store_point_stresses_and_tangents(b, which: ti.template(), pressures, elements: ti.template(),
+                                          tissue: ti.template(),
+                                          state: ti.template(), rates: ti.template()):
         """Store strains, stresses and tangents at the quadrature points of batch b, equal for all parameters."""
         for a in range(nodes):
             i = b * nodes + a
@@ -110,19 +112,20 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
             area = h0 + h3 + h0 * h3 - h1 * h2
             F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
             root = inverse_cube_root(ti.max(1.0 + area + h4 + area * h4, 1e-6))
-            at = LAW + PointRecordOffset.SIZE * q
+            at = LAW + ScratchRecordOffset.SIZE * q
             for i in ti.static(range(5)):
-                s[at + PointRecordOffset.GRADIENT + i] = F[i]
-            s[at + PointRecordOffset.ROOT] = root
+                s[at + ScratchRecordOffset.GRADIENT + i] = F[i]
+            s[at + ScratchRecordOffset.ROOT] = root
             if ti.static(remembers):
-                kept, f = (b * points + q) * StoredRecordOffset.SIZE, tissue.past[RelaxationSofteningCoefficient.FACTOR]
+                kept, f = (b * points
+                           + q) * StoredPointRecordOffset.SIZE, tissue.past[RelaxationSofteningCoefficient.FACTOR]
                 W, P, A = law_of(F, root, tissue.coefficients)
-                s[at + PointRecordOffset.ENERGY] = f * W
+                s[at + ScratchRecordOffset.ENERGY] = f * W
                 for i in ti.static(range(5)):
-                    s[at + PointRecordOffset.STRESS + i] = f * P[i]
-                    s[at + PointRecordOffset.SOFT_STRESS + i] = f * P[i]
+                    s[at + ScratchRecordOffset.STRESS + i] = f * P[i]
+                    s[at + ScratchRecordOffset.SOFT_STRESS + i] = f * P[i]
                 for n in ti.static(range(15)):
-                    to = kept + StoredRecordOffset.SOFT_TANGENT + n
+                    to = kept + StoredPointRecordOffset.SOFT_TANGENT + n
                     rates.law[to] = f * A[n]
                 if tissue.past[RelaxationSofteningCoefficient.LOSS] != 0.0:
                     P1, A1 = apply_softening(
@@ -132,30 +135,30 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                         tissue.past[RelaxationSofteningCoefficient.LOSS_SHARE], [f * P[i] for i in ti.static(range(5))],
                         [f * A[n] for n in ti.static(range(15))])
                     for i in ti.static(range(5)):
-                        s[at + PointRecordOffset.SOFT_STRESS + i] = P1[i]
+                        s[at + ScratchRecordOffset.SOFT_STRESS + i] = P1[i]
                     for n in ti.static(range(15)):
-                        to = kept + StoredRecordOffset.SOFT_TANGENT + n
+                        to = kept + StoredPointRecordOffset.SOFT_TANGENT + n
                         rates.law[to] = A1[n]
                 left = compute_first_piola_from_second_piola(
                     F, [gather_point_component_per_lane(tissue.inherited, elements.numbers, b, q, i)
                         for i in ti.static(range(4))])
                 for i in ti.static(range(5)):
-                    s[at + PointRecordOffset.RELAXED_STRESS + i] = (
-                        tissue.past[RelaxationSofteningCoefficient.INSTANT] * s[at + PointRecordOffset.SOFT_STRESS + i]
-                        + left[i])
-                    to = kept + StoredRecordOffset.GRADIENT + i
+                    s[at + ScratchRecordOffset.RELAXED_STRESS + i] = (
+                        tissue.past[RelaxationSofteningCoefficient.INSTANT]
+                        * s[at + ScratchRecordOffset.SOFT_STRESS + i] + left[i])
+                    to = kept + StoredPointRecordOffset.GRADIENT + i
                     rates.law[to] = F[i]
-                    to1 = kept + StoredRecordOffset.STRESS + i
-                    rates.law[to1] = s[at + PointRecordOffset.STRESS + i]
-                S = compute_second_piola_from_first_piola(F, [s[at + PointRecordOffset.SOFT_STRESS + i]
+                    to1 = kept + StoredPointRecordOffset.STRESS + i
+                    rates.law[to1] = s[at + ScratchRecordOffset.STRESS + i]
+                S = compute_second_piola_from_first_piola(F, [s[at + ScratchRecordOffset.SOFT_STRESS + i]
                                                               for i in ti.static(range(5))])
                 for i in ti.static(range(4)):
-                    to2 = kept + StoredRecordOffset.SECOND + i
+                    to2 = kept + StoredPointRecordOffset.SECOND + i
                     rates.law[to2] = S[i]
             elif which[SensitivityControlIndex.LAYERED] + which[SensitivityControlIndex.REFINES] > 0:
                 W, P, A = law_of(F, root, tissue.coefficients)
                 for i in ti.static(range(5)):
-                    s[at + PointRecordOffset.RELAXED_STRESS + i] = P[i]
+                    s[at + ScratchRecordOffset.RELAXED_STRESS + i] = P[i]
                 p = vec(0.0)
                 for m in range(modes):
                     amplitude = ti.Vector([state.x[pressures + modes * elements.numbers[b][l] + m]
@@ -184,22 +187,22 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                                                        for l in ti.static(range(LANES))])
 
     @ti.func
-    def apply_memory_to_stored_stress_rate(b, q, k, parameters, which: ti.template(), elements: ti.template(),
-                                           tissue: ti.template(), rates: ti.template()):
+    def apply_memory_to_stress_derivative(b, q, k, parameters, which: ti.template(), elements: ti.template(),
+                                          tissue: ti.template(), rates: ti.template()):
         """Convert, in place, the law's stress derivative by parameter k to that of the softened and relaxed stress.
 
         The derivatives of energy and softened stress are stored for the memory.
         The modulus ratio of the element is not included.
         """
-        at, noted = RATE + 5 * q, LAW + PointRecordOffset.SIZE * q
+        at, noted = RATE + 5 * q, LAW + ScratchRecordOffset.SIZE * q
         terms = which[SensitivityControlIndex.TERMS]
         f = tissue.past[RelaxationSofteningCoefficient.FACTOR]
         df = rates.past_rates[k, RelaxationSofteningCoefficient.FACTOR] / f
-        F = [s[noted + PointRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
-        W = s[noted + PointRecordOffset.ENERGY]
+        F = [s[noted + ScratchRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
+        W = s[noted + ScratchRecordOffset.ENERGY]
         dW = f * s[ENERGY_RATE + q] + df * W
         for i in ti.static(range(5)):
-            s[at + i] = f * s[at + i] + df * s[noted + PointRecordOffset.STRESS + i]
+            s[at + i] = f * s[at + i] + df * s[noted + ScratchRecordOffset.STRESS + i]
         own = (b * points + q) * parameters + k
         if which[SensitivityControlIndex.SOFTENS] == 1:
             L, dL = gather_point_value_per_lane(tissue.largest, elements.numbers, b, q), rates.largest_rates[own]
@@ -215,7 +218,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
             eta_rate = ti.select(W < L, -loss_rate * bend - loss * (1.0 - bend * bend) * argument_rate, 0.0 * W)
             for i in ti.static(range(5)):
                 s[at + i] = ((1.0 - tissue.past[RelaxationSofteningCoefficient.LOSS] * bend) * s[at + i]
-                             + eta_rate * s[noted + PointRecordOffset.STRESS + i])
+                             + eta_rate * s[noted + ScratchRecordOffset.STRESS + i])
         rates.energy_rates[own] = dW
         S = compute_second_piola_from_first_piola(F, [s[at + i] for i in ti.static(range(5))])
         for i in ti.static(range(4)):
@@ -234,7 +237,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
         for i in ti.static(range(5)):
             s[at + i] = (tissue.past[RelaxationSofteningCoefficient.INSTANT] * s[at + i]
                          + rates.past_rates[k, RelaxationSofteningCoefficient.INSTANT]
-                         * s[noted + PointRecordOffset.SOFT_STRESS + i] + left[i])
+                         * s[noted + ScratchRecordOffset.SOFT_STRESS + i] + left[i])
 
     @ti.func
     def add_force_derivatives_at_fixed_displacement(b, k, kappa, parameters, batches, pressures, which: ti.template(),
@@ -245,10 +248,10 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
         own = k * batches + b
         modulus, modulus_rate = elements.moduli[b], rates.moduli_rates[own]
         for q in range(points):
-            at, noted = RATE + 5 * q, LAW + PointRecordOffset.SIZE * q
+            at, noted = RATE + 5 * q, LAW + ScratchRecordOffset.SIZE * q
             if rates.acts[k] == 1:
-                F = [s[noted + PointRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
-                W, P, _A = stress_rate(F, s[noted + PointRecordOffset.ROOT], direction)
+                F = [s[noted + ScratchRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
+                W, P, _A = stress_rate(F, s[noted + ScratchRecordOffset.ROOT], direction)
                 s[ENERGY_RATE + q] = W
                 for i in ti.static(range(5)):
                     s[at + i] = P[i]
@@ -257,17 +260,17 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 for i in ti.static(range(5)):
                     s[at + i] = vec(0.0)
             if ti.static(remembers):
-                apply_memory_to_stored_stress_rate(b, q, k, parameters, which, elements, tissue, rates)
+                apply_memory_to_stress_derivative(b, q, k, parameters, which, elements, tissue, rates)
             w = elements.point_weights[b * points + q]
             for i in ti.static(range(5)):
                 s[at + i] = (w * modulus) * s[at + i]
             if which[SensitivityControlIndex.LAYERED] == 1:
                 for i in ti.static(range(5)):
-                    s[at + i] = s[at + i] + (w * modulus_rate) * s[noted + PointRecordOffset.RELAXED_STRESS + i]
+                    s[at + i] = s[at + i] + (w * modulus_rate) * s[noted + ScratchRecordOffset.RELAXED_STRESS + i]
         # Relative derivative of the pressure p = K (v - V) at fixed volume.
         share = (rates.kappa_rates[k] * modulus + kappa * modulus_rate) / (kappa * modulus)
         for a in range(nodes):
-            fr, fz = kinematics.integrate_stored_stresses(a, b, RATE, elements)
+            fr, fz = kinematics.compute_node_force_from_stresses(a, b, RATE, elements)
             for m in range(modes):
                 v = (b * modes + m) * nodes + a
                 p = ti.Vector([state.x[pressures + modes * elements.numbers[b][l] + m]
@@ -299,26 +302,26 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 cz = cz - (elements.rows_zr[at] * s[UR + a] + elements.rows_zz[at] * s[UZ + a])
             s[UR + centre], s[UZ + centre] = cr, cz
         for q in range(points):
-            own, kept = (b * points + q) * parameters + k, (b * points + q) * StoredRecordOffset.SIZE
+            own, kept = (b * points + q) * parameters + k, (b * points + q) * StoredPointRecordOffset.SIZE
             h0, h1, h2, h3, h4 = kinematics.compute_gradient_of_stored_displacements(b, q, elements)
             H = [h0, h1, h2, h3, h4]
             F = [1.0 * h0 for _i in ti.static(range(5))]
             second = [1.0 * h0 for _i in ti.static(range(4))]
             dW = rates.energy_rates[own]
             for i in ti.static(range(5)):
-                of = kept + StoredRecordOffset.GRADIENT + i
+                of = kept + StoredPointRecordOffset.GRADIENT + i
                 F[i] = rates.law[of]
-                of1 = kept + StoredRecordOffset.STRESS + i
+                of1 = kept + StoredPointRecordOffset.STRESS + i
                 dW = dW + rates.law[of1] * H[i]
             for i in ti.static(range(4)):
-                of2 = kept + StoredRecordOffset.SECOND + i
+                of2 = kept + StoredPointRecordOffset.SECOND + i
                 second[i] = rates.law[of2]
             # d(F S) = F dS + dF S.
             lost = compute_first_piola_from_second_piola(H, second)
             rate = [-1.0 * lost[i] for i in ti.static(range(5))]
             for i in ti.static(range(5)):
                 for n in ti.static(range(5)):
-                    of = kept + ti.static(StoredRecordOffset.SOFT_TANGENT + row[i][n])
+                    of = kept + ti.static(StoredPointRecordOffset.SOFT_TANGENT + row[i][n])
                     rate[i] = rate[i] + rates.law[of] * H[n]
             S_rate = compute_second_piola_from_first_piola(F, rate)
             most = gather_point_value_per_lane(tissue.largest, elements.numbers, b, q)
@@ -338,5 +341,5 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                                                     + rates.decay_rates[k, t] * rates.recent[at_term]
                                                     + rates.gain_rates[k, t] * s[CHANGE + 4 * q + i])
 
-    return SensitivityFunctions(store_point_data, copy_stress_history_to_buffers,
+    return SensitivityFunctions(store_point_stresses_and_tangents, copy_stress_history_to_buffers,
                                 add_force_derivatives_at_fixed_displacement, update_memory_derivatives)

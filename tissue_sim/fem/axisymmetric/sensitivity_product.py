@@ -64,7 +64,7 @@ def make_tangent_product_functions(element_name: str) -> TangentProductFunctions
                              + A[ti.static(row[i][2])] * H[2] + A[ti.static(row[i][3])] * H[3]
                              + A[ti.static(row[i][4])] * H[4])
         for a in range(nodes):
-            s[FR + a], s[FZ + a] = kinematics.integrate_stored_stresses(a, b, RATE, elements)
+            s[FR + a], s[FZ + a] = kinematics.compute_node_force_from_stresses(a, b, RATE, elements)
         aside = vec(0.0)
         for m in range(modes):
             mode = b * modes + m

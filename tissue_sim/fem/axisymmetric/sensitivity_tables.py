@@ -3,7 +3,7 @@
 from enum import IntEnum
 
 
-class PointRecordOffset(IntEnum):
+class ScratchRecordOffset(IntEnum):
     """Offsets in the scratch record of one quadrature point, for the batch that is evaluated.
 
     Attributes:
@@ -25,7 +25,7 @@ class PointRecordOffset(IntEnum):
     SIZE = 22
 
 
-class StoredRecordOffset(IntEnum):
+class StoredPointRecordOffset(IntEnum):
     """Offsets in the stored record of one quadrature point, which both sensitivity kernels use.
 
     Attributes:

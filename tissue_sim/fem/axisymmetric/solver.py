@@ -19,9 +19,9 @@ from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, extract_deformed_surface
 from tissue_sim.fem.axisymmetric.touch import bind_at_first_touch_and_get_height, bind_points_reached_in_half_increment
 from tissue_sim.fem.free_tool import AT_REST
-from tissue_sim.fem.inertia import InertialMotion
+from tissue_sim.fem.inertia import InertiaTimeIntegrator
 from tissue_sim.fem.solver import (
-    ErrorEstimate,
+    ErrorEstimationRule,
     Neighbours,
     ResolutionLevel,
     Solver,
@@ -77,7 +77,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         specific_weight: density times gravity, N/m3, towards -z.
         element_layers: index of the material's layer of each element, shape (elements,); an element with the number of
             layers as its index belongs to no layer. None: no element belongs to a layer.
-        contact_radius: radius that determines the drainage time of the pores, m, see `Material.relaxation`.
+        contact_radius: radius that determines the drainage time of the pores, m, see `Material.make_prony_series`.
         start: solver on the same mesh whose last state is the initial state, in which the tool touches; its contact
             pairs are the first pairs of this solver. None: the undeformed mesh.
 
@@ -96,11 +96,11 @@ class AxisymmetricSolver(KernelOwner, Solver):
                                                                     None if start is None else start.equations)
         equations = self.equations
         self.committed = equations.state
-        #: Derivatives with respect to the material; None unless `differentiate` was called.
+        #: Derivatives with respect to the material; None unless `enable_force_derivatives` was called.
         self._sensitivity: MaterialSensitivity | None = None
         # Target depth of the last iteration (m), and its number of linear solves.
         self._target_depth, self._iterated, self._pose = 0.0, 0, Pose.at_depth(0.0)
-        self.datum = equations.settings[newton.SettingIndex.TOUCH] = 0.0 if contact is None \
+        self.datum = equations.settings[newton.StepSettingIndex.TOUCH] = 0.0 if contact is None \
             else bind_at_first_touch_and_get_height(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
         self.committed.store_initial_bonds()
@@ -167,7 +167,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
                                                 else compute_extrapolation_weights(state.depths, depth,
                                                                                    predictor_order))
         equations.prepare_step(dt)
-        equations.settings[newton.SettingIndex.INERTIA] = rate
+        equations.settings[newton.StepSettingIndex.INERTIA] = rate
         self._iterated *= resumes
         equations.solve_equilibrium(depth, tolerance, max_iterations,
                                     resumed_depth=self._target_depth if resumes else None, iterated=self._iterated)
@@ -181,7 +181,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
             is_due = StaticStiffnessRequest.needs_stiffness_given_spare_solve(
                 own_stiffness, iterations < max_iterations)
             own, within = equations.compute_static_stiffness_or_none() if is_due else None, stiffness
-        result = Step.axial(outcome, int(iterations), residual, force, violation, int(slipping), own, within)
+        result = Step.from_axial_force(outcome, int(iterations), residual, force, violation, int(slipping), own, within)
         if converged:
             if inertial or rate == 0.0:  # the force of artificial damping is no load
                 state.largest_force = max(state.largest_force, abs(force))
@@ -200,9 +200,9 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def enable_inertia(self, density: float) -> bool:
         """Enable inertial steps with a mass density, kg/m3; returns True, because the solver supports inertia."""
         equations = self.equations
-        self.committed.motion = InertialMotion(equations.masses, equations.rest,
-                                               density * equations.dof_volumes_of_shared_nodes)
-        equations.settings[newton.SettingIndex.DENSITY] = density
+        self.committed.motion = InertiaTimeIntegrator(equations.masses, equations.rest,
+                                                      density * equations.dof_volumes_of_shared_nodes)
+        equations.settings[newton.StepSettingIndex.DENSITY] = density
         self._masses = density * equations.compute_dof_volumes()
         return True
 
@@ -223,7 +223,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return PredictedForceOfNextStep(make_axial_wrench(force + more),
                                         make_axial_stiffness_matrix(max(stiffness + stiffer, 0.0)))
 
-    def ask_for_stiffness(self) -> None:
+    def enable_stiffness_output(self) -> None:
         """Enable the computation of the stiffness (derivative of the force with respect to the depth) in every step."""
         self.equations.counts[newton.StepIntegerIndex.STIFFNESS_ASKED] = 1
 
@@ -233,11 +233,11 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return list_realtime_levels_finest_first(model.experiment)
 
     @classmethod
-    def error_estimate(cls, resolution: str) -> ErrorEstimate | None:
-        """See `Solver.error_estimate`."""
-        return RESOLUTIONS[resolution].error_estimate if resolution in RESOLUTIONS else None
+    def error_estimation_rule(cls, resolution: str) -> ErrorEstimationRule | None:
+        """See `Solver.error_estimation_rule`."""
+        return RESOLUTIONS[resolution].error_estimation_rule if resolution in RESOLUTIONS else None
 
-    def differentiate(self, neighbours: Neighbours) -> MaterialSensitivity | None:
+    def enable_force_derivatives(self, neighbours: Neighbours) -> MaterialSensitivity | None:
         """Make every step compute exact derivatives of the force with respect to material parameters.
 
         To be called before the first step.
@@ -256,11 +256,11 @@ class AxisymmetricSolver(KernelOwner, Solver):
 
     @property
     def is_time_dependent(self) -> bool:
-        """Whether the tissue has relaxation, softening or point effects; see `FreeTool.is_time_dependent`."""
+        """Whether the tissue has relaxation, softening or point effects; see `FreeToolSolverBase.is_time_dependent`."""
         return self.equations.has_material_history
 
     def clearance(self, pose: Pose) -> float | None:
-        """Return the distance of the tool from the tissue, m; see `FreeTool.clearance`.
+        """Return the distance of the tool from the tissue, m; see `FreeToolSolverBase.clearance`.
 
         None for a tool that touches the tissue or is bonded to it, and with contact laws.
         """
@@ -275,17 +275,17 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return float(surface.signed_gaps(positions)[own].min())
 
     def move_in_air(self, pose: Pose) -> None:
-        """Set the depth of a tool in the air without solving a step; see `FreeTool.move_in_air`."""
+        """Set the depth of a tool in the air without solving a step; see `FreeToolSolverBase.move_in_air`."""
         self.committed.restart_depth_history_at(pose.depth)
 
     def move_to_next_touch(self, pose: Pose) -> bool:
         """Move a lifted tool to its next touch; return whether this touch is like a first touch.
 
-        See `FreeTool.move_to_next_touch`.
+        See `FreeToolSolverBase.move_to_next_touch`.
         """
-        tolerance = AT_REST * float(self.equations.settings[newton.SettingIndex.CONTACT_TOLERANCE])
+        tolerance = AT_REST * float(self.equations.settings[newton.StepSettingIndex.CONTACT_TOLERANCE])
         begins = not self.is_time_dependent \
-            and self.committed.are_displacements_untouched(2 * len(self.mesh.nodes), tolerance)
+            and self.committed.have_displacements_recovered(2 * len(self.mesh.nodes), tolerance)
         if begins:
             self.committed.restore_untouched_shape_and_bonds()
         else:
@@ -295,7 +295,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def bind_points_on_path(self, pose: Pose) -> None:
         """Bind the points with friction that touch in the first half of an increment.
 
-        See `FreeTool.bind_points_on_path`.
+        See `FreeToolSolverBase.bind_points_on_path`.
         """
         committed = self.committed
         if committed.motion is not None:
@@ -305,12 +305,12 @@ class AxisymmetricSolver(KernelOwner, Solver):
                                               committed.depths[0] - self.datum, pose.depth - committed.depths[0])
 
     def stop_tissue_motion(self) -> None:
-        """Set the velocity of the tissue to zero; see `FreeTool.stop_tissue_motion`."""
+        """Set the velocity of the tissue to zero; see `FreeToolSolverBase.stop_tissue_motion`."""
         if self.committed.motion is not None:
             self.committed.motion.reset_velocity()
 
-    def lift_off(self) -> None:
-        """Remove the tool at once and restore the displacements before the first touch; see `Solver.lift_off`."""
+    def reset_to_first_touch(self) -> None:
+        """Remove the tool at once and restore the displacements before the first touch."""
         self.committed.restore_untouched_shape_and_bonds()
 
     def save(self) -> SavedState:
@@ -381,8 +381,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
         """Return the deformed outline at the last committed state; z = 0 is the height of the first touch."""
         return extract_deformed_surface(self.mesh, self.state, self.datum)
 
-    def report(self) -> dict[str, Any]:
-        """Return the metadata of the solver for recordings: element, mesh size, contact; see `Solver.report`."""
+    def get_recording_metadata(self) -> dict[str, Any]:
+        """Return the metadata of the solver for recordings: element, mesh size, contact."""
         contact = self.equations.contact
         report = {"element": self.mesh.element.name,
                   "mesh": {"elements": len(self.mesh.connectivity), "freedoms": self.equations.free}}

@@ -9,7 +9,7 @@ import numpy as np
 from tissue_sim.fem.axisymmetric.contact import ContactPoints
 from tissue_sim.fem.axisymmetric.predictor import KEPT
 from tissue_sim.fem.history import MaterialMemory
-from tissue_sim.fem.inertia import InertialMotion
+from tissue_sim.fem.inertia import InertiaTimeIntegrator
 from tissue_sim.fem.point_effects import PointEffects
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 
@@ -61,7 +61,7 @@ class SolverState:
         self.depths, self.times = [0.0], [0.0]
         self.largest_force = 0.0
         self.equilibria_since_contact_change, self._touching = 0, (b"", b"")
-        self.motion: InertialMotion | None = None
+        self.motion: InertiaTimeIntegrator | None = None
         self._untouched = x.copy()
         self.store_initial_bonds()
 
@@ -117,7 +117,7 @@ class SolverState:
         """
         self.depths, self.times = [depth], [0.0]
 
-    def are_displacements_untouched(self, nodal: int, tolerance: float) -> bool:
+    def have_displacements_recovered(self, nodal: int, tolerance: float) -> bool:
         """Return whether the displacements differ from those before the first touch by at most a tolerance.
 
         Args:

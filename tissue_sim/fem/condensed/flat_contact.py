@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.condensed.flat_kernel import FLAT_COLUMNS, FlatKernelInputIndex, make_flat_contact_residual_kernel
+from tissue_sim.fem.condensed.flat_kernel import FLAT_COLUMNS, FlatKernelInputIndex, make_tangent_plane_contact_kernel
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 
@@ -41,7 +41,7 @@ class TangentPlaneContact:
     """Solver of the frictional contact of nodes near the tool with the tangent planes of the tool surface.
 
     Args:
-        arrays: arrays of the stepper, by the names of `make_flat_contact_residual_kernel`; the forces and contact
+        arrays: arrays of the stepper, by the names of `make_tangent_plane_contact_kernel`; the forces and contact
             states in them are changed.
         near: largest gap of a node that takes part without carrying a force, m.
         floor: smallest force by which the residual is divided, N.
@@ -55,7 +55,7 @@ class TangentPlaneContact:
         own = {"found": self._found, "limits": self._limits, "flat": np.zeros((n, FLAT_COLUMNS)),
                "matrix": self._matrix, "right": self._right}
         with LOCK:
-            self._kernel = BoundKernel.bind_by_name(make_flat_contact_residual_kernel(), arrays | own)
+            self._kernel = BoundKernel.bind_by_name(make_tangent_plane_contact_kernel(), arrays | own)
 
     def try_solving_contact_forces(self, tolerance: float) -> bool:
         """Solve for forces and contact states of the nodes; both are written to the arrays of the stepper.

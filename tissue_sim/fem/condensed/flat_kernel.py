@@ -16,7 +16,7 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
 class FlatKernelOutputIndex(IntEnum):
-    """Indices of `found`, the outputs of the kernel of `make_flat_contact_residual_kernel`.
+    """Indices of `found`, the outputs of the kernel of `make_tangent_plane_contact_kernel`.
 
     Attributes:
         RESIDUAL: square of the norm of the residual, N2.
@@ -32,7 +32,7 @@ class FlatKernelOutputIndex(IntEnum):
 
 
 class FlatKernelInputIndex(IntEnum):
-    """Indices of `limits`, the inputs of the kernel of `make_flat_contact_residual_kernel`.
+    """Indices of `limits`, the inputs of the kernel of `make_tangent_plane_contact_kernel`.
 
     Attributes:
         NEAR_GAP: nodes with a smaller gap take part, m.
@@ -75,7 +75,7 @@ FLAT_COLUMNS = FlatContactColumn.KNOWN + 3
 
 
 @cache
-def make_flat_contact_residual_kernel():
+def make_tangent_plane_contact_kernel():
     """Return the kernel of `TangentPlaneContact`: line-search step, then residual and next linear equations.
 
     A sticking node has three unknowns. A slipping node has two: the normal force, to which the friction is

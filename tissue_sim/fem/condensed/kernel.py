@@ -28,7 +28,7 @@ from tissue_sim.fem.condensed.tables import (
 )
 from tissue_sim.fem.contact.closest_point import make_closest_point_function
 from tissue_sim.fem.contact_settings import SOLID_PENALTY, ContactBondState
-from tissue_sim.fem.taichi.array_tables import LANE_REALS, ArrayLayout, integer_array, real_array
+from tissue_sim.fem.taichi.array_tables import LANE_REALS, ArrayLayout, integer_array_type, real_array_type
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES, get_shared_scratch_field
 
@@ -38,10 +38,13 @@ _MAX_PREDICTED_CHANGE = 0.5
 
 #: Arrays of the contact iteration, see the enumerations in `tables`. ``rows`` are those of the compliance in vectors.
 CONTACT_ARRAYS = ArrayLayout(
-    chains=real_array(2), shapes=real_array(2), surface=real_array(2), states=integer_array(2), carried=real_array(2),
-    lists=integer_array(2), free_displacement=real_array(2), tool_coupling=real_array(2), compliance=real_array(2),
-    rows=LANE_REALS, u=real_array(), local=real_array(2), columns=real_array(2), matrix=real_array(),
-    right=real_array())
+    chains=real_array_type(2), shapes=real_array_type(2), surface=real_array_type(2), states=integer_array_type(2),
+    carried=real_array_type(2),
+    lists=integer_array_type(2), free_displacement=real_array_type(2), tool_coupling=real_array_type(2),
+    compliance=real_array_type(2),
+    rows=LANE_REALS, u=real_array_type(), local=real_array_type(2), columns=real_array_type(2),
+    matrix=real_array_type(),
+    right=real_array_type())
 
 
 @cache
@@ -298,8 +301,8 @@ def make_contact_iteration_kernel():
                     if nodes.lists[j, NodeListColumn.STATUS] == 0:
                         for a in ti.static(range(3)):
                             for b in ti.static(range(3)):
-                                e[a] = e[a] + nodes.compliance[3 * i + a,
-                                                         3 * j + b] * nodes.local[j, LinearisedContactColumn.FORCE + b]
+                                e[a] = e[a] + (nodes.compliance[3 * i + a, 3 * j + b]
+                                               * nodes.local[j, LinearisedContactColumn.FORCE + b])
                 x, y, z = (nodes.local[i, LinearisedContactColumn.ARM], nodes.local[i, LinearisedContactColumn.ARM + 1],
                            nodes.local[i, LinearisedContactColumn.ARM + 2])
                 f = ti.Vector([nodes.local[i, LinearisedContactColumn.INTERCEPT],

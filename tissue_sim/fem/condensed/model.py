@@ -244,7 +244,7 @@ def run_now_and_get_completion_check(compute: Callable[[], None]) -> Callable[[]
     return lambda: True
 
 
-class BulkLinearisation(Protocol):
+class BulkLineariser(Protocol):
     """Interface of Newton's iteration for the bulk; a contact solver uses the linearisation of each iterate.
 
     Attributes:
@@ -277,10 +277,10 @@ class BulkLinearisation(Protocol):
         """Solver that holds the last iterate of the bulk as its committed state, for visualisation."""
 
 
-class LinearisationMaker(Protocol):
-    """Factory of a `BulkLinearisation`, the entries of `LINEARISATIONS`."""
+class LineariserMaker(Protocol):
+    """Factory of a `BulkLineariser`, the entries of `LINEARISATIONS`."""
 
-    def __call__(self, model: Model, *, resolution: str, mesh: Any = None) -> BulkLinearisation:
+    def __call__(self, model: Model, *, resolution: str, mesh: Any = None) -> BulkLineariser:
         """Return the linearisation of a model with the tool at its first touch.
 
         Arguments and errors are those of a `tissue_sim.fem.solver.SolverMaker`.
@@ -288,8 +288,8 @@ class LinearisationMaker(Protocol):
 
 
 #: Name of a solver -> factory of the linearisation of its bulk.
-LINEARISATIONS: Registry[LinearisationMaker] = Registry(
-    "linearisation", "tissue_sim.linearisations", {"solid": "tissue_sim.fem.solid.linearisation:make_linearisation"})
+LINEARISATIONS: Registry[LineariserMaker] = Registry(
+    "linearisation", "tissue_sim.linearisations", {"solid": "tissue_sim.fem.solid.linearisation:make_lineariser"})
 
 
 def _build_pose(numbers: list[float]) -> Pose:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from tissue_sim.fem.condensed.model import BulkLinearisation, CondensedBulk, ContactState
+from tissue_sim.fem.condensed.model import BulkLineariser, CondensedBulk, ContactState
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.material.material import Material
-from tissue_sim.pose import Pose, between, motion
+from tissue_sim.pose import Pose, compute_rigid_motion, interpolate_pose
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class PredictionSettings:
 PREDICTION = PredictionSettings()
 
 
-class PredictiveLinearisation:
+class PredictiveLineariser:
     """Linearise the bulk at the pose that the tool will have in the middle of the period of use.
 
     A linearisation is in use from one to two durations of its computation after its start. The contact is first stepped
@@ -43,7 +43,7 @@ class PredictiveLinearisation:
         linearisation: Newton iteration of the bulk.
     """
 
-    def __init__(self, linearisation: BulkLinearisation):
+    def __init__(self, linearisation: BulkLineariser):
         self._linearisation = linearisation
         self._stepper = CondensedStepper(linearisation.surface, PREDICTION.max_increment)
         self._epoch = self._material = 0
@@ -58,7 +58,7 @@ class PredictiveLinearisation:
             serves: time from the state to the end of the use of the present tangent, s.
 
         Returns:
-            None under the conditions of `BulkLinearisation.iterate_and_linearise_or_none`.
+            None under the conditions of `BulkLineariser.iterate_and_linearise_or_none`.
         """
         stepper, ahead = self._stepper, self.extrapolate_pose(state, lead)
         predicted = state
@@ -98,8 +98,8 @@ class PredictiveLinearisation:
         passed = state.time - state.earlier
         if passed <= 0.0:
             return state.pose
-        distance = self._stepper.compute_max_contact_point_travel(motion(state.before, state.pose))
+        distance = self._stepper.compute_max_contact_point_travel(compute_rigid_motion(state.before, state.pose))
         factor = lead / passed
         if distance * factor > 0.0:
             factor = min(factor, PREDICTION.max_prediction * self._linearisation.surface.radius / distance)
-        return between(state.before, state.pose, 1.0 + factor)
+        return interpolate_pose(state.before, state.pose, 1.0 + factor)

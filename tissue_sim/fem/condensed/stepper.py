@@ -32,13 +32,17 @@ from tissue_sim.fem.condensed.tables import (
     NodeForceAndAnchorColumn,
     NodeListColumn,
 )
-from tissue_sim.fem.condensed.wrench_kernel import ANSWER_SIZE, WrenchKernelArrayIndex, make_wrench_kernel
+from tissue_sim.fem.condensed.wrench_kernel import (
+    ANSWER_SIZE,
+    WrenchKernelArrayIndex,
+    make_bond_commit_and_wrench_kernel,
+)
 from tissue_sim.fem.contact_settings import ContactBondState
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.shared_fields import LANES
-from tissue_sim.pose import Pose, Screw, between, motion
+from tissue_sim.pose import Pose, Screw, compute_rigid_motion, interpolate_pose
 from tissue_sim.tool_force import Matrix
 
 #: Settings of every `CondensedStepper`.
@@ -127,7 +131,7 @@ class CondensedStepper:
         arrays |= {"settings": self._settings, "results": self._results, "answer": self._sum, "table": table}
         with LOCK:
             self._kernel = BoundKernel.bind_by_name(make_contact_iteration_kernel(), arrays)
-            self._wrench_kernel = BoundKernel.bind_by_name(make_wrench_kernel(), arrays)
+            self._wrench_kernel = BoundKernel.bind_by_name(make_bond_commit_and_wrench_kernel(), arrays)
         self._flat = TangentPlaneContact(arrays, _SETTINGS.flat_gap * surface.radius, surface.floor)
         self._tolerance, self._stiffest = _SETTINGS.violation_factor * surface.tolerance, math.inf
         self._settings[[KernelSetting.TOLERANCE, KernelSetting.NEGLIGIBLE, KernelSetting.NEAR_GAP]] = (
@@ -163,7 +167,8 @@ class CondensedStepper:
         is bound; nodes are bound where the tool touches them in the next steps.
         """
         self.reset()
-        if self.compute_max_contact_point_travel(motion(self.surface.start, pose)) > self.surface.tolerance:
+        if self.compute_max_contact_point_travel(compute_rigid_motion(self.surface.start,
+                                                                      pose)) > self.surface.tolerance:
             self._bound[:] = ContactBondState.FREE
         self._pose = pose
 
@@ -240,13 +245,13 @@ class CondensedStepper:
         start = self._pose
         if start is None:
             return self._solve_increment_to_result(pose, exact)
-        length, done, increment = self.compute_max_contact_point_travel(motion(start, pose)), 0.0, 1.0
+        length, done, increment = self.compute_max_contact_point_travel(compute_rigid_motion(start, pose)), 0.0, 1.0
         if length > 0.0:
             increment = min(1.0, self._largest / length)
         while True:
             # The last increment ends exactly at the pose.
             end = 1.0 if done + increment > 1.0 - _SETTINGS.rounding else done + increment
-            step = self._solve_increment_to_result(between(start, pose, end), exact)
+            step = self._solve_increment_to_result(interpolate_pose(start, pose, end), exact)
             if step.converged:
                 done = end
                 increment = 1.0 if length == 0.0 else min(2.0 * increment, self._largest / length)
@@ -263,18 +268,18 @@ class CondensedStepper:
 
         assert self.model is not None
         settings, results = self._settings, self._results
-        displacement = motion(self.model.pose, pose)
+        displacement = compute_rigid_motion(self.model.pose, pose)
         self._write_pose_settings(pose, displacement)
         carried, states = self._carried.copy(), self._states.copy()
         if self._predicted_count and self._pose is not None:
             settings[KernelSetting.PREDICTED] = self._predicted_count
-            settings[KernelSetting.STEP:KernelSetting.STEP + 6] = motion(self._pose, pose)
+            settings[KernelSetting.STEP:KernelSetting.STEP + 6] = compute_rigid_motion(self._pose, pose)
         self._steps += 1
         if exact or self._steps % _SETTINGS.reassembly_interval == 0:
             settings[KernelSetting.REBUILDS] = 1.0
         nearest = _SETTINGS.near_gap / 3.0 * self.surface.radius
         if self._evaluation_pose is None or \
-                self.compute_max_contact_point_travel(motion(self._evaluation_pose, pose)) > nearest:
+                self.compute_max_contact_point_travel(compute_rigid_motion(self._evaluation_pose, pose)) > nearest:
             self._evaluation_pose, settings[KernelSetting.NEAR_COUNT] = pose, 0.0
         settings[KernelSetting.RELEASE], settings[KernelSetting.CHANGEABLE] = 0.0, 1.0
         max_iterations = _SETTINGS.max_exact_iterations if exact else _SETTINGS.max_iterations
@@ -343,11 +348,12 @@ class CondensedStepper:
     def may_touch_missing_nodes(self, pose: Pose) -> bool:
         """Whether the tool at a pose may touch nodes of the surface that the condensed model does not contain."""
         model = self.model
-        if model is None or not len(self._others) or self.compute_max_contact_point_travel(motion(model.pose, pose)) \
-            <= model.reach:
+        if model is None or not len(self._others):
+            return False
+        if self.compute_max_contact_point_travel(compute_rigid_motion(model.pose, pose)) <= model.reach:
             return False
         # Only nodes within the largest radius of the tool can be touched; distant nodes have small displacements.
-        self._write_pose_settings(pose, motion(model.pose, pose))
+        self._write_pose_settings(pose, compute_rigid_motion(model.pose, pose))
         origin = self._settings[KernelSetting.ORIGIN:KernelSetting.ORIGIN + 3]
         rotation = self._settings[KernelSetting.ROTATION:KernelSetting.ROTATION + 9].reshape(3, 3)
         at = (self._others - origin) @ rotation

@@ -37,7 +37,7 @@ ANSWER_SIZE = WrenchKernelArrayIndex.RATES + 36
 
 
 @cache
-def make_wrench_kernel():
+def make_bond_commit_and_wrench_kernel():
     """Return the kernel that commits the bonds of the nodes and sums the wrench and its derivative."""
     ti = get_initialised_taichi()
     real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))

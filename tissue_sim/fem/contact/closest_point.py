@@ -2,7 +2,7 @@
 
 The axisymmetric, reduced and condensed solvers use it.
 
-`tissue_sim.experiment.tools.outline.Profile.find_closest_points` is the same algorithm for NumPy arrays.
+`tissue_sim.experiment.tools.outline.Profile.compute_distances_to_polyline` is the same algorithm for NumPy arrays.
 """
 
 from functools import cache

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.fem.taichi.origins import compute_offset, get_origin
+from tissue_sim.fem.taichi.origins import compute_array_offset, get_address_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import BLOCK
 
@@ -86,7 +86,7 @@ def make_band_table(matrix: np.ndarray, matrix_upper: np.ndarray, lower: np.ndar
         right: right-hand side, shape (rows, BLOCK).
     """
     rows, width = matrix.shape[:2]
-    offsets = [compute_offset(array) for array in (matrix, matrix_upper, lower, upper, inverse, right)]
+    offsets = [compute_array_offset(array) for array in (matrix, matrix_upper, lower, upper, inverse, right)]
     return np.array([rows, width, *offsets], dtype=np.int32)
 
 
@@ -139,7 +139,7 @@ def make_add_lower_entry_function():
     ignored.
     """
     ti = get_initialised_taichi()
-    vectors, locate_block = get_origin().field, make_locate_block_function()
+    vectors, locate_block = get_address_origin().field, make_locate_block_function()
 
     @ti.func
     def add_lower_entry(row, column, value, free, table: ti.template()):
@@ -161,7 +161,7 @@ def make_subtract_earlier_products_function():
     left and right are offsets of bands.
     """
     ti = get_initialised_taichi()
-    vectors, locate_block = get_origin().field, make_locate_block_function()
+    vectors, locate_block = get_address_origin().field, make_locate_block_function()
 
     @ti.func
     def subtract_earlier_block_products(I, J, first, width, matrix, left, right):
@@ -195,7 +195,7 @@ def make_copy_lower_to_upper_band_function():
     It copies the lower band of a symmetric matrix to the upper band, for block rows `begin` to `end` - 1.
     """
     ti = get_initialised_taichi()
-    vectors = get_origin().field
+    vectors = get_address_origin().field
 
     @ti.func
     def copy_lower_band_to_upper_band(table: ti.template(), begin, end):
@@ -215,7 +215,7 @@ def make_symmetrise_diagonal_blocks_function():
     It fills the upper triangles of the diagonal blocks of a symmetric matrix.
     """
     ti = get_initialised_taichi()
-    vectors, locate_block = get_origin().field, make_locate_block_function()
+    vectors, locate_block = get_address_origin().field, make_locate_block_function()
 
     @ti.func
     def symmetrise_diagonal_blocks(table: ti.template()):
@@ -231,13 +231,13 @@ def make_symmetrise_diagonal_blocks_function():
 
 
 @cache
-def make_fill_diagonal_function():
+def make_fill_unused_diagonal_function():
     """Return the Taichi function ``fill_unused_diagonal(table, free)``.
 
     It sets the diagonal of the equations from `free` on to 1, which fill the last block.
     """
     ti = get_initialised_taichi()
-    vectors, locate_block = get_origin().field, make_locate_block_function()
+    vectors, locate_block = get_address_origin().field, make_locate_block_function()
 
     @ti.func
     def fill_unused_diagonal(table: ti.template(), free):
@@ -256,7 +256,7 @@ def make_add_unsymmetric_entry_function():
     It adds `value` to an entry on either side of the diagonal of the matrix of the first `free` equations.
     """
     ti = get_initialised_taichi()
-    vectors, locate_block = get_origin().field, make_locate_block_function()
+    vectors, locate_block = get_address_origin().field, make_locate_block_function()
 
     @ti.func
     def add_unsymmetric_entry(row, column, value, free, table: ti.template()):

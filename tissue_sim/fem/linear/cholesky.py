@@ -9,7 +9,7 @@ from tissue_sim.fem.linear.band import (
     make_locate_block_function,
     make_subtract_earlier_products_function,
 )
-from tissue_sim.fem.taichi.origins import get_origin
+from tissue_sim.fem.taichi.origins import get_address_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
@@ -17,7 +17,7 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 def make_cholesky_functions() -> BandSolverFunctions:
     """Return the Taichi functions of L L^T; `factorise_band` fails if the matrix is not positive definite."""
     ti = get_initialised_taichi()
-    vectors = get_origin().field
+    vectors = get_address_origin().field
     locate_block = make_locate_block_function()
     subtract_block_products = make_subtract_earlier_products_function()
     lanes = ti.Vector(list(range(BLOCK)))

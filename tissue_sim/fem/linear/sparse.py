@@ -42,7 +42,7 @@ class CondensedFactor(Factor, Protocol):
 
     compliance: np.ndarray
 
-    def solve_interface(self, right: np.ndarray) -> np.ndarray:
+    def solve_up_to_interface(self, right: np.ndarray) -> np.ndarray:
         """Return the argument of `complete_solution`; its interface rows are already the solution (half of the work).
 
         Results are linear in the right-hand side and may be added.
@@ -52,14 +52,14 @@ class CondensedFactor(Factor, Protocol):
         """
 
     def solve_up_to_interface_for_force(self, forces: np.ndarray) -> np.ndarray:
-        """Return the result of `solve_interface` for a right-hand side that is 0 except in the interface equations.
+        """Return `solve_up_to_interface` of a right-hand side that is 0 except in the interface equations.
 
         Args:
             forces: right-hand side of the interface equations, shape (m,).
         """
 
     def complete_solution(self, begun: np.ndarray) -> np.ndarray:
-        """Return the solution of all equations from a result of `solve_interface` (second half of the work)."""
+        """Return the solution of all equations from a result of `solve_up_to_interface` (second half of the work)."""
 
 
 class SparseSolver:
@@ -166,7 +166,7 @@ class _SuperLUFactor:
 
 
 class _CondensedSuperLUFactor:
-    """`CondensedFactor` by SuperLU; `solve_interface` computes the whole solution."""
+    """`CondensedFactor` by SuperLU; `solve_up_to_interface` computes the whole solution."""
 
     definite = True
 
@@ -186,7 +186,7 @@ class _CondensedSuperLUFactor:
     def solve(self, right: np.ndarray) -> np.ndarray:
         return self._factor.solve(right)
 
-    solve_interface = solve
+    solve_up_to_interface = solve
 
     def solve_up_to_interface_for_force(self, forces: np.ndarray) -> np.ndarray:
         right = np.zeros(self._size)
@@ -248,9 +248,9 @@ class _CondensedPardisoFactor:
         return cls(pattern, np.ascontiguousarray(inverse))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        return self.complete_solution(self.solve_interface(right))
+        return self.complete_solution(self.solve_up_to_interface(right))
 
-    def solve_interface(self, right: np.ndarray) -> np.ndarray:
+    def solve_up_to_interface(self, right: np.ndarray) -> np.ndarray:
         begun, interface = self._pattern.substitute_forward(right), self._pattern.get_interface_equations_or_raise()
         begun[interface] = self.compliance @ begun[interface]
         return begun

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissue_sim.fem.reduced.compliance import MissingComplianceForce, compute_contact_compliance
+from tissue_sim.fem.reduced.compliance import MissingComplianceErrorEstimator, compute_contact_node_compliance_table
 from tissue_sim.fem.reduced.compliance_table import calibrate_accepted_missing_forces
 from tissue_sim.fem.reduced.model import ReducedModel
-from tissue_sim.fem.reduced.path_steps import iterate_reduced_steps
+from tissue_sim.fem.reduced.path_steps import simulate_reduced_path
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.training import TrainingDisplacementsAndWrenches
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -19,9 +19,9 @@ from tissue_sim.material.material import Material
 from tissue_sim.pose import Pose
 
 
-def add_calibrated_compliance(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[Sequence[Pose]],
-                              snapshots: Sequence[TrainingDisplacementsAndWrenches],
-                              materials: Sequence[Material]) -> ReducedModel:
+def with_calibrated_compliance_table(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[Sequence[Pose]],
+                                     snapshots: Sequence[TrainingDisplacementsAndWrenches],
+                                     materials: Sequence[Material]) -> ReducedModel:
     """Return a copy of a reduced solid with the calibrated compliance table of its contact nodes.
 
     The reduced solid is simulated along the training paths. Its missing force and its true force error give the
@@ -38,14 +38,14 @@ def add_calibrated_compliance(reduced: ReducedModel, solver: SolidSolver, poses:
     if reduced.lifting:
         return reduced
     nodes = np.sort(solver.contact.nodes[solver.contact.moves])
-    table = compute_contact_compliance(reduced, solver, nodes)
+    table = compute_contact_node_compliance_table(reduced, solver, nodes)
     small = ReducedSolver(replace(reduced, compliance=table), reduced.model.material)
-    missing_force = MissingComplianceForce(table, small.contact)
+    missing_force = MissingComplianceErrorEstimator(table, small.contact)
     forces, missing, errors = [], [], []
     for path, full_order, material in zip(poses, snapshots, materials, strict=True):
         if material is not small.material:
             small.set_material(material)
-        for step, wrench in zip(iterate_reduced_steps(small, path), full_order.wrenches, strict=True):
+        for step, wrench in zip(simulate_reduced_path(small, path), full_order.wrenches, strict=True):
             if step.status is StepStatus.CONVERGED and small.contact.has_touching_nodes:
                 force = np.array(step.wrench[:3])
                 forces.append(float(np.linalg.norm(force)))

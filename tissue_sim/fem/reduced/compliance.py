@@ -15,15 +15,15 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import lapack
 
-from tissue_sim.fem.reduced.compliance_table import ContactCompliance
-from tissue_sim.fem.reduced.contact import LayerContact
+from tissue_sim.fem.reduced.compliance_table import ContactNodeComplianceTable
+from tissue_sim.fem.reduced.contact import PenaltyContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.model import ReducedModel
-from tissue_sim.fem.solid.elastic import compute_axial_node_compliance_matrix
+from tissue_sim.fem.solid.elastic import reset_and_compute_axial_compliance
 from tissue_sim.fem.solid.solver import SolidSolver
 
 
-class MissingComplianceForce:
+class MissingComplianceErrorEstimator:
     """Estimate of the force error of a reduced solid by missing compliance of its contact nodes.
 
     With the missing compliance D = G - G_r, contact forces f would displace the nodes by D f more. A rigid tool that
@@ -32,14 +32,14 @@ class MissingComplianceForce:
 
     The compliance of a deformed solid differs from the compliance at rest, so an accurate force has a missing force
     above zero. The error estimate is the excess over the missing force of accurate states on the training paths
-    (`ContactCompliance.accepted`).
+    (`ContactNodeComplianceTable.accepted`).
 
     Args:
         table: compliances of the contact nodes.
         contact: contact whose nodal forces are used; its nodes are the nodes of the table.
     """
 
-    def __init__(self, table: ContactCompliance, contact: LayerContact):
+    def __init__(self, table: ContactNodeComplianceTable, contact: PenaltyContact):
         self._table, self._contact = table, contact
         #: Contact state of the nodes, as bytes, for which the weights were computed.
         self._touching = b""
@@ -73,15 +73,17 @@ class MissingComplianceForce:
         return weights
 
 
-def make_missing_force_estimate_unless_bonded(reduced: ReducedModel,
-                                              contact: LayerContact) -> MissingComplianceForce | None:
+def make_missing_compliance_estimator_or_none(reduced: ReducedModel,
+                                              contact: PenaltyContact) -> MissingComplianceErrorEstimator | None:
     """Return the error estimate by missing compliance for the contact of a reduced solid; None for a bonded tool."""
     if reduced.lifting:
         return None
-    return MissingComplianceForce(reduced.compliance or compute_compliance_of_old_file(reduced), contact)
+    return MissingComplianceErrorEstimator(reduced.compliance or compute_compliance_table_of_old_model(reduced),
+                                           contact)
 
 
-def compute_contact_compliance(reduced: ReducedModel, solver: SolidSolver, nodes: np.ndarray) -> ContactCompliance:
+def compute_contact_node_compliance_table(reduced: ReducedModel, solver: SolidSolver,
+                                          nodes: np.ndarray) -> ContactNodeComplianceTable:
     """Compute the compliance table of the contact nodes, in which all of the missing force counts as error.
 
     Args:
@@ -89,13 +91,13 @@ def compute_contact_compliance(reduced: ReducedModel, solver: SolidSolver, nodes
         solver: full-order solver with the same material; it is at rest afterwards.
         nodes: indices of the nodes that may touch the tool, shape (n,).
     """
-    axis = np.array(reduced.model.experiment.tool_pose(0.0).rotation)[:, 2]
-    whole = compute_axial_node_compliance_matrix(solver, nodes, axis)
+    axis = np.array(reduced.model.experiment.tool_pose(0.0).rotation_matrix)[:, 2]
+    whole = reset_and_compute_axial_compliance(solver, nodes, axis)
     free = slice(reduced.lifting, reduced.basis.shape[1] - reduced.watched)
     moved = reduced.basis.reshape(-1, 3, reduced.basis.shape[1])[nodes][:, :, free].transpose(0, 2, 1) @ axis
     stiffness = _compute_resting_modal_stiffness(reduced)[free, free]
     kept = moved @ np.linalg.solve(stiffness, moved.T)
-    return ContactCompliance(nodes, axis, whole, whole - 0.5 * (kept + kept.T), np.zeros(1), np.zeros(1))
+    return ContactNodeComplianceTable(nodes, axis, whole, whole - 0.5 * (kept + kept.T), np.zeros(1), np.zeros(1))
 
 
 def _compute_resting_modal_stiffness(reduced: ReducedModel) -> np.ndarray:
@@ -113,7 +115,7 @@ def _compute_resting_modal_stiffness(reduced: ReducedModel) -> np.ndarray:
 
 
 @lru_cache(maxsize=2)
-def compute_compliance_of_old_file(reduced: ReducedModel) -> ContactCompliance:
+def compute_compliance_table_of_old_model(reduced: ReducedModel) -> ContactNodeComplianceTable:
     """Compute the compliance table of a reduced solid whose file was written by an older version without the table.
 
     The table accepts no missing force: all of the missing force counts as error.
@@ -121,4 +123,4 @@ def compute_compliance_of_old_file(reduced: ReducedModel) -> ContactCompliance:
     from tissue_sim.fem.solid.discretisation import make_solver
 
     solver = make_solver(reduced.model, mesh=reduced.mesh)
-    return compute_contact_compliance(reduced, solver, np.sort(solver.contact.nodes[solver.contact.moves]))
+    return compute_contact_node_compliance_table(reduced, solver, np.sort(solver.contact.nodes[solver.contact.moves]))

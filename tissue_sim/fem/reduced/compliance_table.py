@@ -9,7 +9,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class ContactCompliance:
+class ContactNodeComplianceTable:
     """Compliance matrices of the contact nodes along the axis of the tool, for the undeformed or resting solid.
 
     Attributes:
@@ -18,8 +18,8 @@ class ContactCompliance:
         whole: compliance G of the full-order solid, m/N, shape (n, n).
         missing: compliance G - G_r that the reduced solid lacks, m/N, shape (n, n).
         forces: forces on the tool, N, ascending from 0, shape (k,).
-        accepted: missing force (`MissingComplianceForce`) up to which the training paths showed no error of the force
-            on the tool, at each of `forces`, N, shape (k,).
+        accepted: missing force (`MissingComplianceErrorEstimator`) up to which the training paths showed no error of
+            the force on the tool, at each of `forces`, N, shape (k,).
     """
 
     nodes: np.ndarray
@@ -30,7 +30,7 @@ class ContactCompliance:
     accepted: np.ndarray
 
     @property
-    def unlimited_acceptance_copy(self) -> ContactCompliance:
+    def unlimited_acceptance_copy(self) -> ContactNodeComplianceTable:
         """Copy of the table with infinite accepted missing force, so that the error by missing compliance is 0."""
         return replace(self, forces=np.zeros(1), accepted=np.full(1, np.inf))
 
@@ -42,8 +42,9 @@ class ContactCompliance:
         return float(np.interp(force, self.forces, self.accepted))
 
 
-def calibrate_accepted_missing_forces(table: ContactCompliance, forces: Sequence[float], missing: Sequence[float],
-                                      errors: Sequence[float]) -> ContactCompliance:
+def calibrate_accepted_missing_forces(table: ContactNodeComplianceTable, forces: Sequence[float],
+                                      missing: Sequence[float],
+                                      errors: Sequence[float]) -> ContactNodeComplianceTable:
     """Return a copy of a table with accepted missing forces from states whose true force error is known.
 
     In each state the accepted missing force is max(0, missing force - true error). The value at a force F is the

@@ -14,10 +14,10 @@ import numpy as np
 from tissue_sim.fem.contact_settings import STICK
 from tissue_sim.fem.reduced.contact_kernel import (
     LAYER_ARRAYS,
-    LayerResult,
-    LayerSetting,
     NodeState,
-    make_layer_contact_kernel,
+    PenaltyContactResult,
+    PenaltyContactSetting,
+    make_penalty_contact_kernel,
 )
 from tissue_sim.fem.reduced.linear import euclidean_norm
 from tissue_sim.fem.solid.bodies import RigidBody
@@ -33,7 +33,7 @@ _NO_SLIP = 1e6
 _SLIP_MARGIN = 1e-2
 
 
-class LayerContact:
+class PenaltyContact:
     """Penalty contact of a reduced solid: contact forces and their derivatives, projected on the modes.
 
     The penalty stiffness per area is mu / (softness reach) with the shear modulus mu at the node.
@@ -67,9 +67,10 @@ class LayerContact:
         self.places = copy_to_addressable_array(places[self.nodes])
         self.areas = areas[self.nodes]
         self._rows = copy_to_addressable_array(basis.reshape(-1, 3, basis.shape[1])[self.nodes].reshape(3 * n, -1))
-        self._settings = np.zeros(LayerSetting.COUNT)
+        self._settings = np.zeros(PenaltyContactSetting.COUNT)
         profile = moving[0].profile
-        self._settings[LayerSetting.ROUNDING], self._settings[LayerSetting.ZONE] = profile.rounding, softness * reach
+        self._settings[PenaltyContactSetting.ROUNDING] = profile.rounding
+        self._settings[PenaltyContactSetting.ZONE] = softness * reach
         self._reach, self._softness = reach, softness
         friction = np.array([body.friction for body in own], dtype=float).reshape(n, 2)
         friction[friction == STICK] = _NO_SLIP
@@ -83,7 +84,7 @@ class LayerContact:
         # Arrays of the kernel. `_products` is the stiffness between modes and tool, shape (modes + 6, modes + 6).
         self._met, self._answers = (allocate_array((3 * n, modes + 6)) for _ in range(2))
         self._pushes, self._twists = allocate_array((modes + 6,)), allocate_array((3, modes))
-        self._report = np.zeros(LayerResult.COUNT)
+        self._report = np.zeros(PenaltyContactResult.COUNT)
         self._products = np.zeros((modes + 6, modes + 6))
         constants = {
             "lines": profile.lines, "shaft": np.array([profile.shaft], dtype=np.int32), "friction": friction,
@@ -97,10 +98,10 @@ class LayerContact:
             "rows": self._rows, "met": self._met, "answers": self._answers, "pushes": self._pushes,
             "twists": self._twists}
         with LOCK:
-            self._press = BoundKernel(make_layer_contact_kernel(), {
+            self._press = BoundKernel(make_penalty_contact_kernel(), {
                 "settings": self._settings, "report": self._report, "table": LAYER_ARRAYS.make_table(arrays)})
 
-    def set_penalty_from_moduli_and_get_smallest(self, moduli: np.ndarray) -> float:
+    def set_penalty_and_get_smallest_modulus(self, moduli: np.ndarray) -> float:
         """Set the penalty stiffness of the contact nodes from the shear moduli at all nodes, Pa, shape (nodes,).
 
         Returns:
@@ -121,14 +122,14 @@ class LayerContact:
             slips_on: whether nodes close to the friction limit have the derivative of slip instead of stick.
         """
         settings = self._settings
-        settings[LayerSetting.SLIP_MARGIN] = _SLIP_MARGIN * slips_on
-        settings[LayerSetting.ROTATION : LayerSetting.ROTATION + 9] = frame.rotation.ravel()
-        settings[LayerSetting.ORIGIN : LayerSetting.ORIGIN + 3] = frame.origin
-        settings[LayerSetting.PRESSED_IN] = pressed_in
+        settings[PenaltyContactSetting.SLIP_MARGIN] = _SLIP_MARGIN * slips_on
+        settings[PenaltyContactSetting.ROTATION : PenaltyContactSetting.ROTATION + 9] = frame.rotation.ravel()
+        settings[PenaltyContactSetting.ORIGIN : PenaltyContactSetting.ORIGIN + 3] = frame.origin
+        settings[PenaltyContactSetting.PRESSED_IN] = pressed_in
         np.dot(self._rows, amplitudes, out=self._moved.reshape(-1))
         with LOCK:
             self._press()
-        rows = 3 * int(self._report[LayerResult.TOUCHING])
+        rows = 3 * int(self._report[PenaltyContactResult.TOUCHING])
         np.dot(self._met[:rows].T, self._answers[:rows], out=self._products)
 
     def get_modal_forces_and_stiffness(self) -> tuple[np.ndarray, np.ndarray]:
@@ -174,14 +175,14 @@ class LayerContact:
         """Largest force on the tool perpendicular to its axis since the first touch, N, with the last evaluation."""
         if not self.has_touching_nodes:
             return 0.0
-        axis = self._settings[LayerSetting.ROTATION + 2 : LayerSetting.ROTATION + 9 : 3]
+        axis = self._settings[PenaltyContactSetting.ROTATION + 2 : PenaltyContactSetting.ROTATION + 9 : 3]
         force = self.wrench[:3]
         return max(float(self.largest_lateral[0]), euclidean_norm(force - (force @ axis) * axis))
 
     @property
     def has_touching_nodes(self) -> bool:
         """Whether any node touched the tool in the last evaluation."""
-        return bool(self._report[LayerResult.TOUCHING])
+        return bool(self._report[PenaltyContactResult.TOUCHING])
 
     @property
     def touching_mask(self) -> np.ndarray:
@@ -191,12 +192,12 @@ class LayerContact:
     @property
     def slipping_count(self) -> int:
         """Number of slipping nodes in the last evaluation."""
-        return int(self._report[LayerResult.SLIPPING])
+        return int(self._report[PenaltyContactResult.SLIPPING])
 
     @property
     def largest_penetration(self) -> float:
         """Largest penetration of a node into the tool in the last evaluation, m: the compression of the layer."""
-        return float(self._report[LayerResult.DEPTH])
+        return float(self._report[PenaltyContactResult.DEPTH])
 
     def commit_step(self) -> None:
         """Make stick anchors, touching nodes and largest lateral force of a converged step the committed ones."""

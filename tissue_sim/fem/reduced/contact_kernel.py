@@ -4,7 +4,7 @@ from enum import IntEnum
 from functools import cache
 
 from tissue_sim.fem.contact.closest_point import make_closest_point_function
-from tissue_sim.fem.taichi.array_tables import ArrayLayout, integer_array, real_array
+from tissue_sim.fem.taichi.array_tables import ArrayLayout, integer_array_type, real_array_type
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
@@ -16,7 +16,7 @@ class NodeState(IntEnum):
     SLIPS = 2
 
 
-class LayerSetting(IntEnum):
+class PenaltyContactSetting(IntEnum):
     """Columns of the array ``settings`` of the contact kernel."""
 
     #: First of nine entries: rotation matrix of the body, row by row.
@@ -35,7 +35,7 @@ class LayerSetting(IntEnum):
     COUNT = 16
 
 
-class LayerResult(IntEnum):
+class PenaltyContactResult(IntEnum):
     """Columns of the array ``report``, the results of the contact kernel that concern all nodes."""
 
     #: Number of touching nodes.
@@ -48,17 +48,20 @@ class LayerResult(IntEnum):
     COUNT = 3
 
 
-#: Arrays of the contact kernel, see `make_layer_contact_kernel`.
+#: Arrays of the contact kernel, see `make_penalty_contact_kernel`.
 LAYER_ARRAYS = ArrayLayout(
-    lines=real_array(2), shaft=integer_array(), places=real_array(2), moved=real_array(2), springs=real_array(),
-    friction=real_array(2), first=integer_array(), closed=integer_array(), anchors=real_array(2),
-    touched=integer_array(), forces=real_array(2), rates=real_array(3), gaps=real_array(), new_anchors=real_array(2),
-    states=integer_array(), rows=real_array(2), met=real_array(2), answers=real_array(2), pushes=real_array(),
-    twists=real_array(2))
+    lines=real_array_type(2), shaft=integer_array_type(), places=real_array_type(2), moved=real_array_type(2),
+    springs=real_array_type(),
+    friction=real_array_type(2), first=integer_array_type(), closed=integer_array_type(), anchors=real_array_type(2),
+    touched=integer_array_type(), forces=real_array_type(2), rates=real_array_type(3), gaps=real_array_type(),
+    new_anchors=real_array_type(2),
+    states=integer_array_type(), rows=real_array_type(2), met=real_array_type(2), answers=real_array_type(2),
+    pushes=real_array_type(),
+    twists=real_array_type(2))
 
 
 @cache
-def make_layer_contact_kernel():
+def make_penalty_contact_kernel():
     """Return the kernel that computes the nodal contact forces, their derivatives, and the projections on the modes.
 
     A node with gap g is loaded by the pressure force k phi(g): phi(g) = -g for g < -zone, 0 for g > zone and the
@@ -80,21 +83,22 @@ def make_layer_contact_kernel():
     @ti.func
     def write_node_force_and_derivative(n, settings: ti.template(), nodes: ti.template()):
         """Write gap and contact state of node n; if it touches, also its force and minus the derivative by position."""
-        turn = ti.Matrix([[settings[LayerSetting.ROTATION + 3 * i + k] for k in ti.static(range(3))]
+        turn = ti.Matrix([[settings[PenaltyContactSetting.ROTATION + 3 * i + k] for k in ti.static(range(3))]
                           for i in ti.static(range(3))])
-        offset = ti.Vector([nodes.places[n, i] + nodes.moved[n, i] - settings[LayerSetting.ORIGIN + i]
+        offset = ti.Vector([nodes.places[n, i] + nodes.moved[n, i] - settings[PenaltyContactSetting.ORIGIN + i]
                             for i in ti.static(range(3))])
         at = turn.transpose() @ offset
         r, z = ti.sqrt(at[0] * at[0] + at[1] * at[1]), at[2]
         endless = 0
-        if (nodes.closed[n] > 0 and settings[LayerSetting.PRESSED_IN] > 0.0 and nodes.first[n] == nodes.shaft[0]
-                and settings[LayerSetting.ROUNDING] == 0.0):
+        if (nodes.closed[n] > 0 and settings[PenaltyContactSetting.PRESSED_IN] > 0.0
+            and nodes.first[n] == nodes.shaft[0]
+                and settings[PenaltyContactSetting.ROUNDING] == 0.0):
             endless = 1
         best, distance, n_r, n_z, bent = find_closest_outline_point(
             r, z, nodes.first[n], nodes.lines.shape[0], endless, nodes.lines)
-        gap = distance - settings[LayerSetting.ROUNDING]
+        gap = distance - settings[PenaltyContactSetting.ROUNDING]
         nodes.gaps[n] = gap
-        zone = settings[LayerSetting.ZONE]
+        zone = settings[PenaltyContactSetting.ZONE]
         nodes.states[n] = NodeState.FREE
         for i in ti.static(range(3)):
             nodes.new_anchors[n, i] = at[i]
@@ -117,7 +121,7 @@ def make_layer_contact_kernel():
                                                      + hoop * around.outer_product(around))
             force = pressure * normal
             nodes.states[n] = NodeState.STICKS
-            is_rounded = bent != 0.0 and settings[LayerSetting.ROUNDING] > 0.0
+            is_rounded = bent != 0.0 and settings[PenaltyContactSetting.ROUNDING] > 0.0
             on_shaft = 1 if best >= nodes.shaft[0] and not is_rounded else 0
             mu = nodes.friction[n, on_shaft]
             # A node that comes into contact in this step gets its anchor at the end of the step.
@@ -128,7 +132,7 @@ def make_layer_contact_kernel():
                 size, limit = slip.norm(), mu * pressure
                 tangent = ti.Matrix.identity(ti.f64, 3) - nn
                 share = 1.0
-                if spring * size > (1.0 - settings[LayerSetting.SLIP_MARGIN]) * limit and size > 0.0:
+                if spring * size > (1.0 - settings[PenaltyContactSetting.SLIP_MARGIN]) * limit and size > 0.0:
                     nodes.states[n] = NodeState.SLIPS
                     share = ti.min(1.0, limit / (spring * size))
                     way = slip / size
@@ -152,7 +156,7 @@ def make_layer_contact_kernel():
         modes = nodes.rows.shape[1]
         force = ti.Vector([nodes.forces[n, i] for i in ti.static(range(3))])
         rate = ti.Matrix([[nodes.rates[n, i, k] for k in ti.static(range(3))] for i in ti.static(range(3))])
-        lever = ti.Vector([nodes.places[n, i] + nodes.moved[n, i] - settings[LayerSetting.ORIGIN + i]
+        lever = ti.Vector([nodes.places[n, i] + nodes.moved[n, i] - settings[PenaltyContactSetting.ORIGIN + i]
                            for i in ti.static(range(3))])
         for m in range(modes):
             row = ti.Vector([nodes.rows[3 * n + i, m] for i in ti.static(range(3))])
@@ -176,7 +180,7 @@ def make_layer_contact_kernel():
                 nodes.answers[at + i, modes + m] = answer[i]
 
     @ti.kernel
-    def evaluate_layer_contact(settings: real1, report: real1, table: int1):
+    def evaluate_penalty_contact(settings: real1, report: real1, table: int1):
         """Compute the contact forces of all nodes, their derivatives, and the projections on modes and tool motions."""
         ti.loop_config(serialize=True)
         for _ in range(1):
@@ -195,8 +199,8 @@ def make_layer_contact_kernel():
                     depth = ti.max(depth, -nodes.gaps[n])
                 if nodes.states[n] == NodeState.SLIPS:
                     slipping += 1
-            report[LayerResult.TOUCHING] = touching
-            report[LayerResult.SLIPPING] = slipping
-            report[LayerResult.DEPTH] = depth
+            report[PenaltyContactResult.TOUCHING] = touching
+            report[PenaltyContactResult.SLIPPING] = slipping
+            report[PenaltyContactResult.DEPTH] = depth
 
-    return evaluate_layer_contact
+    return evaluate_penalty_contact

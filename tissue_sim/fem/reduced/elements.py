@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissue_sim.fem.reduced.elements_kernel import AdditionalSampledSettingColumn, make_sampled_elements_kernel
+from tissue_sim.fem.reduced.elements_kernel import SampledElementSettingColumn, make_sampled_elements_kernel
 from tissue_sim.fem.reduced.model import SelfWeightEquilibriumFields
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.element import AssemblySettingColumn
@@ -35,10 +35,10 @@ class SampledElements:
         basis: displacements Phi of the modes, m per amplitude, shape (freedoms, modes).
         elements: numbers of the sampled elements, shape (n,).
         shares: weights of the sampled elements (`compute_sparse_weights`), shape (n,).
-        layers: number of the material's layer of each element of the mesh, see `element_layers`.
+        layers: number of the material's layer of each element of the mesh, see `find_element_layer_indices`.
         groups: number of groups of elements.
         rest: equilibrium under self-weight at zero amplitudes; None: undeformed.
-        contact_radius: contact radius, m, which sets the drainage time of pores, see `Material.relaxation`.
+        contact_radius: contact radius, m, which sets the drainage time of pores, see `Material.make_prony_series`.
 
     Attributes:
         at: amplitudes of the last evaluation, shape (modes,).
@@ -57,7 +57,7 @@ class SampledElements:
         part = SolidMesh(mesh.element, mesh.nodes[used], local.reshape(connectivity.shape))
         self._batches = batches = ElementBatches(part, tuple(chosen.values()), shares)
         points = batches.weights.shape[1]
-        self._regions = tuple(RegionElements(name, each, points, AdditionalSampledSettingColumn.COUNT)
+        self._regions = tuple(RegionElements(name, each, points, SampledElementSettingColumn.COUNT)
                               for name, each in chosen.items())
         for region in self._regions[1:]:
             region.settings[AssemblySettingColumn.ADDS] = True
@@ -227,7 +227,7 @@ class SampledElements:
         self._next = (self._next + groups_to_compute) % groups
         with LOCK:
             for region in self._regions:
-                region.settings[AdditionalSampledSettingColumn.UPDATES_PRESSURE] = updates_pressure
+                region.settings[SampledElementSettingColumn.UPDATES_PRESSURE] = updates_pressure
                 region.kernel()
         np.dot(self._batches.residual[:-1], self._rows, out=self._forces)
         self._forces -= self._weight_forces

@@ -4,14 +4,14 @@ from enum import IntEnum
 from functools import cache
 
 from tissue_sim.fem.history import MATERIAL_ARRAYS
-from tissue_sim.fem.solid.element import ELEMENT_ARRAYS, AssemblySettingColumn, make_element_functions
+from tissue_sim.fem.solid.element import ELEMENT_ARRAYS, AssemblySettingColumn, make_element_kernel_functions
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 
-class AdditionalSampledSettingColumn(IntEnum):
+class SampledElementSettingColumn(IntEnum):
     """Additional columns of the array ``settings`` of the sampled elements, after those of `AssemblySettingColumn`."""
 
     #: Whether the pressures are updated with the linearised volume change of the last motion of the nodes.
@@ -33,7 +33,7 @@ def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
     element = SOLID_ELEMENTS[element_name]
     nodes, pressure_modes = element.node_count, element.pressure_modes
     freedoms = 3 * nodes
-    integrate_forces, compute_stiffness_blocks = make_element_functions(element_name, energy)
+    integrate_forces, compute_stiffness_blocks = make_element_kernel_functions(element_name, energy)
     vec = ti.types.vector(LANES, ti.f64)
     real1 = ti.types.ndarray(ti.f64, ndim=1)
     single1 = ti.types.ndarray(ti.f32, ndim=1)
@@ -84,7 +84,7 @@ def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
                     residual[i] = 0.0
             for b in range(batches[0]):
                 stiff = wanted[groups[b]]
-                if settings[AdditionalSampledSettingColumn.UPDATES_PRESSURE] > 0.0:
+                if settings[SampledElementSettingColumn.UPDATES_PRESSURE] > 0.0:
                     update_batch_pressures_linearly(b, kappa, motion, elements)
                 smallest = integrate_forces(b, kappa, stiff, remembers, x, elements, material)
                 least[0] = ti.min(least[0], smallest)

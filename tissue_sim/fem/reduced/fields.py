@@ -32,12 +32,12 @@ def compute_pressureless_fields_or_none(mesh: SolidMesh, material: Material, dis
             sample have no history.
         displacements: displacements of the nodes, m, each of shape (nodes, 3).
         datum: height of the scene's origin, which the tool reaches at its first touch, in the frame of the mesh, m.
-        layers: number of the material's layer of each element, see `element_layers`.
+        layers: number of the material's layer of each element, see `find_element_layer_indices`.
 
     Returns:
         Fields without pressure, or None for a material with history.
     """
-    if material.remembers:
+    if material.is_history_dependent:
         return None
     weights, gradients, modes = _quadrature(mesh)
     return SolidFields(mesh, material, np.array(material.bulk_modulus), np.array(displacements), None, gradients,

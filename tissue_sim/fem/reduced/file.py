@@ -16,14 +16,14 @@ import numpy as np
 
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.bounded import run_in_sandbox
-from tissue_sim.decode import parse_json_without_duplicate_keys
+from tissue_sim.decode import parse_json_rejecting_duplicate_keys
 from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.profile import ProfileTool
 from tissue_sim.experiment.tools.tool import TOOLS, Tool
-from tissue_sim.fem.reduced.compliance_table import ContactCompliance
+from tissue_sim.fem.reduced.compliance_table import ContactNodeComplianceTable
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, SelfWeightEquilibriumFields, require_reducible
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.solid.tissue import group_elements_by_region, require_mesh_regions
@@ -32,7 +32,7 @@ from tissue_sim.material.file import MaterialFile, make_material_file_from_json_
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
 from tissue_sim.mesh.stored_file_mesh import file_mesh_from_arrays, file_mesh_to_arrays
 from tissue_sim.model import Model
-from tissue_sim.parameters import convert_to_file_keys, make_from_file_keys
+from tissue_sim.parameters import convert_to_file_values, make_from_file_values
 from tissue_sim.specimen.mesh import MeshSpecimen
 from tissue_sim.specimen.specimen import Specimen, make_specimen_from_keys
 
@@ -49,7 +49,7 @@ _REST = ("rest displacement", "rest pressures")
 _WEIGHT = ("density", "gravity", "height_is")
 #: Prefix of the array names of the compliance table.
 _COMPLIANCE = "compliance "
-_TABLES = tuple(each.name for each in fields(ContactCompliance))
+_TABLES = tuple(each.name for each in fields(ContactNodeComplianceTable))
 _FACES = ("friction", "friction_base", "friction_wall")
 
 
@@ -95,23 +95,24 @@ def _describe_reduced_solid(reduced: ReducedModel) -> dict[str, Any]:
             "specimen": {"shape": specimen.shape, "name": specimen.name, **_describe_specimen(specimen)},
             **({"weight": {name: getattr(specimen, name) for name in _WEIGHT}} if specimen.specific_weight else {}),
             "tool": {"shape": tool.shape, **_describe_tool(tool)},
-            "approach": None if experiment.approach is None else convert_to_file_keys(experiment.approach),
+            "approach": None if experiment.approach is None else convert_to_file_values(experiment.approach),
             **{name: getattr(experiment, name) for name in _FACES}}}
 
 
 def _describe_specimen(specimen: Specimen) -> dict[str, Any]:
     """Return the keys from which `_make_experiment` makes the specimen, without the arrays of its mesh."""
     if not isinstance(specimen, MeshSpecimen):
-        return dict(specimen.stated)
+        return dict(specimen.values_by_file_key)
     mesh = specimen.loaded_file_mesh
-    return {**specimen.stated, "mesh": Path(specimen.mesh_file).name, "kind": mesh.cells.kind, "digest": mesh.digest}
+    return {**specimen.values_by_file_key, "mesh": Path(specimen.mesh_file).name, "kind": mesh.cells.kind,
+            "digest": mesh.digest}
 
 
 def _describe_tool(tool: Tool) -> dict[str, Any]:
     """Return the keys from which `_make_experiment` makes the tool."""
     if not isinstance(tool, ProfileTool):
-        return dict(convert_to_file_keys(tool))
-    return {**convert_to_file_keys(tool), "profile": Path(tool.profile_file or "").name,
+        return dict(convert_to_file_values(tool))
+    return {**convert_to_file_values(tool), "profile": Path(tool.profile_file or "").name,
             "points": tool.outline.tolist()}
 
 
@@ -134,7 +135,7 @@ def _read_unchecked_description_and_arrays(path: str) -> tuple[dict[str, Any], d
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
-        return parse_json_without_duplicate_keys(str(arrays.pop("description"))), arrays
+        return parse_json_rejecting_duplicate_keys(str(arrays.pop("description"))), arrays
     except (ValueError, KeyError, OSError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error):
         raise InputError(f"must be {_EXPECTED}; the file is damaged or has another format. Make it again with "
                          "`tissue-sim reduce`", file=path) from None
@@ -155,7 +156,7 @@ def _build_checked_model(description: dict[str, Any], arrays: dict[str, np.ndarr
             {name.removeprefix(kind): each for name, each in arrays.items() if name.startswith(kind)}
             for kind in ("set ", "faces ", "region ", _OF_FILE, _COMPLIANCE))
         # Files of older versions have no compliance table.
-        compliance = ContactCompliance(**tables) if tables else None
+        compliance = ContactNodeComplianceTable(**tables) if tables else None
         depths, rest = arrays.get("depths"), tuple(arrays[name] for name in _REST if name in arrays)
         lifting, report = description["lifting"], description["report"]
         softness, bulk_ratio = float(description["softness"]), float(description["bulk_ratio"])
@@ -202,7 +203,7 @@ def _build_checked_model(description: dict[str, Any], arrays: dict[str, np.ndarr
                         SelfWeightEquilibriumFields(*rest) if rest else None, compliance)
 
 
-def _is_consistent_table(table: ContactCompliance, nodes: int) -> bool:
+def _is_consistent_table(table: ContactNodeComplianceTable, nodes: int) -> bool:
     """Whether shapes and values of a compliance table agree with each other and with the number of nodes."""
     count = table.nodes.size
     reals = (table.axis, table.whole, table.missing, table.forces, table.accepted)
@@ -226,5 +227,6 @@ def _make_experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np
         "points": tuple((float(r), float(z)) for r, z in tool.pop("points")), "profile_file": tool.pop("profile")}
     return Experiment(
         make_specimen_from_keys(shape, specimen, name=name, **more), Protocol.ramp(box.depth, points=POINTS),
-        make_from_file_keys(kind, tool, "tool", **outline), **{face: stated[face] for face in _FACES},
-        approach=None if stated["approach"] is None else make_from_file_keys(Approach, stated["approach"], "approach"))
+        make_from_file_values(kind, tool, "tool", **outline), **{face: stated[face] for face in _FACES},
+        approach=(None if stated["approach"] is None
+                  else make_from_file_values(Approach, stated["approach"], "approach")))

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.reduced.compliance_table import ContactCompliance
-from tissue_sim.fem.solid.tissue import element_layers, require_mesh_regions
+from tissue_sim.fem.reduced.compliance_table import ContactNodeComplianceTable
+from tissue_sim.fem.solid.tissue import find_element_layer_indices, require_mesh_regions
 from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose, motion
-from tissue_sim.public_names import OldName
+from tissue_sim.pose import Pose, compute_rigid_motion
+from tissue_sim.public_names import OldName, with_old_names
 
 #: Factors of the error estimate, see `ReducedModel.error_factors`.
 ErrorFactors = tuple[float, float, float]
@@ -60,7 +60,7 @@ class PoseBox:
             start: start of the experiment's approach.
             slack: tolerance as a fraction of the sizes.
         """
-        x, y, z, *turn = motion(start, pose)
+        x, y, z, *turn = compute_rigid_motion(start, pose)
         most, little = 1.0 + slack, slack * self.depth
         return (max(abs(x), abs(y)) <= self.sideways * most + little and -little <= -z <= self.depth * most
                 and math.hypot(*turn) <= self.turn * most + slack)
@@ -87,10 +87,10 @@ def require_reducible(model: Model) -> None:
     if experiment.acting_laws:
         raise InputError("a reduced solid does not support adhesion or other contact laws. Leave them out",
                          field="contact_laws")
-    require_no_effects(model.material)
+    require_no_point_effects(model.material)
 
 
-def require_no_effects(material: Material) -> None:
+def require_no_point_effects(material: Material) -> None:
     """Check that a material has no point effects.
 
     Raises:
@@ -102,7 +102,7 @@ def require_no_effects(material: Material) -> None:
                          f"{', '.join(names)}. Leave them out", field="material.effects")
 
 
-def require_same_layers_and_regions(material: Material, made_of: Material, mesh: SolidMesh) -> None:
+def require_compatible_layers_and_regions(material: Material, made_of: Material, mesh: SolidMesh) -> None:
     """Check that a material has the layers and regions of the material for which a solid was reduced.
 
     Args:
@@ -113,7 +113,7 @@ def require_same_layers_and_regions(material: Material, made_of: Material, mesh:
     Raises:
         InputError: the material has point effects, other layer thicknesses, or a region that the mesh does not have.
     """
-    require_no_effects(material)
+    require_no_point_effects(material)
     require_mesh_regions(material, mesh)
     stated, kept = ([layer.thickness for layer in each.layers] for each in (material, made_of))
     # A material without layers is uniform and always fits.
@@ -154,6 +154,7 @@ class TrainingDisplacementsAndWrenches:
     doubts: Sequence[str] = ()
 
 
+@with_old_names(require_material="require_supported_material")
 @dataclass(frozen=True, eq=False)
 class ReducedModel:
     """Reduced solid: modes and sampled elements, for `ts.Simulator(reduced.model, solver="reduced", mesh=reduced)`.
@@ -194,7 +195,7 @@ class ReducedModel:
     watched: int = 0
     error_factors: ErrorFactors = (1.0, 0.0, 0.0)
     rest: SelfWeightEquilibriumFields | None = None
-    compliance: ContactCompliance | None = None
+    compliance: ContactNodeComplianceTable | None = None
 
     @property
     def rest_positions(self) -> np.ndarray:
@@ -203,14 +204,14 @@ class ReducedModel:
 
     @cached_property
     def element_layers(self) -> np.ndarray:
-        """Number of the material's layer of each element, see `tissue_sim.fem.solid.tissue.element_layers`.
+        """Number of the material's layer of each element, see `tissue_sim.fem.solid.tissue.find_element_layer_indices`.
 
         The stated layer thicknesses refer to the stated height of the specimen (moulded or placed).
         """
         stated, moulded = self.model.experiment.specimen, float(np.ptp(self.mesh.nodes[:, 2]))
         placed = self.rest is not None and stated.height_is == "placed"
-        return element_layers(self.mesh.scale_height(stated.height / moulded) if placed else self.mesh,
-                              self.model.material.layers)
+        return find_element_layer_indices(self.mesh.scale_height(stated.height / moulded) if placed else self.mesh,
+                                          self.model.material.layers)
 
     @property
     def sag(self) -> float:
@@ -220,14 +221,14 @@ class ReducedModel:
         return -float(np.average(self.rest.displacement[2::3],
                                  weights=self.mesh.compute_node_areas_of_named_faces("top")))
 
-    def require_material(self, material: Material) -> None:
+    def require_supported_material(self, material: Material) -> None:
         """Check that the reduced solid supports a material.
 
         Raises:
-            InputError: see `require_same_layers_and_regions`; under self-weight, the material differs from that of the
-                training.
+            InputError: see `require_compatible_layers_and_regions`; under self-weight, the material differs from that
+                of the training.
         """
-        require_same_layers_and_regions(material, self.model.material, self.mesh)
+        require_compatible_layers_and_regions(material, self.model.material, self.mesh)
         own = self.model.material
         # The name and the properties that have no effect here may differ.
         alike = replace(material, name=own.name, density=own.density, puncture=own.puncture)

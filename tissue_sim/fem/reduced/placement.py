@@ -7,37 +7,37 @@ import math
 import numpy as np
 
 from tissue_sim.fem.free_tool import digest_arrays
-from tissue_sim.fem.reduced.contact import LayerContact
+from tissue_sim.fem.reduced.contact import PenaltyContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.prediction import AmplitudePredictor
 from tissue_sim.fem.reduced.settings import BondedPlacementLimits
-from tissue_sim.fem.reduced.tool_motion import ToolMotionBasis
+from tissue_sim.fem.reduced.tool_motion import PrescribedModeAmplitudes
 from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.placement import FirstTouchHeightAndSolverMaker
 from tissue_sim.fem.solid.touch import find_first_touch
 from tissue_sim.fem.solver import Solver
 from tissue_sim.kernel_owner import KernelOwner
-from tissue_sim.pose import Pose, motion
+from tissue_sim.pose import Pose, compute_rigid_motion
 
 #: Settings of every reduced solid.
 PLACEMENT = BondedPlacementLimits()
 
 
 class ReducedSolverBase(KernelOwner, Solver):
-    """Base class of `ReducedSolver`: methods of `FreeTool` for a tool without contact and its first contact."""
+    """Base class of `ReducedSolver`: methods for a tool without contact and its first contact."""
 
     ignores_twist = True
     reduced: ReducedModel
     elements: SampledElements
-    contact: LayerContact
+    contact: PenaltyContact
     _start: Pose
     _pose: Pose
     _landed: Pose
     _reach: float
     _lifting: int
-    _tool_motion: ToolMotionBasis
+    _tool_motion: PrescribedModeAmplitudes
     _prediction: AmplitudePredictor
     amplitudes: np.ndarray
     _placement: FirstTouchHeightAndSolverMaker
@@ -52,34 +52,34 @@ class ReducedSolverBase(KernelOwner, Solver):
             remake=None)
 
     def mesh_digest(self) -> str:
-        """See `FreeTool.mesh_digest`. The digest includes mesh, modes and sampled elements."""
+        """See `FreeToolSolverBase.mesh_digest`. The digest includes mesh, modes and sampled elements."""
         reduced = self.reduced
         return digest_arrays(reduced.mesh.nodes, reduced.mesh.connectivity, reduced.basis, reduced.elements)
 
     def height_above_tissue(self, pose: Pose) -> float:
         """Return the distance that the tool must go down until it touches the undeformed tissue, m.
 
-        See `FreeTool.height_above_tissue`.
+        See `FreeToolSolverBase.height_above_tissue`.
         """
         return self._placement.height_above_tissue(pose)
 
     def place_tool_at_first_touch(self, pose: Pose) -> bool:
-        """See `FreeTool.place_tool_at_first_touch`.
+        """See `FreeToolSolverBase.place_tool_at_first_touch`.
 
         The modes of a bonded tool belong to one pose of first contact; other poses are refused. A tool that can lift
         off may touch anywhere in the box of poses.
         """
         if self._lifting:
-            x, y, z, *turn = motion(self._start, pose)
+            x, y, z, *turn = compute_rigid_motion(self._start, pose)
             if math.hypot(x, y, z) > PLACEMENT.max_offset * self._reach or math.hypot(*turn) > PLACEMENT.max_rotation:
                 return False
-            self._tool_motion = ToolMotionBasis(self._lifting, ToolFrame(pose, self.datum))
+            self._tool_motion = PrescribedModeAmplitudes(self._lifting, ToolFrame(pose, self.datum))
         self._pose = self._landed = pose
         return True
 
     @property
     def is_time_dependent(self) -> bool:
-        """See `FreeTool.is_time_dependent`. True also while the stiffness at rest is not computed completely."""
+        """Whether the force depends on time; also true while the stiffness at rest is not computed completely."""
         return self.elements.has_history or not self.is_undeformed_with_complete_stiffness
 
     @property
@@ -88,15 +88,15 @@ class ReducedSolverBase(KernelOwner, Solver):
         raise NotImplementedError
 
     def clearance(self, pose: Pose) -> float | None:
-        """Return 1 if the tool at this pose touches no tissue, deformed or at rest, else -1; see `FreeTool.clearance`.
+        """Return 1 if the tool at this pose touches no tissue, deformed or at rest, else -1.
 
         None for a bonded tool, and if the tool touches at the last state.
         """
         if self._lifting or self.contact.touched.any():
             return None
-        return 1.0 if self._is_clear_of(ToolFrame(pose, self.datum)) else -1.0
+        return 1.0 if self._is_tool_clear_of_tissue(ToolFrame(pose, self.datum)) else -1.0
 
-    def _is_clear_of(self, frame: ToolFrame) -> bool:
+    def _is_tool_clear_of_tissue(self, frame: ToolFrame) -> bool:
         """Whether a tool in this frame touches neither the deformed tissue nor the tissue at rest."""
         if self._lifting:
             return False
@@ -107,6 +107,6 @@ class ReducedSolverBase(KernelOwner, Solver):
         return True
 
     def move_in_air(self, pose: Pose) -> None:
-        """See `FreeTool.move_in_air`."""
+        """See `FreeToolSolverBase.move_in_air`."""
         self._pose = pose
         self._prediction.reset_predictions()

@@ -16,9 +16,9 @@ import numpy as np
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.acceptance import add_calibrated_compliance
+from tissue_sim.fem.reduced.acceptance import with_calibrated_compliance_table
 from tissue_sim.fem.reduced.lateral import calibrate_lateral_error_to_force_ratio
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible, require_same_layers_and_regions
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_compatible_layers_and_regions, require_reducible
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training_paths import make_boundary_training_paths, make_reversing_paths, make_training_path
@@ -98,7 +98,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     materials = (model.material, *also)
     for number, each in enumerate(also):
         with located_and_converted_errors(field=f"also[{number}]"):
-            require_same_layers_and_regions(each, model.material, mesh)
+            require_compatible_layers_and_regions(each, model.material, mesh)
             solver.set_material(each)
     solver.set_material(model.material)
     # Checked before the folder is labelled: a wrong label would refuse the corrected request.
@@ -106,7 +106,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         raise InputError(f"must be at least the number of materials, {len(materials)}; got {strokes}. Use more "
                          "training paths", field="strokes")
     # The contents of a file may change under the same name, so the label contains digests.
-    digests = f" {experiment.specimen.digest}" if experiment.specimen.from_file else ""
+    digests = f" {experiment.specimen.digest_of_files}" if experiment.specimen.from_file else ""
     if experiment.tool.from_file:
         digests += f" {hashlib.sha256(experiment.tool.profile.vertices.tobytes()).hexdigest()}"
     label = f"{model!r} {box!r} {resolution} {len(mesh.nodes)}{digests} from {solver.datum:.12g} m"
@@ -139,7 +139,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         progress=lambda elements, error: tell("elements", elements, elements_of_all,
                                               note=f"error {100 * error:.2g} %"))
     solver.set_material(model.material)
-    reduced = add_calibrated_compliance(reduced, solver, poses, taken, of_stroke)
+    reduced = with_calibrated_compliance_table(reduced, solver, poses, taken, of_stroke)
     first = VERIFICATION.first_test_path
     unseen = [make_training_path(first + number, box, start, holds=holds, reach=reach) for number in range(tried)]
     along = make_boundary_training_paths(box, start, holds=holds, reach=reach, images=images,

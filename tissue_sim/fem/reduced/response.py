@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissue_sim.fem.reduced.compliance import MissingComplianceForce
-from tissue_sim.fem.reduced.contact import LayerContact
+from tissue_sim.fem.reduced.compliance import MissingComplianceErrorEstimator
+from tissue_sim.fem.reduced.contact import PenaltyContact
 from tissue_sim.fem.reduced.linear import euclidean_norm, solve_dense_system_or_raise
 from tissue_sim.fem.reduced.model import ErrorFactors, PoseBox
 
 
-class ToolResponse:
+class LinearResponse:
     """Linear response at an equilibrium: sensitivity to the tool, tool stiffness, and estimated force error.
 
     One factorisation of the tangent solves all linear systems.
@@ -29,7 +29,7 @@ class ToolResponse:
         correction: change of the amplitudes that would remove the residual, shape (modes,).
     """
 
-    def __init__(self, tangent: np.ndarray, contact: LayerContact, prescribed_rates: np.ndarray, free: slice,
+    def __init__(self, tangent: np.ndarray, contact: PenaltyContact, prescribed_rates: np.ndarray, free: slice,
                  residual: np.ndarray):
         self._tangent, self._contact, self._prescribed_rates = tangent, contact, prescribed_rates
         self._free, self._residual = free, residual
@@ -49,7 +49,7 @@ class ToolResponse:
         self._static_modes = found[:, 7:]
 
     def estimate_total_force_error_or_none(self, factors: ErrorFactors, force: np.ndarray,
-                                           missing: MissingComplianceForce | None = None ) -> float | None:
+                                           missing: MissingComplianceErrorEstimator | None = None) -> float | None:
         """Estimate the error of a force on the tool, N: missing modes, missing compliance, and lateral error.
 
         The error by missing modes is c_1 |dF| + c_2 |F|. dF is the change of the force F if the error modes were

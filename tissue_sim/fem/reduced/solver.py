@@ -8,17 +8,17 @@ from typing import Any, cast
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.reduced.compliance import make_missing_force_estimate_unless_bonded
-from tissue_sim.fem.reduced.contact import LayerContact
+from tissue_sim.fem.reduced.compliance import make_missing_compliance_estimator_or_none
+from tissue_sim.fem.reduced.contact import PenaltyContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.fields import compute_pressureless_fields_or_none
 from tissue_sim.fem.reduced.linear import estimate_nonlinear_residual, euclidean_norm, solve_dense_system_or_raise
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.placement import ReducedSolverBase
 from tissue_sim.fem.reduced.prediction import AmplitudePredictor
-from tissue_sim.fem.reduced.response import ToolResponse
+from tissue_sim.fem.reduced.response import LinearResponse
 from tissue_sim.fem.reduced.settings import SETTINGS, TOLERANCE
-from tissue_sim.fem.reduced.tool_motion import ToolMotionBasis
+from tissue_sim.fem.reduced.tool_motion import PrescribedModeAmplitudes
 from tissue_sim.fem.solid.discretisation import make_tool_bodies_and_datum
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.state import SavedState
@@ -28,7 +28,7 @@ from tissue_sim.fem.solver import Fields, StaticStiffnessRequest, Step, StepStat
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose, Screw, motion
+from tissue_sim.pose import Pose, Screw, compute_rigid_motion
 from tissue_sim.tool_force import Matrix
 
 
@@ -61,10 +61,10 @@ class ReducedSolver(ReducedSolverBase):
         self.elements = SampledElements(
             mesh, reduced.basis, reduced.elements, reduced.shares, groups=SETTINGS.stiffness_groups, rest=reduced.rest,
             layers=reduced.element_layers, contact_radius=self._reach)
-        self.contact = LayerContact(bodies, reduced.rest_positions, mesh.surface_node_areas, reduced.basis,
-                                    reach=self._reach, softness=reduced.softness)
-        self.missing_force = make_missing_force_estimate_unless_bonded(reduced, self.contact)
-        self._tool_motion = ToolMotionBasis(reduced.lifting, ToolFrame(self._start, self.datum))
+        self.contact = PenaltyContact(bodies, reduced.rest_positions, mesh.surface_node_areas, reduced.basis,
+                                      reach=self._reach, softness=reduced.softness)
+        self.missing_force = make_missing_compliance_estimator_or_none(reduced, self.contact)
+        self._tool_motion = PrescribedModeAmplitudes(reduced.lifting, ToolFrame(self._start, self.datum))
         modes = reduced.basis.shape[1]
         self._lifting, self._free = reduced.lifting, slice(reduced.lifting, modes - reduced.watched)
         self.amplitudes, self._prediction = np.zeros(modes), AmplitudePredictor(modes, self._reach)
@@ -74,20 +74,20 @@ class ReducedSolver(ReducedSolverBase):
         self._groups_at_rest, self._returns_stiffness = 0, False
         self._largest_force = 0.0  # largest modal force since the last change of the material
         self._suspect_groups = 0  # number of groups whose stiffness may belong to a failed step
-        reduced.require_material(material)
+        reduced.require_supported_material(material)
         self.elements.set_material(material, reduced.bulk_ratio)
         self.elements.initialise_rest_state()
         self.set_material(material)
 
     def set_material(self, material: Material) -> None:
         """Set another material and keep the displacements. See `Solver.set_material`."""
-        self.reduced.require_material(material)
+        self.reduced.require_supported_material(material)
         stiffer = self.elements.set_material(material, self.reduced.bulk_ratio)
         self.material = material
         for pressures in (self._committed[1], self.elements.pressures):
             pressures *= stiffer
         moduli = node_shear_moduli(material, self.mesh, self.reduced.element_layers)
-        least = self.contact.set_penalty_from_moduli_and_get_smallest(moduli)
+        least = self.contact.set_penalty_and_get_smallest_modulus(moduli)
         self._prediction.clear_corrections()
         self._floor, self._largest_force = 1e-3 * least * self._reach**2, 0.0
         self._reevaluate_and_invalidate_stiffness()
@@ -97,7 +97,7 @@ class ReducedSolver(ReducedSolverBase):
         """Pose of the tool in the last committed state."""
         return self._pose
 
-    def ask_for_stiffness(self) -> None:
+    def enable_stiffness_output(self) -> None:
         """Make every following step compute its stiffness matrix."""
         self._returns_stiffness = True
 
@@ -121,7 +121,7 @@ class ReducedSolver(ReducedSolverBase):
         held, free = self._lifting, self._free
         # The initial guess is the linear response with unchanged contact, or the end of the last step.
         predicts = predictor_order and inside and not resumes
-        tool_step = np.array(motion(self._pose, pose)) if predicts else np.zeros(6)
+        tool_step = np.array(compute_rigid_motion(self._pose, pose)) if predicts else np.zeros(6)
         # A tool that can lift off needs no corrections: `_solve_contact_on_linear_tissue` removes the residual.
         here = self.amplitudes + (self._prediction.predict_amplitude_change(tool_step) if held and predicts
                                   else self._prediction.sensitivity @ tool_step)
@@ -199,8 +199,8 @@ class ReducedSolver(ReducedSolverBase):
             if self._returns_stiffness and contact.has_friction and pose == self._pose:
                 # Slipping nodes continue to slip, as in the step that led to this pose.
                 _, contact_rates = self._compute_modal_contact_forces_and_rates(here, frame, pressed_in, slips_on=True)
-            response = ToolResponse(elements.modal_stiffness + contact_rates, contact, rates, free, residual)
-            self._prediction.record_step(np.array(motion(self._pose, pose)), here - self._committed[0],
+            response = LinearResponse(elements.modal_stiffness + contact_rates, contact, rates, free, residual)
+            self._prediction.record_step(np.array(compute_rigid_motion(self._pose, pose)), here - self._committed[0],
                                          response.sensitivity, response.correction)
             error = response.estimate_total_force_error_or_none(
                 self.reduced.error_factors, wrench[:3], self.missing_force)
@@ -211,7 +211,7 @@ class ReducedSolver(ReducedSolverBase):
                     elements.evaluate_forces_and_stiffness(here, not np.array_equal(here, evaluated_at),
                                                            SETTINGS.stiffness_groups)
                     evaluated_at, forces = here, elements.modal_forces.copy()
-                    response = ToolResponse(elements.modal_stiffness + contact_rates, contact, rates, free, residual)
+                    response = LinearResponse(elements.modal_stiffness + contact_rates, contact, rates, free, residual)
                 stiffness, stiffness_age = response.compute_combined_stiffness_at_tool(self.reduced.box), age or 0.0
             contact.commit_step()
             elements.commit_step()
@@ -265,7 +265,7 @@ class ReducedSolver(ReducedSolverBase):
             reference: amplitudes a_0 of the linearisation, shape (modes,).
             forces: modal forces f_0 of the elements, shape (modes,).
             frame: frame of the tool.
-            pressed_in: see `LayerContact.evaluate_contact`.
+            pressed_in: see `PenaltyContact.evaluate_contact`.
             tolerance: largest relative residual of the step.
 
         Returns:
@@ -298,7 +298,7 @@ class ReducedSolver(ReducedSolverBase):
         """Return whether a pose counts as inside the box, and whether it is outside and without contact."""
         box, start = self.reduced.box, self._start
         inside = box.contains_pose(pose, start)
-        clear = not inside and self._is_clear_of(frame)
+        clear = not inside and self._is_tool_clear_of_tissue(frame)
         # A tool that leaves the box upwards may still touch within the thickness of the layer.
         return inside or (not (clear or self._lifting) and box.has_pose_above(pose, start)), clear
 
@@ -313,8 +313,8 @@ class ReducedSolver(ReducedSolverBase):
         """Set amplitudes and pressures to those of the last committed state."""
         self.amplitudes[:], self.elements.pressures[:] = self._committed
 
-    def lift_off(self) -> None:
-        """Remove the tool and set the amplitudes to rest. Implements `Solver.lift_off`."""
+    def reset_to_first_touch(self) -> None:
+        """Remove the tool and set the amplitudes to rest. Implements `Solver.reset_to_first_touch`."""
         self._committed[0][:], self._committed[1][:] = 0.0, self.elements.rest_pressures
         self._prediction.reset_predictions()
         self.contact.mark_all_nodes_untouched()
@@ -324,7 +324,7 @@ class ReducedSolver(ReducedSolverBase):
     def reset_to_rest(self) -> None:
         """Remove the tool, and set tissue and material history to rest without loading."""
         self.elements.reset_history()
-        self.lift_off()
+        self.reset_to_first_touch()
 
     def save(self) -> SavedState:
         """Return a copy of the committed state, for `restore`."""
@@ -358,8 +358,8 @@ class ReducedSolver(ReducedSolverBase):
         """Return the surface of the tissue in the last committed state."""
         return SolidSurface(self.mesh, self.displacement(), self.datum)
 
-    def report(self) -> dict[str, Any]:
-        """See `Solver.report`."""
+    def get_recording_metadata(self) -> dict[str, Any]:
+        """See `Solver.get_recording_metadata`."""
         report = {"element": self.mesh.element.name,
                   "mesh": {"elements": len(self.mesh.connectivity), "freedoms": 3 * len(self.mesh.nodes)},
                   "reduced": dict(self.reduced.report), "penetration_mm": 0.0,

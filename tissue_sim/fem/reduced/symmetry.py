@@ -16,7 +16,7 @@ import numpy as np
 from tissue_sim.fem.solid.elastic import get_held_component_mask_by_node
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.pose import Pose, Screw, motion, rotate_pose_about_its_position
+from tissue_sim.pose import Pose, Screw, compute_rigid_motion, rotate_pose_about_its_position
 
 #: Relative tolerance for equal positions (times the size of the mesh) and equal directions.
 _TOLERANCE = 1e-9
@@ -48,7 +48,7 @@ class Symmetry:
 
     def map_pose(self, pose: Pose, start: Pose) -> Pose:
         """Return the image of a pose of a tool of revolution whose motion begins at `start`."""
-        x, y, z, *turn = motion(start, pose)
+        x, y, z, *turn = compute_rigid_motion(start, pose)
         offset = self.matrix @ (x, y, z)
         # A rotation vector is an axial vector: a reflection reverses its sign.
         rotation = np.linalg.det(self.matrix) * self.matrix @ turn
@@ -72,7 +72,7 @@ def find_symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:
     """
     found = []
     for matrix in _make_square_symmetries():
-        axis = np.array(start.rotation)[:, 2]
+        axis = np.array(start.rotation_matrix)[:, 2]
         if np.abs(matrix @ axis - axis).max() > _TOLERANCE:
             continue
         nodes = _find_node_images(solver.mesh, matrix, np.array([*start.position[:2], 0.0]))

@@ -7,7 +7,7 @@ import numpy as np
 from tissue_sim.fem.solid.frame import ToolFrame, differentiate_rotated_forces
 
 
-class ToolMotionBasis:
+class PrescribedModeAmplitudes:
     """Amplitudes of the modes that are prescribed by the pose of a bonded tool.
 
     The amplitudes are the displacement of the tool (3) and the change of its rotation matrix row by row (9).

@@ -33,7 +33,7 @@ from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose, between
+from tissue_sim.pose import Pose, interpolate_pose
 
 #: Number of modes of a bonded tool: three displacements and the nine entries of the rotation matrix.
 LIFTING = 12
@@ -62,7 +62,7 @@ def simulate_snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Se
     Raises:
         ConvergenceError: a step did not converge with the smallest subdivision.
     """
-    solver.lift_off()
+    solver.reset_to_first_touch()
     for number, array in enumerate(solver.tissue.state_arrays):
         array[:] = memory[number] if memory else 0.0
     rest = solver.field_sample().displacement.ravel()
@@ -83,7 +83,7 @@ def _step_with_subdivision(solver: SolidSolver, here: Pose, goal: Pose, toleranc
     for cut in range(TRAINING.max_subdivisions + 1):
         count = 4**cut
         for k in range(count):
-            step = solver.step(between(here, goal, (k + 1) / count), 0.0, tolerance=tolerance,
+            step = solver.step(interpolate_pose(here, goal, (k + 1) / count), 0.0, tolerance=tolerance,
                                max_iterations=TRAINING.max_iterations)
             if step.status is not StepStatus.CONVERGED:
                 break
@@ -292,7 +292,7 @@ def _make_rest_state_or_none(solver: SolidSolver) -> SelfWeightEquilibriumFields
     """Return the equilibrium under self-weight; None without self-weight."""
     if not solver.tissue.specific_weight:
         return None
-    solver.lift_off()
+    solver.reset_to_first_touch()
     standing = solver.field_sample()
     return SelfWeightEquilibriumFields(standing.displacement.ravel(), standing.pressures)
 

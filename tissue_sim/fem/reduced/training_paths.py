@@ -18,7 +18,7 @@ import numpy as np
 
 from tissue_sim.fem.reduced.model import PoseBox
 from tissue_sim.fem.reduced.settings import TrainingPathDepthAndStepSettings
-from tissue_sim.pose import Pose, between, motion, rotate_pose_about_its_position
+from tissue_sim.pose import Pose, compute_rigid_motion, interpolate_pose, rotate_pose_about_its_position
 
 #: Dimension of the Sobol sequence: two poses, each of position (3) and rotation (3).
 _DIMENSION = 12
@@ -121,9 +121,9 @@ def _interpolate_path(corners: Sequence[Pose], reach: float) -> list[Pose]:
     """
     poses = [corners[0]]
     for one, other in pairwise(corners):
-        x, y, z, *turn = motion(one, other)
+        x, y, z, *turn = compute_rigid_motion(one, other)
         count = math.ceil((math.hypot(x, y, z) + reach * math.hypot(*turn)) / (_PATHS.step * reach) - 1e-9)
-        poses += [between(one, other, (k + 1) / count) for k in range(count)]
+        poses += [interpolate_pose(one, other, (k + 1) / count) for k in range(count)]
     return poses
 
 

@@ -15,7 +15,7 @@ from tissue_sim.fem.reduced.training import simulate_snapshots
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.material import Material
-from tissue_sim.pose import Pose, between
+from tissue_sim.pose import Pose, interpolate_pose
 
 
 def verify_and_get_report_and_factors(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequence[Pose]],
@@ -63,7 +63,7 @@ def verify_and_get_report_and_factors(reduced: ReducedModel, solver: SolidSolver
         here = poses[0]
         for pose, wrench in zip(poses, true, strict=True):
             for k in range(VERIFICATION.substeps):
-                there = between(here, pose, (k + 1) / VERIFICATION.substeps)
+                there = interpolate_pose(here, pose, (k + 1) / VERIFICATION.substeps)
                 step, coarse = small.step(there), fewer.step(there)
                 steps += 1
                 lost += step.status is not StepStatus.CONVERGED

@@ -3,7 +3,7 @@
 from functools import cache
 
 from tissue_sim.fem.history import MATERIAL_ARRAYS
-from tissue_sim.fem.solid.element import ELEMENT_ARRAYS, AssemblySettingColumn, make_element_functions
+from tissue_sim.fem.solid.element import ELEMENT_ARRAYS, AssemblySettingColumn, make_element_kernel_functions
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.laws import KernelEnergy
@@ -25,7 +25,7 @@ def make_assembly_kernel(element_name: str, energy: KernelEnergy):
     ti = get_initialised_taichi()
     nodes = SOLID_ELEMENTS[element_name].node_count
     pairs = nodes * (nodes + 1) // 2
-    integrate_forces, compute_stiffness_blocks = make_element_functions(element_name, energy)
+    integrate_forces, compute_stiffness_blocks = make_element_kernel_functions(element_name, energy)
     real1, int1 = ti.types.ndarray(ti.f64, ndim=1), ti.types.ndarray(ti.i32, ndim=1)
 
     @ti.kernel

@@ -24,7 +24,7 @@ def compute_quadrature_volumes_gradients_modes(mesh: SolidMesh) -> tuple[np.ndar
         InputError: an element of zero or negative volume.
     """
     points, shares = mesh.element.quadrature
-    values, slopes = mesh.element.evaluate_shape_functions(points)
+    values, slopes = mesh.element.evaluate_shape_functions_and_gradients(points)
     X = mesh.nodes[mesh.connectivity]
     jacobian = np.einsum("eai,qaj->eqij", X, slopes)
     weights = np.linalg.det(jacobian) * shares
@@ -73,7 +73,7 @@ class ElementBatches:
         if shares is not None:
             self.weights *= shares[:, None]
             modes = modes / np.sqrt(shares)[:, None, None]
-        values, _ = mesh.element.evaluate_shape_functions(mesh.element.quadrature[0])
+        values, _ = mesh.element.evaluate_shape_functions_and_gradients(mesh.element.quadrature[0])
         self.volumes = np.bincount(mesh.connectivity.ravel(), np.einsum("eq,qa->ea", self.weights, values).ravel(),
                                    minlength=len(mesh.nodes))
         groups = [np.arange(count)] if groups is None else groups
@@ -178,7 +178,7 @@ class ElementBatches:
                 the group. Other groups have the same array ``stiffness``, that of one batch.
         """
         named = dict(zip(("gradient_x", "gradient_y", "gradient_z"), self._gradients, strict=True))
-        named |= {"numbers": self._local, "pressures": self.pressures, "dofs": self._dofs_in_lanes,
+        named |= {"numbers": self._local, "pressures": self.pressures, "dofs": self._first_dofs_in_lanes,
                   "equations": self._equations, "weights": self._weights, "mode_values": self._mode_values,
                   "moduli": self.moduli, "volume_rates": self.volume_rates, "gaps": self.gaps,
                   "forces": self._forces, "places": self._places, "mirrored": self._mirrored}
@@ -187,7 +187,7 @@ class ElementBatches:
             "stiffness": self._stiffness}
 
     @cached_property
-    def _dofs_in_lanes(self) -> np.ndarray:
+    def _first_dofs_in_lanes(self) -> np.ndarray:
         """First degree of freedom of each node of each element, shape (batches * nodes, LANES)."""
         return copy_to_addressable_array(np.moveaxis(self._dofs[self._elements], 1, -1).reshape(-1, LANES))
 

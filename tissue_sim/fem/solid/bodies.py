@@ -65,7 +65,8 @@ def find_nearest_surface_geometry(body: RigidBody, points: np.ndarray, pressed_i
     profile, first = body.profile, body.first_line
     closed = body.closed and pressed_in and first == profile.shaft and profile.rounding == 0.0
     r = np.hypot(points[:, 0], points[:, 1])
-    line, distance, n2, bent = profile.find_closest_points(np.stack([r, points[:, 2]], axis=-1), first, closed)
+    line, distance, n2, bent = profile.compute_distances_to_polyline(np.stack([r, points[:, 2]], axis=-1), first,
+                                                                     closed)
     outwards = np.where(r[:, None] > 0.0, points[:, :2] / np.where(r > 0.0, r, 1.0)[:, None], [1.0, 0.0])
     normal = np.concatenate([n2[:, :1] * outwards, n2[:, 1:]], axis=1)
     meridian = np.concatenate([-n2[:, 1:] * outwards, n2[:, :1]], axis=1)

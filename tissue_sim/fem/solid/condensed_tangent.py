@@ -107,10 +107,10 @@ class CondensedTangent:
             right: forces on the free degrees of freedom, N, shape (free,).
 
         Returns:
-            Argument of `finish_solution`, shape (free,); see `CondensedFactor.solve_interface`.
+            Argument of `finish_solution`, shape (free,); see `CondensedFactor.solve_up_to_interface`.
         """
         assert self.factor is not None
-        return self.factor.solve_interface(right)
+        return self.factor.solve_up_to_interface(right)
 
     def begin_solution_for_interface_forces(self, forces: np.ndarray) -> np.ndarray:
         """Do the first half of a solution for forces on the interface nodes only, N, shape (m, 3)."""

@@ -19,7 +19,7 @@ import numpy as np
 from tissue_sim.fem.contact_settings import ALL_POINTS, SOLID_PENALTY, ActiveSetSettings, ContactBondState
 from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_geometry
 from tissue_sim.fem.solid.contact_laws import NodalContactLaws
-from tissue_sim.fem.solid.contact_state import ContactState
+from tissue_sim.fem.solid.contact_state import NodalContactState
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.pose import Pose
 
@@ -71,7 +71,7 @@ class ContactNodes:
         state: state of each node at the last evaluation.
     """
 
-    state: ContactState
+    state: NodalContactState
 
     def __init__(self, bodies: Sequence[RigidBody], places: np.ndarray, areas: np.ndarray,
                  laws: NodalContactLaws | None = None):
@@ -151,7 +151,8 @@ class ContactNodes:
         self.held[:], self.held_at[:] = self.bound, self.anchors
         self.pressed[:], self.slips[:], self._ways[:], self._about[:] = False, self.slipped, self.ways_before, 0.0
 
-    def compute_contact_kinematics(self, displacement: np.ndarray, frame: ToolFrame) -> tuple[np.ndarray, ...]:
+    def compute_kinematics_and_store_normals(self, displacement: np.ndarray,
+                                             frame: ToolFrame) -> tuple[np.ndarray, ...]:
         """Compute displacement and gap of the nodes relative to their bodies, and store `normals`.
 
         Returns:
@@ -193,7 +194,7 @@ class ContactNodes:
         """
         n = len(self.nodes)
         self.rates[:], self.missed[:] = 0.0, 0.0
-        travel, gap, curved, shaft, turn, meridians = self.compute_contact_kinematics(displacement, frame)
+        travel, gap, curved, shaft, turn, meridians = self.compute_kinematics_and_store_normals(displacement, frame)
         normals, forces, springs = self.normals, self.forces, self.springs
         augmentation, stick = ACTIVE_SET.augmentation_factor, SOLID_PENALTY.stick_factor
         mu = np.where(shaft, self._friction[:, 1], self._friction[:, 0])
@@ -289,8 +290,10 @@ class ContactNodes:
             self._met[others] = ContactBondState.TOUCHED
             keeps = keeps | (others & (mu == 0.0) & (self.held == ContactBondState.TOUCHED))
         self._met_at[:] = np.where(keeps[:, None], self.held_at, surface)
-        self.state = ContactState(held, pressed, sticks, sliding, goes, keeps, self._met != ContactBondState.FREE, near,
-                                  gap, normal, limit, mu, springs, stick * springs, normals, slip, ways, curved, turn)
+        self.state = NodalContactState(held, pressed, sticks, sliding, goes, keeps, self._met != ContactBondState.FREE,
+                                       near,
+                                       gap, normal, limit, mu, springs, stick * springs, normals, slip, ways, curved,
+                                       turn)
         return ContactViolationAndCounts(float(violation), int(sliding.sum()), switched, wanting)
 
     def store_assembled_contact_rates(self) -> None:

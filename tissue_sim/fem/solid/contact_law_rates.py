@@ -15,7 +15,7 @@ from tissue_sim.fem.solid.frame import ToolFrame
 
 
 @dataclass(frozen=True)
-class LawDifferenceSettings:
+class LawFiniteDifferenceSettings:
     """Settings of the differences of contact laws.
 
     Attributes:
@@ -27,7 +27,7 @@ class LawDifferenceSettings:
     min_force: float = 1e-3
 
 
-_DIFFERENCES = LawDifferenceSettings()
+_DIFFERENCES = LawFiniteDifferenceSettings()
 
 
 class LawDerivativesByPositionSlipForce(NamedTuple):
@@ -62,7 +62,7 @@ class LawDerivativesByPositionSlipForce(NamedTuple):
 
         def evaluate_law_forces(moved: np.ndarray, slip: np.ndarray, normal: np.ndarray) -> np.ndarray:
             """Return the forces of the laws on the tool, N, for moved nodes, other slip and other normal forces."""
-            _, gap, curved, _, _, meridians = contact.compute_contact_kinematics(displacement + moved, frame)
+            _, gap, curved, _, _, meridians = contact.compute_kinematics_and_store_normals(displacement + moved, frame)
             out = contact.normals[near]
             along = slip[near] - np.einsum("ni,ni->n", slip[near], out)[:, None] * out
             return laws.compute_law_forces_and_derivatives(nodes, gap[near], normal[near], along, out, meridians[near],

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissue_sim.experiment.contact_law import ContactLaw, Traction, evaluate_traction, sum_pulls_at_touch
+from tissue_sim.experiment.contact_law import (
+    ContactLaw,
+    Traction,
+    evaluate_traction,
+    sum_attractive_tractions_at_zero_gap,
+)
 
 #: Step of the difference quotient of a pull with respect to the gap, in units of the reach.
 _STEP = 1e-6
@@ -26,7 +31,7 @@ class NodalContactLaws:
     def __init__(self, laws: tuple[ContactLaw, ...] = (), face: float = 1.0, areas: np.ndarray | None = None):
         self._laws, self._face, self._areas = laws, face, areas
         self.reach = max((law.reach for law in laws), default=0.0)
-        self.strength = sum_pulls_at_touch(laws, face)
+        self.strength = sum_attractive_tractions_at_zero_gap(laws, face)
 
     def __bool__(self) -> bool:
         return bool(self._laws)
@@ -38,7 +43,7 @@ class NodalContactLaws:
     def compute_law_forces_and_derivatives(self, nodes: np.ndarray, gap: np.ndarray, normal: np.ndarray,
                                            slip: np.ndarray,
                                            normals: np.ndarray, meridians: np.ndarray, curved: np.ndarray,
-                                           bending: float ) -> tuple[np.ndarray, np.ndarray]:
+                                           bending: float) -> tuple[np.ndarray, np.ndarray]:
         """Compute the forces on the tool, N, shape (n, 3), and their derivatives, N/m, shape (n, 3, 3).
 
         Args:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 
-class ContactState(NamedTuple):
+class NodalContactState(NamedTuple):
     """State of all contact nodes; see `tissue_sim.fem.solid.contact.ContactNodes`. Shapes are (n,) if not stated.
 
     Attributes:

@@ -18,9 +18,9 @@ from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.placement import PLACEMENT, FirstTouchHeightAndSolverMaker
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives
-from tissue_sim.fem.solid.settling import SolidSelfWeight, settle_solid
+from tissue_sim.fem.solid.settling import SolidSelfWeightProblem, solve_solid_self_weight_equilibrium
 from tissue_sim.fem.solid.solver import SolidSolver
-from tissue_sim.fem.solid.tissue import element_layers
+from tissue_sim.fem.solid.tissue import find_element_layer_indices
 from tissue_sim.fem.solid.touch import FirstTouch, find_first_touch
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.layer import Layer
@@ -30,7 +30,7 @@ from tissue_sim.mesh.mesh_mapping import Circle
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, shift_pose_along_z
-from tissue_sim.specimen.specimen import add_article
+from tissue_sim.specimen.specimen import add_indefinite_article
 
 #: Lower bound of the largest element far from a needle, over the size of the specimen, 1.
 _LEAST_LARGEST = 0.17
@@ -97,11 +97,11 @@ def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datu
         can_move: whether the mesh can be moved to another position of the first touch.
     """
     experiment, undeformed = model.experiment, mesh
-    layers, weight = element_layers(mesh, model.material.layers), experiment.specimen.specific_weight
+    layers, weight = find_element_layer_indices(mesh, model.material.layers), experiment.specimen.specific_weight
     settled = load = None
     if weight:
-        settled, load = settle_solid(lambda moulded: _make_solver_without_tool(model, moulded, layers), mesh,
-                                     experiment.specimen)
+        settled, load = solve_solid_self_weight_equilibrium(
+            lambda moulded: _make_solver_without_tool(model, moulded, layers), mesh, experiment.specimen)
         mesh = settled.mesh
     tool = experiment.tool
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
@@ -164,7 +164,7 @@ def _make_solver_at_pose_or_none(model: Model, mesh: SolidMesh, start: Pose, dat
         other = _make_solver_on_mesh(model, mesh, pose, datum, can_move=can_move)
     except (InputError, ConvergenceError):
         return None
-    solver.copy_settings_to(other)
+    solver.copy_material_and_requests_to(other)
     return other
 
 
@@ -183,7 +183,7 @@ def _get_height_of_nearest_top_node(mesh: SolidMesh, heights: np.ndarray) -> np.
     return heights[nearest_top]
 
 
-def _differentiate_first_touch_or_none(settling: SolidSelfWeight, experiment: Experiment,
+def _differentiate_first_touch_or_none(settling: SolidSelfWeightProblem, experiment: Experiment,
                                        first: FirstTouch, neighbours: Neighbours) -> FirstTouchDerivatives | None:
     """Differentiate the state of the first touch with respect to parameters; None if no derivatives are available."""
     mesh = settling.mesh
@@ -256,7 +256,7 @@ def _may_slip(face: str | float) -> bool:
 def _require_possible_interfaces(experiment: Experiment) -> None:
     """Raise InputError if a specimen with curved faces has a base that is not bonded, or a bonded plate."""
     if not experiment.specimen.is_flat:
-        shape = add_article(experiment.specimen.shape)
+        shape = add_indefinite_article(experiment.specimen.shape)
         if experiment.resolved_base_interface != "bonded":
             raise InputError(f"must be 'bonded' below {shape}; got {experiment.resolved_base_interface}",
                              field="friction_base")
@@ -300,9 +300,9 @@ def _adapt_mesh_to_geometry(mesh: SolidMesh, topology: Model, experiment: Experi
     Raises:
         InputError: the geometry differs, and the model has layers or a shape whose mesh cannot be moved.
     """
-    before, after = (each.specimen for each in (topology.experiment, experiment))
+    before, after = topology.experiment.specimen, experiment.specimen
     circles = _find_mesh_ring_circle(topology.experiment), _find_mesh_ring_circle(experiment)
-    if circles[0] == circles[1] and (before.shape, before.stated) == (after.shape, after.stated):
+    if before.shape == after.shape and before.values_by_file_key == after.values_by_file_key and len({*circles}) == 1:
         return mesh
     if topology.material.layers:
         raise InputError("must have no layers if the geometry differs, because the mesh of layers cannot be moved. Do "

@@ -42,7 +42,7 @@ def reset_and_solve_linear_response(solver: SolidSolver, motions: np.ndarray) ->
     Returns:
         Displacements of all degrees of freedom, m, shape (freedoms, n); the free ones are 0 if the tangent is singular.
     """
-    solver.lift_off()
+    solver.reset_to_first_touch()
     solver._update_assembled_forces_and_tangent()
     solver._matrix.add_contact_stiffness(np.zeros_like(solver.contact.rates))
     factor = solver._sparse.factorise_or_none(solver._matrix.free, symmetric=True)
@@ -66,7 +66,7 @@ def element_forces_at_displacement(solver: SolidSolver, displacement: np.ndarray
     return forces
 
 
-def compute_axial_node_compliance_matrix(solver: SolidSolver, nodes: np.ndarray, axis: np.ndarray) -> np.ndarray:
+def reset_and_compute_axial_compliance(solver: SolidSolver, nodes: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Return the compliance matrix of nodes of the resting solid along one axis, m/N, shape (n, n).
 
     Column k contains the displacements of the nodes along the axis under a unit force on node k along the axis.
@@ -79,7 +79,7 @@ def compute_axial_node_compliance_matrix(solver: SolidSolver, nodes: np.ndarray,
     Raises:
         ConvergenceError: the tangent at rest is singular or indefinite.
     """
-    solver.lift_off()
+    solver.reset_to_first_touch()
     solver._update_assembled_forces_and_tangent()
     solver._matrix.add_contact_stiffness(np.zeros_like(solver.contact.rates))
     factor = solver._sparse.factorise_or_none(solver._matrix.free, symmetric=True)

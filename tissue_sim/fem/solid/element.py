@@ -52,7 +52,7 @@ _AT = {name: sum(size for _, size in _sizes[:i]) for i, (name, _) in enumerate(_
 SCRATCH = sum(size for _, size in _sizes)
 
 
-class ElementFunctions(NamedTuple):
+class ElementKernelFunctions(NamedTuple):
     """Taichi functions of a batch of elements; `compute_stiffness_blocks` must follow `integrate_forces`.
 
     Attributes:
@@ -65,7 +65,7 @@ class ElementFunctions(NamedTuple):
 
 
 @cache
-def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctions:
+def make_element_kernel_functions(element_name: str, energy: KernelEnergy) -> ElementKernelFunctions:
     """Return the Taichi functions of an element type, a key of `SOLID_ELEMENTS`, and a strain energy."""
     ti = get_initialised_taichi()
     element = SOLID_ELEMENTS[element_name]
@@ -235,4 +235,4 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
                 at = 9 * (c * (c + 1) // 2) + i
                 elements.stiffness[at] = s[PAIRS + i]
 
-    return ElementFunctions(integrate_forces, compute_stiffness_blocks)
+    return ElementKernelFunctions(integrate_forces, compute_stiffness_blocks)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from tissue_sim.fem.energy import (
     list_lower_triangle_index_pairs,
-    make_invariant_derivatives,
-    make_stretch_derivatives,
+    make_energy_derivatives_by_invariants,
+    make_energy_derivatives_by_stretch,
     make_taichi_expression_builder,
 )
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
@@ -141,15 +141,16 @@ def make_stress_function(energy: KernelEnergy):
         W: isochoric energy density; P (9): first Piola-Kirchhoff stress; A (45): tangent dP/dF, symmetric, packed as
         `PACKED`.
     """
-    return (_make_invariant_function if energy.family == "invariants" else _make_stretch_function)(energy)
+    return (_make_stress_function_by_invariants if energy.family == "invariants"
+            else _make_stress_function_by_stretches)(energy)
 
 
-def _make_invariant_function(energy: KernelEnergy):
+def _make_stress_function_by_invariants(energy: KernelEnergy):
     """Return the function of `make_stress_function` for an energy of the invariants I1 and I2."""
     ti = get_initialised_taichi()
-    count = energy.count
+    count = energy.coefficient_count
 
-    derivatives = make_invariant_derivatives(energy)
+    derivatives = make_energy_derivatives_by_invariants(energy)
     chain = _make_isochoric_chain_rule_function()
     compute_cofactor = make_cofactor_function()
 
@@ -199,12 +200,12 @@ def _make_invariant_function(energy: KernelEnergy):
     return compute_stress_and_tangent
 
 
-def _make_stretch_function(energy: KernelEnergy):
+def _make_stress_function_by_stretches(energy: KernelEnergy):
     """Return the function of `make_stress_function` for an energy of the principal stretches."""
     ti = get_initialised_taichi()
-    count = energy.count
+    count = energy.coefficient_count
 
-    derivatives = make_stretch_derivatives(energy)
+    derivatives = make_energy_derivatives_by_stretch(energy)
 
     @ti.func
     def compute_stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
-from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate_to_nodes_and_average, volume_quantile
+from tissue_sim.fem.fields import FIELD_UNITS, TAIL, compute_volume_weighted_quantile, extrapolate_to_nodes_and_average
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
@@ -196,7 +196,7 @@ class SolidFields:
 
     def _interpolate_at_points(self, nodal: np.ndarray) -> np.ndarray:
         """Interpolate nodal vectors, shape (nodes, 3), to the quadrature points, shape (elements, q, 3)."""
-        values, _ = self.mesh.element.evaluate_shape_functions(self.mesh.element.quadrature[0])
+        values, _ = self.mesh.element.evaluate_shape_functions_and_gradients(self.mesh.element.quadrature[0])
         if self.weights.shape[1] == 1 < len(values):
             values = values.mean(axis=0, keepdims=True)
         return np.einsum("qa,eai->eqi", values, nodal[self.mesh.connectivity])
@@ -220,8 +220,8 @@ class SolidFields:
         """Return smallest and largest principal stretch, without the fraction `TAIL` of the volume at each end."""
         F = self.deformation_gradient(sample)
         stretches = compute_stretches_of_cauchy_green_tensors(F @ F.swapaxes(-1, -2))
-        return (volume_quantile(stretches[..., 2], self.weights, TAIL),
-                volume_quantile(stretches[..., 0], self.weights, 1 - TAIL))
+        return (compute_volume_weighted_quantile(stretches[..., 2], self.weights, TAIL),
+                compute_volume_weighted_quantile(stretches[..., 0], self.weights, 1 - TAIL))
 
     def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
         """Return a field at the nodes of a sample, shape (nodes,).

@@ -34,7 +34,7 @@ from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose, between
+from tissue_sim.pose import Pose, interpolate_pose
 
 #: Largest number of published nodes.
 CANDIDATES = 100
@@ -43,7 +43,7 @@ _SETTINGS = LinearisationSettings()
 
 @dataclass(frozen=True, eq=False)
 class _NewtonIncrementContributions:
-    """Increment of the displacements in a Newton step, in the rows of `SolidLinearisation._select_rows_for_norm`, m.
+    """Increment of the displacements in a Newton step, in the rows of `SolidLineariser._select_rows_for_norm`, m.
 
     Attributes:
         motion: total increment.
@@ -69,8 +69,8 @@ class _NewtonIncrementContributions:
         return float(np.linalg.norm(following)) <= (1.0 - 0.25 * share) * float(np.linalg.norm(self.motion)) + rounding
 
 
-class SolidLinearisation:
-    """Linearisation of a solid for multirate simulation, see `tissue_sim.fem.condensed.model.BulkLinearisation`.
+class SolidLineariser:
+    """Linearisation of a solid for multirate simulation, see `tissue_sim.fem.condensed.model.BulkLineariser`.
 
     The linearisation owns the solver: no other code may step it.
 
@@ -151,7 +151,7 @@ class SolidLinearisation:
         return self._solver
 
     def iterate_and_linearise_or_none(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedBulk | None:
-        """See `BulkLinearisation.iterate_and_linearise_or_none`."""
+        """See `BulkLineariser.iterate_and_linearise_or_none`."""
         solver = self._solver
         if state.epoch != self._epoch:
             self._restore_untouched_state()
@@ -163,17 +163,17 @@ class SolidLinearisation:
         due = self._coming is None or self._coming.is_done
         if due and self._adopt_finished_tangent(state, state.pose, ahead):
             self._store_contact_free_increment()
-        before, here = tuple(array.copy() for array in solver._iterate_arrays), solver.pose
+        before, here = tuple(array.copy() for array in solver._arrays_of_iterate), solver.pose
         step = self._add_and_get_newton_increment(state)
-        after = tuple(array.copy() for array in solver._iterate_arrays)
+        after = tuple(array.copy() for array in solver._arrays_of_iterate)
         solver.tissue.prepare_step(max(0.0, state.time - self._time))
         settles, old = self._settles, self._stale
         for share in _SETTINGS.old_fractions if old else _SETTINGS.fractions:
-            for array, one, other in zip(solver._iterate_arrays, before, after, strict=True):
+            for array, one, other in zip(solver._arrays_of_iterate, before, after, strict=True):
                 array[:] = one + share * (other - one)
             if not self._assemble_and_check_volume_ratios(due):
                 continue
-            pose, self._stale = between(here, state.pose, share), True
+            pose, self._stale = interpolate_pose(here, state.pose, share), True
             if old:
                 self._store_contact_free_increment()
                 measured = self._select_rows_for_norm(self._settles)
@@ -190,7 +190,7 @@ class SolidLinearisation:
             self._commit_iterate(pose)
             self._time = state.time
             return self._make_and_number_condensed_model(state, pose)
-        for array, old_one in zip(solver._iterate_arrays, before, strict=True):
+        for array, old_one in zip(solver._arrays_of_iterate, before, strict=True):
             array[:] = old_one
         self._settles, self._stale = settles, old
         if self._coming is None or not self._assemble_and_check_volume_ratios(False):
@@ -228,7 +228,7 @@ class SolidLinearisation:
         assert tangent is not None
         motion, carried = np.zeros_like(solver.x), np.zeros(solver._free.size)
         if self._holds:
-            goal = solver.compute_flat_held_displacements(ToolFrame(state.pose, solver.datum))
+            goal = solver.compute_held_node_displacements(ToolFrame(state.pose, solver.datum))
             motion[solver._moved] = goal - solver.x[solver._moved]
             carried = -tangent.begin_solution_with_interface_rows((tangent.held @ motion[solver._moved])[solver._free])
         loaded = np.flatnonzero(state.forces.any(axis=1))
@@ -383,10 +383,10 @@ class SolidLinearisation:
         tangent.stiffness = -rate
 
 
-def make_linearisation(model: Model, *, resolution: str = "realtime", mesh: SolidMesh | None = None,
-                       candidates: int = CANDIDATES) -> SolidLinearisation:
+def make_lineariser(model: Model, *, resolution: str = "realtime", mesh: SolidMesh | None = None,
+                    candidates: int = CANDIDATES) -> SolidLineariser:
     """Make the linearisation of a model; see `tissue_sim.fem.condensed.model.LINEARISATIONS`."""
-    return SolidLinearisation(make_solver(model, resolution=resolution, mesh=mesh), candidates)
+    return SolidLineariser(make_solver(model, resolution=resolution, mesh=mesh), candidates)
 
 
 def _pack_outline_segments_and_constants(body: RigidBody) -> tuple[np.ndarray, tuple[float, ...]]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.fem.inertia import InertialMotion
+from tissue_sim.fem.inertia import InertiaTimeIntegrator
 from tissue_sim.mesh.solid import SolidMesh
 
 
@@ -21,7 +21,7 @@ def compute_lumped_volumes(mesh: SolidMesh, weights: np.ndarray) -> np.ndarray:
         mesh: undeformed mesh.
         weights: volumes of its quadrature points, m3, shape (elements, q).
     """
-    values, _ = mesh.element.evaluate_shape_functions(mesh.element.quadrature[0])
+    values, _ = mesh.element.evaluate_shape_functions_and_gradients(mesh.element.quadrature[0])
     diagonal = weights @ values**2
     diagonal *= (weights.sum(axis=1) / diagonal.sum(axis=1))[:, None]
     return np.bincount(mesh.connectivity.ravel(), diagonal.ravel(), minlength=len(mesh.nodes))
@@ -46,7 +46,7 @@ class LumpedMass:
         freedoms = 3 * len(mesh.nodes)
         self._masses, self._rest = np.zeros((2, freedoms))
         volumes = compute_lumped_volumes(mesh, weights)
-        self.motion = InertialMotion(self._masses, self._rest, np.repeat(density * volumes, 3))
+        self.motion = InertiaTimeIntegrator(self._masses, self._rest, np.repeat(density * volumes, 3))
         columns = np.repeat(np.arange(freedoms), np.diff(matrix.indptr))
         self._diagonal = np.flatnonzero(matrix.indices == columns)
         self.rate, self.density = 0.0, density
@@ -64,5 +64,5 @@ class LumpedMass:
 
     def predict_force_and_stiffness_change(self, x: np.ndarray, dt: float,
                                            along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Predict the change of the inertial forces in a next step without motion of the tool; see `InertialMotion`."""
+        """Predict the change of the inertial forces in a next step without motion of the tool."""
         return self.motion.predict_inertial_force_and_stiffness_change(x, dt, self._masses, along)

@@ -20,7 +20,7 @@ from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Solver, Step
 from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.material.material import Material
-from tissue_sim.pose import Pose, motion, shift_pose_along_z
+from tissue_sim.pose import Pose, compute_rigid_motion, shift_pose_along_z
 
 
 @dataclass(frozen=True)
@@ -69,12 +69,12 @@ class SolidSolverBase(KernelOwner, Solver):
     def height_above_tissue(self, pose: Pose) -> float:
         """Return the distance that the tool must go down until it touches the undeformed tissue, m.
 
-        See `FreeTool.height_above_tissue`.
+        See `FreeToolSolverBase.height_above_tissue`.
         """
         return pose.position[2] if self.placement is None else self.placement.height_above_tissue(pose)
 
     def place_tool_at_first_touch(self, pose: Pose) -> bool:
-        """See `FreeTool.place_tool_at_first_touch`. The mesh moves with the tool, to stay fine under the tool."""
+        """Place the tool at its first touch; the mesh moves with the tool, to stay fine under the tool."""
         if self.placement is None or self.placement.is_at_mesh_position(self._start, pose):
             return True
         other = self.placement.make_solver_for_touch_pose_or_none(pose, self)
@@ -91,17 +91,17 @@ class SolidSolverBase(KernelOwner, Solver):
                                                       math.hypot(*step.wrench[:3]))
         return step if error is None else replace(step, force_error=error)
 
-    def copy_settings_to(self, other: Any) -> None:
+    def copy_material_and_requests_to(self, other: Any) -> None:
         """Copy material, density and the request for stiffness to another solver of the same model."""
         if self._asked:
-            other.ask_for_stiffness()
+            other.enable_stiffness_output()
         if self._mass is not None:
             other.enable_inertia(self._mass.density)
         if self.material is not other.material:
             other.set_material(self.material)
 
     def clearance(self, pose: Pose) -> float | None:
-        """See `FreeTool.clearance`, with distances of nodes; None if the tool holds tissue, and with contact laws."""
+        """Return the smallest distance of a node from the tool, m; None for bonded tissue, and with contact laws."""
         contact = self.contact
         if self._bonded.size or contact.laws or (
                 contact.moves & (contact.stays | (contact.bound != ContactBondState.FREE))).any():
@@ -115,11 +115,11 @@ class SolidSolverBase(KernelOwner, Solver):
 
     @property
     def is_time_dependent(self) -> bool:
-        """See `FreeTool.is_time_dependent`."""
+        """See `FreeToolSolverBase.is_time_dependent`."""
         return self.tissue.has_history
 
     def stop_tissue_motion(self) -> None:
-        """See `FreeTool.stop_tissue_motion`."""
+        """See `FreeToolSolverBase.stop_tissue_motion`."""
         if self._mass is not None:
             self._mass.motion.reset_velocity()
 
@@ -131,12 +131,12 @@ class SolidSolverBase(KernelOwner, Solver):
     def move_to_next_touch(self, pose: Pose) -> bool:
         """Move a lifted tool to its next touch; return whether the touch begins as a first touch.
 
-        See `FreeTool.move_to_next_touch`.
+        See `FreeToolSolverBase.move_to_next_touch`.
         """
         begins = (self.placement is not None and not self.is_time_dependent and self._has_untouched_displacements
                   and self.place_tool_at_first_touch(shift_pose_along_z(pose, -self.height_above_tissue(pose))))
         if begins:
-            self.lift_off()
+            self.reset_to_first_touch()
         else:
             self.move_in_air(pose)
         return begins
@@ -147,7 +147,7 @@ class SolidSolverBase(KernelOwner, Solver):
         return float(np.abs(self._committed[0] - self._rest[0]).max()) <= AT_REST * self._tolerance
 
     def move_in_air(self, pose: Pose) -> None:
-        """See `FreeTool.move_in_air`."""
+        """See `FreeToolSolverBase.move_in_air`."""
         self._pose = pose
 
 
@@ -176,13 +176,13 @@ class FirstTouchHeightAndSolverMaker:
 
     def is_at_mesh_position(self, start: Pose, pose: Pose) -> bool:
         """Whether a first touch at a pose needs no other mesh than the first touch at `start`."""
-        x, y, z, *turn = motion(start, pose)
+        x, y, z, *turn = compute_rigid_motion(start, pose)
         return math.hypot(x, y, z) + self.radius * math.hypot(*turn) <= PLACEMENT.same_position * self.radius
 
     def height_above_tissue(self, pose: Pose) -> float:
         """Return the distance that the tool must go down until it touches the undeformed tissue, m.
 
-        See `FreeTool.height_above_tissue`.
+        See `FreeToolSolverBase.height_above_tissue`.
         """
         x, y, z = pose.position
         _, a, b, _ = pose.orientation

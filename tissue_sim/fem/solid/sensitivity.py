@@ -29,7 +29,7 @@ _WIDTH = 10.0
 
 
 @dataclass(frozen=True)
-class RefinementSettings:
+class IterativeRefinementSettings:
     """Settings of the iterative refinement of the linear solutions.
 
     Attributes:
@@ -43,7 +43,7 @@ class RefinementSettings:
     max_solutions: int = 12
 
 
-_SETTINGS = RefinementSettings()
+_SETTINGS = IterativeRefinementSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +133,8 @@ class SolidSensitivity:
         self._kinds, self._changed = np.zeros((5, n), dtype=bool), False
 
     @classmethod
-    def from_neighbouring_materials(cls, parts: SolverDataForSensitivity, neighbours: Neighbours, here: Material,
-                                    set_material: Callable[[Material], None]) -> SolidSensitivity:
+    def from_perturbed_materials(cls, parts: SolverDataForSensitivity, neighbours: Neighbours, here: Material,
+                                 set_material: Callable[[Material], None]) -> SolidSensitivity:
         """Make the derivatives from materials with increased and decreased parameters, set one after the other.
 
         The material of the solver is restored.
@@ -262,7 +262,7 @@ class SolidSensitivity:
             for k in range(motion.shape[1] if memory.works else 0):
                 directions = [*self._get_mesh_input_and_derivative_pairs(k),
                               *self._get_material_input_and_derivative_pairs(k, number), (self._parts.x, motion[:, k])]
-                each.commit_parameter(k, *self._differentiate_assembly_along_direction(
+                each.commit_derivatives_by_parameter(k, *self._differentiate_assembly_along_direction(
                     k, [number], directions, [memory.stresses, memory.energies]))
 
     def _get_material_input_and_derivative_pairs(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:

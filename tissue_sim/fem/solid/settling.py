@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.fem.settling import settle
+from tissue_sim.fem.settling import solve_self_weight_equilibrium
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives
 from tissue_sim.fem.solid.settings import SETTLING
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -27,7 +27,7 @@ class SettledStateDerivatives(NamedTuple):
     resting: np.ndarray
 
 
-class SolidSelfWeight:
+class SolidSelfWeightProblem:
     """Self-weight of a solid, and the load steps that led to equilibrium; see `SelfWeightProblem`.
 
     Args:
@@ -54,8 +54,8 @@ class SolidSelfWeight:
         self.mesh, self.steps = solver.mesh, []
         return solver
 
-    def apply_weight(self, solver: SolidSolver, specific_weight: float) -> Step:
-        """See `SelfWeightProblem.apply_weight`. A converged step is recorded."""
+    def solve_equilibrium_under_weight(self, solver: SolidSolver, specific_weight: float) -> Step:
+        """See `SelfWeightProblem.solve_equilibrium_under_weight`. A converged step is recorded."""
         solver.tissue.specific_weight = specific_weight
         step = solver.step(solver.pose, np.inf)
         if step.status is StepStatus.CONVERGED:
@@ -79,7 +79,7 @@ class SolidSelfWeight:
         # An undeformed height that was determined from the settled one is an additional parameter.
         height = (solver.material, solver.material, SETTLING.height_width)
         more = [height] if self._specimen.height_is == "placed" else []
-        derivatives = solver.differentiate([*neighbours, *more])
+        derivatives = solver.enable_force_derivatives([*neighbours, *more])
         if derivatives is None:
             return None
         derivatives.set_first_touch_derivatives(FirstTouchDerivatives.from_undeformed_specimen(np.repeat([0.0, 1.0],
@@ -100,9 +100,9 @@ class SolidSelfWeight:
         return SettledStateDerivatives(stretch, settled, solver.contact.nodes)
 
 
-def settle_solid(stand: Callable[[SolidMesh], SolidSolver], mesh: SolidMesh, specimen: Specimen
-                 ) -> tuple[SolidSolver, SolidSelfWeight]:
-    """Compute the equilibrium of a solid under its weight, without a tool; see `tissue_sim.fem.settling.settle`.
+def solve_solid_self_weight_equilibrium(stand: Callable[[SolidMesh], SolidSolver], mesh: SolidMesh, specimen: Specimen
+                                        ) -> tuple[SolidSolver, SolidSelfWeightProblem]:
+    """Compute the equilibrium of a solid under its weight, without a tool (`tissue_sim.fem.settling`).
 
     Args:
         stand: makes the solver of a mesh without tool and weight.
@@ -115,8 +115,8 @@ def settle_solid(stand: Callable[[SolidMesh], SolidSolver], mesh: SolidMesh, spe
     Raises:
         ConvergenceError: the specimen has no equilibrium under its weight.
     """
-    problem = SolidSelfWeight(stand, mesh, specimen)
-    return settle(problem, specimen, float(np.ptp(mesh.nodes[:, 2]))), problem
+    problem = SolidSelfWeightProblem(stand, mesh, specimen)
+    return solve_self_weight_equilibrium(problem, specimen, float(np.ptp(mesh.nodes[:, 2]))), problem
 
 
 def _get_iterate_arrays(solver: SolidSolver) -> tuple[np.ndarray, ...]:

@@ -46,7 +46,7 @@ class SolidSolver(SolidSolverBase):
         tolerance: largest permitted violation of a contact condition, m.
         start: pose of the tool at its first touch, in the frame of the scene.
         datum: height of that frame's origin in the frame of the mesh, m.
-        contact_radius: m, for the time of drainage, see `Material.relaxation`.
+        contact_radius: m, for the time of drainage, see `Material.make_prony_series`.
         pins: pairs of a node and the axes, ``"xy"``, along which it is fixed if nothing else prevents rigid motions.
         element_layers: see `Tissue`.
         specific_weight: density times gravity, N/m3, towards -z.
@@ -91,7 +91,7 @@ class SolidSolver(SolidSolverBase):
         self._sparse = SparseSolver()
         self._tangent = ReusableTangentFactor(self.tissue, self.contact, self._matrix, self._sparse, self._free)
         self._largest_force, self._asked, self._modulus, self._least = 0.0, False, 0.0, 0.0
-        self._committed, self._rest = (tuple(array.copy() for array in self._iterate_arrays) for _ in range(2))
+        self._committed, self._rest = (tuple(array.copy() for array in self._arrays_of_iterate) for _ in range(2))
         self._derivatives: SolidSensitivity | None = None
         self._start_rates, self._mass = start_rates, None
         self._last: Step | None = None
@@ -118,7 +118,7 @@ class SolidSolver(SolidSolverBase):
         """Pose of the tool at the last committed state."""
         return self._pose
 
-    def ask_for_stiffness(self) -> None:
+    def enable_stiffness_output(self) -> None:
         """Let every step compute its stiffness matrix from now on."""
         self._asked = True
 
@@ -157,7 +157,7 @@ class SolidSolver(SolidSolverBase):
     def _solve_newton_to_step_result(self, frame: ToolFrame, tolerance: float, max_iterations: int) -> Step:
         """Solve for equilibrium at a frame of the tool by Newton's method, from the present iterate."""
         contact, batches, x, tangent = self.contact, self.batches, self.x, self._tangent
-        goal = self.compute_flat_held_displacements(frame)
+        goal = self.compute_held_node_displacements(frame)
         here, way = self._here, np.zeros_like(x)
         way[self._moved] = goal - x[self._moved]
         # Nodes in contact with the tool move with it in the first linear solution.
@@ -174,7 +174,7 @@ class SolidSolver(SolidSolverBase):
             self._update_assembled_forces_and_tangent(not tangent.stale)
             if self._least <= 0.0 and before is not None and halvings < NEWTON.max_halvings:
                 halvings += 1
-                for array, earlier in zip(self._iterate_arrays, before, strict=True):
+                for array, earlier in zip(self._arrays_of_iterate, before, strict=True):
                     array[:] = 0.5 * (array + earlier)
                 continue
             displacement = x.reshape(-1, 3)[contact.nodes]
@@ -237,7 +237,7 @@ class SolidSolver(SolidSolverBase):
             if iterations == 1:
                 first_ratio = ratio
             apart = -np.where(contact.moves[:, None] & pending, tool_way, 0.0)
-            before = tuple(array.copy() for array in self._iterate_arrays)
+            before = tuple(array.copy() for array in self._arrays_of_iterate)
             motion = tangent.solve_increment(residual, way if pending else None, apart)
             x += motion
             self.tissue.update_pressures(motion)
@@ -250,12 +250,12 @@ class SolidSolver(SolidSolverBase):
             changeable = ALL_POINTS if iterations < NEWTON.all_points_iterations else iterations
             bending = 1.0 if ratio < 0.1 else 0.0
 
-    def compute_flat_held_displacements(self, frame: ToolFrame) -> np.ndarray:
+    def compute_held_node_displacements(self, frame: ToolFrame) -> np.ndarray:
         """Return the displacements of the nodes that a bonded tool holds, for a frame of the tool, m, (3 n,)."""
         return (frame.transform_to_mesh(self._held_at) - self.mesh.nodes[self._bonded]).ravel()
 
     @property
-    def _iterate_arrays(self) -> tuple[np.ndarray, ...]:
+    def _arrays_of_iterate(self) -> tuple[np.ndarray, ...]:
         return self.x, self.batches.pressures, self.contact.forces
 
     def _update_assembled_forces_and_tangent(self, tangent: bool = True) -> None:
@@ -310,8 +310,8 @@ class SolidSolver(SolidSolverBase):
         """Return the deformed positions of nodes, m, shape (n, 3)."""
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
-    def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:
-        """See `Solver.differentiate`; None with point effects."""
+    def enable_force_derivatives(self, neighbours: Neighbours) -> SolidSensitivity | None:
+        """See `Solver.enable_force_derivatives`; None with point effects."""
         begins = self._start_rates if neighbours else None
         start = None if begins is None else begins(neighbours)
         if self.tissue.effects or (begins is not None and start is None):
@@ -320,16 +320,16 @@ class SolidSolver(SolidSolverBase):
                                          self._matrix, ToolFrame(self._start, self.datum),
                                          self._update_assembled_forces_and_tangent)
         saved = self.save()
-        self._derivatives = SolidSensitivity.from_neighbouring_materials(parts, neighbours, self.material,
-                                                                         self.set_material)
+        self._derivatives = SolidSensitivity.from_perturbed_materials(parts, neighbours, self.material,
+                                                                      self.set_material)
         self.restore(saved)
         self._restore_committed_state()
         if start is not None:
             self._derivatives.set_first_touch_derivatives(start)
         return self._derivatives
 
-    def lift_off(self) -> None:
-        """Remove the tool at once; see `Solver.lift_off`."""
+    def reset_to_first_touch(self) -> None:
+        """Remove the tool at once; see `Solver.reset_to_first_touch`."""
         for array, rest in zip(self._committed, self._rest, strict=True):
             array[:] = rest
         self.contact.restore_first_touch_contact_state()
@@ -385,8 +385,8 @@ class SolidSolver(SolidSolverBase):
         """See `Solver.warnings`."""
         return faceting_warnings(self.contact, self.mesh, self.committed_displacement)
 
-    def report(self) -> dict[str, Any]:
-        """Return the metadata of the solver for a recording; see `Solver.report`."""
+    def get_recording_metadata(self) -> dict[str, Any]:
+        """Return the metadata of the solver for a recording; see `Solver.get_recording_metadata`."""
         report = {"element": self.mesh.element.name,
                   "mesh": {"elements": len(self.mesh.connectivity), "freedoms": int(self._free.size)}}
         if self.contact.nodes.size:

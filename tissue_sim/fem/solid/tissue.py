@@ -66,8 +66,8 @@ class RegionElements:
             self.coefficients[:] = coefficients
         else:
             self.coefficients = copy_to_addressable_array(np.array(coefficients))
-        self.memory.set_material(own.relaxation(contact_radius), own.softening,
-                                 own.instantaneous_over_law_modulus_ratio)
+        self.memory.set_relaxation_and_softening(own.make_prony_series(contact_radius), own.softening,
+                                                 own.instantaneous_over_law_modulus_ratio)
         self.bulk, self.mu0 = bulk, own.mu0
         self.settings[AssemblySettingColumn.KAPPA] = bulk
         self.settings[AssemblySettingColumn.REMEMBERS] = self.memory.works
@@ -95,7 +95,7 @@ class Tissue:
     Args:
         mesh: undeformed mesh.
         x: array of the displacements, m, shape (freedoms,).
-        contact_radius: m, for the time of drainage, see `Material.relaxation`.
+        contact_radius: m, for the time of drainage, see `Material.make_prony_series`.
         element_layers: index of the material's layer of each element, shape (elements,); the index after the last layer
             means no layer. None: no layers.
 
@@ -135,7 +135,7 @@ class Tissue:
         """For each region, in the order of the regions: arrays and history that depend on its material."""
         def make_region_prony_getter(name: str) -> Callable[[Material], Prony | None]:
             """Return the function that returns the Prony series of a region, or None, for a solid's material."""
-            return lambda material: material.regions.get(name, material).relaxation(self.contact_radius)
+            return lambda material: material.regions.get(name, material).make_prony_series(self.contact_radius)
 
         kappa = slice(AssemblySettingColumn.KAPPA, AssemblySettingColumn.KAPPA + 1)
         return tuple(RegionMaterialArrays((region.settings[kappa], region.coefficients, self.batches.moduli[part]),
@@ -288,7 +288,7 @@ def require_mesh_regions(material: Material, mesh: SolidMesh) -> None:
             raise InputError(f"the mesh has no region {name!r}{known}", field="material.regions")
 
 
-def element_layers(mesh: SolidMesh, layers: tuple[Layer, ...]) -> np.ndarray:
+def find_element_layer_indices(mesh: SolidMesh, layers: tuple[Layer, ...]) -> np.ndarray:
     """Return for each element the index of the layer that contains its centre, shape (elements,).
 
     The index of an element below all layers is the number of layers.
@@ -308,7 +308,7 @@ def get_modulus_ratios_of_layer_indices(material: Material, layers: np.ndarray) 
 def node_shear_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -> np.ndarray:
     """Return the shear modulus mu0 at each node, the mean over the elements of the node, Pa, shape (nodes,).
 
-    The argument `layers` is the result of `element_layers`.
+    The argument `layers` is the result of `find_element_layer_indices`.
     """
     moduli = get_modulus_ratios_of_layer_indices(material, layers)
     for name, elements in group_elements_by_region(mesh).items():

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import make_hint_with_similar_or_known_words
-from tissue_sim.fem.taichi.origins import OriginKind, compute_offset, get_origin
+from tissue_sim.fem.taichi.origins import AddressOriginKind, compute_array_offset, get_address_origin
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
@@ -30,20 +30,20 @@ class ArrayType:
         rank: number of indices in kernels. An array of lanes has one index, and its entries are vectors.
     """
 
-    kind: OriginKind
+    kind: AddressOriginKind
     rank: int = 1
 
     @property
     def has_lanes(self) -> bool:
         """Whether each entry is a vector with one component for each finite element of a batch."""
-        return self.kind in (OriginKind.REAL_LANES, OriginKind.INTEGER_LANES)
+        return self.kind in (AddressOriginKind.REAL_LANES, AddressOriginKind.INTEGER_LANES)
 
     @property
-    def entries(self) -> int:
+    def table_entry_count(self) -> int:
         """Number of entries in the table: offset, and the lengths of the axes of an array without lanes."""
         return 1 if self.has_lanes else 1 + self.rank
 
-    def list_entries(self, name: str, array: np.ndarray) -> list[int]:
+    def compute_table_entries(self, name: str, array: np.ndarray) -> list[int]:
         """Return the entries of an array in the table.
 
         Raises:
@@ -53,24 +53,24 @@ class ArrayType:
         if array.ndim != (2 if self.has_lanes else self.rank) or (self.has_lanes
                                                                   and array.shape[1] != self.kind.width):
             raise ValueError(f"{name} must have {expected}; got shape {array.shape}.")
-        offset = compute_offset(array, self.kind)
+        offset = compute_array_offset(array, self.kind)
         return [offset] if self.has_lanes else [offset, *array.shape]
 
 
 #: Floats, one number for each element of a batch.
-LANE_REALS = ArrayType(OriginKind.REAL_LANES)
+LANE_REALS = ArrayType(AddressOriginKind.REAL_LANES)
 #: Integers, one number for each element of a batch.
-LANE_INTEGERS = ArrayType(OriginKind.INTEGER_LANES)
+LANE_INTEGERS = ArrayType(AddressOriginKind.INTEGER_LANES)
 
 
-def real_array(rank: int = 1) -> ArrayType:
+def real_array_type(rank: int = 1) -> ArrayType:
     """Return the type of an array of floats with `rank` axes."""
-    return ArrayType(OriginKind.REAL_BLOCKS, rank)
+    return ArrayType(AddressOriginKind.REAL_BLOCKS, rank)
 
 
-def integer_array(rank: int = 1) -> ArrayType:
+def integer_array_type(rank: int = 1) -> ArrayType:
     """Return the type of an array of integers with `rank` axes."""
-    return ArrayType(OriginKind.INTEGER_BLOCKS, rank)
+    return ArrayType(AddressOriginKind.INTEGER_BLOCKS, rank)
 
 
 class ArrayTable(np.ndarray):
@@ -104,7 +104,7 @@ class ArrayLayout:
             raise ValueError(f"arrays must contain {', '.join(missing)}"
                              f"{make_hint_with_similar_or_known_words(missing[0], arrays)}")
         table = np.array([entry for name, kind in self.types.items()
-                          for entry in kind.list_entries(name, arrays[name])], dtype=np.int32).view(ArrayTable)
+                          for entry in kind.compute_table_entries(name, arrays[name])], dtype=np.int32).view(ArrayTable)
         table.arrays = {name: arrays[name] for name in self.types}
         return table
 
@@ -127,10 +127,11 @@ class ArrayLayout:
         impl = get_initialised_taichi().lang.impl
         opened, position = _OpenedTable(), 0
         for name, kind in self.types.items():
-            offset, *shape = (impl.expr_init(impl.subscript(None, table, position + i)) for i in range(kind.entries))
+            offset, *shape = (impl.expr_init(impl.subscript(None, table, position + i))
+                              for i in range(kind.table_entry_count))
             setattr(opened, name, _LaneView(kind.kind, offset) if kind.has_lanes
                     else _NumberView(kind.kind, offset, shape))
-            position += kind.entries
+            position += kind.table_entry_count
         return opened
 
     # Taichi warns of calls of functions that are not its own, unless they have this mark.
@@ -149,8 +150,8 @@ class _LaneView:
 
     _data_oriented = True
 
-    def __init__(self, kind: OriginKind, offset: Any):
-        self._field, self._offset = get_origin(kind).field, offset
+    def __init__(self, kind: AddressOriginKind, offset: Any):
+        self._field, self._offset = get_address_origin(kind).field, offset
 
     def __getitem__(self, row: Any) -> Any:
         return get_initialised_taichi().lang.impl.subscript(None, self._field, self._offset + row)
@@ -161,8 +162,8 @@ class _NumberView:
 
     _data_oriented = True
 
-    def __init__(self, kind: OriginKind, offset: Any, shape: list[Any]):
-        self._field, self._offset, self.shape = get_origin(kind).field, offset, shape
+    def __init__(self, kind: AddressOriginKind, offset: Any, shape: list[Any]):
+        self._field, self._offset, self.shape = get_address_origin(kind).field, offset, shape
         # Both widths are powers of two: entry i is component i & mask of vector i >> shift.
         self._shift, self._mask = kind.width.bit_length() - 1, kind.width - 1
 

@@ -19,7 +19,7 @@ from functools import cache
 import numpy as np
 
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.shared_fields import BLOCK, INTEGER_BLOCK, LANES, get_shared_fields
+from tissue_sim.fem.taichi.shared_fields import BLOCK, INTEGER_BLOCK, LANES, get_shared_taichi_fields
 
 #: Alignment of an array, bytes: a cache line. The vectors of every origin divide it.
 ALIGNMENT = 64
@@ -28,8 +28,8 @@ ALIGNMENT = 64
 MAX_OFFSET = 2**31 - 2**24
 
 
-class OriginKind(Enum):
-    """Kind of an origin: name in `SharedFields`, type and number of the components of a vector.
+class AddressOriginKind(Enum):
+    """Kind of an origin: name in `SharedTaichiFields`, type and number of the components of a vector.
 
     Attributes:
         REAL_BLOCKS: rows of blocks of band matrices, and single numbers.
@@ -60,7 +60,7 @@ class OriginKind(Enum):
 
 
 @dataclass(frozen=True)
-class Origin:
+class AddressOrigin:
     """Field relative to which kernels address arrays.
 
     Attributes:
@@ -73,16 +73,16 @@ class Origin:
 
 
 @cache
-def get_origin(kind: OriginKind = OriginKind.REAL_BLOCKS) -> Origin:
+def get_address_origin(kind: AddressOriginKind = AddressOriginKind.REAL_BLOCKS) -> AddressOrigin:
     """Return an origin of this process."""
     ti = get_initialised_taichi()
-    field, address = getattr(get_shared_fields(), kind.value[0]), ti.u64
+    field, address = getattr(get_shared_taichi_fields(), kind.value[0]), ti.u64
 
     @ti.kernel
     def get_address() -> address:
         return ti.get_addr(field, [0])
 
-    return Origin(field, int(get_address()))
+    return AddressOrigin(field, int(get_address()))
 
 
 def allocate_array(shape: tuple[int, ...], dtype: type = float) -> np.ndarray:
@@ -114,7 +114,7 @@ def copy_to_addressable_array(values: np.ndarray) -> np.ndarray:
     return array
 
 
-def compute_offset(array: np.ndarray, kind: OriginKind = OriginKind.REAL_BLOCKS) -> int:
+def compute_array_offset(array: np.ndarray, kind: AddressOriginKind = AddressOriginKind.REAL_BLOCKS) -> int:
     """Return the index of the first number of an array relative to an origin, in vectors of the origin.
 
     Args:
@@ -128,7 +128,7 @@ def compute_offset(array: np.ndarray, kind: OriginKind = OriginKind.REAL_BLOCKS)
     if array.dtype != kind.dtype or not array.flags.c_contiguous:
         raise ValueError(f"array must be C-contiguous with numbers of type {kind.dtype}; got type {array.dtype} and "
                          f"strides {array.strides}. Use allocate_array.")
-    offset, rest = divmod(array.ctypes.data - get_origin(kind).address, kind.vector_bytes)
+    offset, rest = divmod(array.ctypes.data - get_address_origin(kind).address, kind.vector_bytes)
     if rest:
         raise ValueError(f"array must begin at a multiple of {kind.vector_bytes} bytes from the origin; got a "
                          f"remainder of {rest} bytes. Use allocate_array.")

@@ -44,7 +44,7 @@ def _import_and_initialise():
     # Taichi prints its version at import and its backend at start to stdout, where --json must be alone.
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
     try:
-        with _fast_module_lookup():
+        with _patch_inspect_getmodule():
             import taichi as ti
         from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
     except ImportError as error:
@@ -77,7 +77,7 @@ def _format_source_position(context: Any, node: Any) -> str:
 
 
 @contextlib.contextmanager
-def _fast_module_lookup() -> Iterator[None]:
+def _patch_inspect_getmodule() -> Iterator[None]:
     """Replace `inspect.getmodule` by a faster function in a with block, during the import of Taichi.
 
     `inspect.getmodule` searches all loaded modules for that of each function, which takes a quarter of the import.

@@ -51,11 +51,11 @@ def get_shared_scratch_field(lanes: int, size: int):
     if lanes != LANES or size > VECTORS:
         raise ValueError(f"size must be at most {VECTORS} vectors of {LANES} components; got {size} vectors of "
                          f"{lanes}. Increase VECTORS in tissue_sim/fem/taichi/shared_fields.py.")
-    return get_shared_fields().scratch
+    return get_shared_taichi_fields().scratch
 
 
 @dataclass(frozen=True)
-class SharedFields:
+class SharedTaichiFields:
     """The fields of a process. Kernels address arrays relative to the origins (`tissue_sim.fem.taichi.origins`).
 
     Attributes:
@@ -74,12 +74,12 @@ class SharedFields:
 
 
 @cache
-def get_shared_fields() -> SharedFields:
+def get_shared_taichi_fields() -> SharedTaichiFields:
     """Return the fields of this process; the first call creates them."""
     ti = get_initialised_taichi()
     # The first field begins on a page of memory. Arrays aligned to cache lines are whole vectors away from it.
-    return SharedFields(blocks=ti.Vector.field(BLOCK, ti.f64, shape=ORIGIN_SIZE),
-                        lanes=ti.Vector.field(LANES, ti.f64, shape=ORIGIN_SIZE),
-                        integer_blocks=ti.Vector.field(INTEGER_BLOCK, ti.i32, shape=ORIGIN_SIZE),
-                        integer_lanes=ti.Vector.field(LANES, ti.i32, shape=ORIGIN_SIZE),
-                        scratch=ti.Vector.field(LANES, ti.f64, shape=VECTORS))
+    return SharedTaichiFields(blocks=ti.Vector.field(BLOCK, ti.f64, shape=ORIGIN_SIZE),
+                              lanes=ti.Vector.field(LANES, ti.f64, shape=ORIGIN_SIZE),
+                              integer_blocks=ti.Vector.field(INTEGER_BLOCK, ti.i32, shape=ORIGIN_SIZE),
+                              integer_lanes=ti.Vector.field(LANES, ti.i32, shape=ORIGIN_SIZE),
+                              scratch=ti.Vector.field(LANES, ti.f64, shape=VECTORS))

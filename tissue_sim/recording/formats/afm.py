@@ -71,7 +71,7 @@ def read_afm(path: str | Path, *, curve: int | None = None, spring_constant: flo
             for each in curves:
                 number += 1
                 if curve in (None, number):
-                    with _convert_to_input_errors(path, f"curve {number}"):
+                    with _input_errors_without_warnings(path, f"curve {number}"):
                         recording = build_curve_recording(each, number, overrides,
                                                           read_chiaro_tip_radius_or_none(member))
                     recordings.append(recording if member == path else recording.with_metadata(member=member.name))
@@ -108,7 +108,7 @@ def _extracted_curve_files(path: Path, suffixes: list[str]) -> Iterator[list[Pat
             # The path of a member may lead outside of the folder (path traversal): only the last part is used.
             member = Path(folder, str(number), PurePosixPath(name).name)
             member.parent.mkdir()
-            with _convert_to_input_errors(path, name):
+            with _input_errors_without_warnings(path, name):
                 member.write_bytes(archive.read(name))
             members.append(member)
         yield members
@@ -127,7 +127,7 @@ def _load_curves(afmformats: Any, member: Path, path: Path, overrides: Mapping[s
     if member.suffix not in afmformats.supported_extensions:
         raise InputError(f"the name ends in {member.suffix!r}, expected {_EXPECTED}, which ends in "
                          f"{', '.join(afmformats.supported_extensions)}", file=path)
-    with _convert_to_input_errors(path, member_name):
+    with _input_errors_without_warnings(path, member_name):
         try:
             return afmformats.load_data(member)
         except afmformats.errors.MissingMetaDataError as error:
@@ -138,7 +138,7 @@ def _load_curves(afmformats: Any, member: Path, path: Path, overrides: Mapping[s
 
 
 @contextmanager
-def _convert_to_input_errors(path: Path, member_name: str) -> Iterator[None]:
+def _input_errors_without_warnings(path: Path, member_name: str) -> Iterator[None]:
     """Context manager: raise errors of afmformats as `InputError`; suppress the warnings and log of afmformats."""
     logger = logging.getLogger("afmformats")
     level = logger.level

@@ -16,7 +16,7 @@ from tissue_sim.recording.formats.header import (
 from tissue_sim.recording.formats.number_text import is_number_with_either_mark, parse_number_preferring_point_or_nan
 from tissue_sim.recording.formats.size_words import classify_size_name
 from tissue_sim.recording.formats.table import Table, TableRow
-from tissue_sim.units import find_known_unit, split_header_and_known_unit
+from tissue_sim.units import find_known_unit_or_none, split_header_and_known_unit
 
 #: A word: two letters or more.
 _WORD = re.compile(r"[^\W\d_]{2}")
@@ -64,7 +64,7 @@ class NumberBlock:
         """Return the unit of a column, numbered from 0, in the row of units; None without a known unit."""
         if self.units is None or place >= len(self.units.cells):
             return None
-        return find_known_unit(self.units.cells[place])
+        return find_known_unit_or_none(self.units.cells[place])
 
 
 def find_table_and_blocks_by_column_names(tables: Iterable[Table], names: Sequence[str], *, also: Sequence[int] = (),
@@ -212,13 +212,13 @@ def _continues_without_large_step(before: Sequence[TableRow], row: TableRow, pla
 def has_only_units_in_columns(row: TableRow, places: Sequence[int]) -> bool:
     """Return whether all cells with content in the given columns are units; a word in brackets is a unit."""
     cells = [row.cells[place] for place in places if place < len(row.cells) and row.cells[place]]
-    return bool(cells) and all(find_known_unit(cell) or cell[0] in "[(" for cell in cells)
+    return bool(cells) and all(find_known_unit_or_none(cell) or cell[0] in "[(" for cell in cells)
 
 
 def has_mostly_units_in_columns(row: TableRow, places: Sequence[int]) -> bool:
     """Return whether at least two cells and half of the cells in the given columns are units, others short words."""
     cells = [row.cells[place] for place in places if place < len(row.cells) and row.cells[place]]
-    known = sum(find_known_unit(cell) is not None for cell in cells)
+    known = sum(find_known_unit_or_none(cell) is not None for cell in cells)
     return known >= max(2, 0.5 * len(cells)) \
         and all(_SHORT.match(cell) and not is_number_with_either_mark(cell) for cell in cells)
 

@@ -25,7 +25,7 @@ from tissue_sim.recording.formats.column_options import (
     validate_delimiter,
 )
 from tissue_sim.recording.formats.containers import is_mat_tdms_or_hdf5_file, read_container_tables_as_sheets
-from tissue_sim.recording.formats.decimal_mark import NumberMarks, detect_number_marks
+from tissue_sim.recording.formats.decimal_mark import DecimalAndThousandsMarks, detect_decimal_and_thousands_marks
 from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, iterate_table_for_each_delimiter
 from tissue_sim.recording.formats.long_text import (
     NotPlainNumbersError,
@@ -37,9 +37,9 @@ from tissue_sim.recording.formats.table import (
     ChannelColumn,
     Table,
     TableRow,
+    build_recording_from_rows,
     get_si_conversion,
     list_cells_of_each_number_column,
-    read_recording_table,
     select_cells_and_drop_blank_rows,
 )
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
@@ -63,7 +63,7 @@ class RecordingWithDecimalMark:
     """
 
     recording: Recording
-    marks: NumberMarks
+    marks: DecimalAndThousandsMarks
     line: int
     sheet: str = ""
 
@@ -96,7 +96,7 @@ def read_recordings_from_columns(path: str | Path, columns: Mapping[str, Any], *
 
     The delimiter of a text is the first of comma, semicolon and tab that gives such a row. Rows of text below the
     numbers end a table. Decimal mark and thousands separator are found from all values, see
-    `tissue_sim.recording.formats.decimal_mark.detect_number_marks`.
+    `tissue_sim.recording.formats.decimal_mark.detect_decimal_and_thousands_marks`.
 
     Args:
         path: the file: text in any usual encoding, xlsx, xls, ods, mat, tdms, h5.
@@ -151,7 +151,7 @@ def read_recordings_and_decimal_marks(path: str | Path, columns: Mapping[str, An
         if delimiter is not None:
             raise InputError("must be omitted, because only a text has a delimiter", file=path, field="delimiter")
         for each in _read_chosen_sheets_or_container_tables(path, sheet):
-            with each.add_location_to_errors():
+            with each.located_errors():
                 found += _read_recordings_of_first_matching_table([each.build_table_below_skipped_rows(skip_lines)],
                                                                   wanted, path, metadata, decimal, alone=True)
     else:
@@ -239,8 +239,8 @@ def _read_recordings_of_first_matching_table(tables, wanted: Mapping[str, Mappin
         if alone or len(blocks) > 1:
             rows, columns = _select_and_renumber_chosen_columns(rows, columns)
             header = TableRow(header.line, tuple(column.header for column in columns))
-        recording = read_recording_table(header, rows, columns, file=path, delimiter=table.delimiter or ";",
-                                         metadata=metadata, end=end, marks=marks)
+        recording = build_recording_from_rows(header, rows, columns, file=path, delimiter=table.delimiter or ";",
+                                              metadata=metadata, end=end, marks=marks)
         if block.below and found and _continues_recording(found[-1].recording, recording):
             found[-1] = replace(found[-1], recording=_concatenate_two_recordings(found[-1].recording, recording))
         else:
@@ -258,7 +258,7 @@ def _read_recordings_of_first_matching_table(tables, wanted: Mapping[str, Mappin
 
 
 def _detect_decimal_mark_of_all_blocks(blocks: Sequence[NumberBlock], chosen: Sequence[Sequence[ChannelColumn]],
-                                       delimiter: str | None, decimal: str | None) -> NumberMarks:
+                                       delimiter: str | None, decimal: str | None) -> DecimalAndThousandsMarks:
     """Return decimal mark and thousands separators of all blocks; the columns that are read have precedence."""
     used = [cells for block, columns in zip(blocks, chosen, strict=True)
             for cells in list_cells_of_each_number_column(block.rows, columns)]
@@ -273,7 +273,8 @@ def _detect_decimal_mark_of_all_blocks(blocks: Sequence[NumberBlock], chosen: Se
                     if 2 * sum(map(is_number_with_either_mark, cells[:100])) > len(cells[:100]):
                         yield cells
 
-    return detect_number_marks(used, iterate_cells_of_unread_columns(), delimiter=delimiter, stated=decimal)
+    return detect_decimal_and_thousands_marks(used, iterate_cells_of_unread_columns(), delimiter=delimiter,
+                                              stated=decimal)
 
 
 def _continues_recording(first: Recording, second: Recording) -> bool:

@@ -11,8 +11,8 @@ from tissue_sim.recording.cleaning import remove_outliers_and_saturation
 from tissue_sim.recording.recording import Recording
 
 
-def list_value_pairs_valid_in_both_readings(first: Sequence[Recording], second: Sequence[Recording], channel: str
-                                            ) -> list[tuple[np.ndarray, np.ndarray]]:
+def list_value_pairs_valid_in_both_interpretations(first: Sequence[Recording], second: Sequence[Recording], channel: str
+                                                   ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return a channel of two interpretations of a table, only samples that are valid in both.
 
     A sample that is invalid in one reading is omitted in both, because one lost value of 9999 would determine the

@@ -21,7 +21,7 @@ from tissue_sim.recording.formats.number_text import (
 
 @dataclass(frozen=True)
 class DecimalMarkSettings:
-    """Settings of `detect_number_marks`.
+    """Settings of `detect_decimal_and_thousands_marks`.
 
     Attributes:
         damaged_fraction: largest fraction of the cells of a column that may contradict an interpretation: one damaged
@@ -65,7 +65,7 @@ _QUANTITY = re.compile(r"(?<![\d.,])\d+(?P<mark>[.,])(?!\d{3}\b)\d+\s*[\[(]?(mm|
 
 
 @dataclass(frozen=True)
-class NumberMarks:
+class DecimalAndThousandsMarks:
     """Decimal mark and thousands separators of the numbers of a table.
 
     Attributes:
@@ -128,9 +128,9 @@ class _DecimalMarkVoteOfColumn:
     example: str = ""
 
 
-def detect_number_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = (), *,
-                        delimiter: str | None = None,
-                        stated: str | None = None) -> NumberMarks:
+def detect_decimal_and_thousands_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = (), *,
+                                       delimiter: str | None = None,
+                                       stated: str | None = None) -> DecimalAndThousandsMarks:
     """Find the decimal mark of a table.
 
     Args:
@@ -142,11 +142,12 @@ def detect_number_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence
     """
     columns = [list(cells) for cells in used]
     if stated is not None:
-        return _add_thousands_separators(NumberMarks(stated, evidence=("stated",), is_stated=True,
-                                                     example=_find_first_ambiguous_cell_or_empty(columns)), columns)
+        return _add_thousands_separators(DecimalAndThousandsMarks(stated, evidence=("stated",), is_stated=True,
+                                                                  example=_find_first_ambiguous_cell_or_empty(columns)),
+                                         columns)
     votes = [vote for cells in columns if (vote := _collect_column_evidence_or_none(cells)) is not None]
     if not votes:
-        return _add_thousands_separators(NumberMarks(), columns)
+        return _add_thousands_separators(DecimalAndThousandsMarks(), columns)
     example = next((vote.example for vote in votes if vote.example), "")
     deciding = [vote for vote in votes if vote.decimal is not None]
     if not deciding:
@@ -156,19 +157,19 @@ def detect_number_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence
     if len(chosen) == 1:
         decimal = deciding[0].decimal or "."
         reasons = tuple(dict.fromkeys(vote.reason for vote in deciding))[:2]
-        found = NumberMarks(decimal, "", reasons, is_certain=any(vote.is_certain for vote in deciding),
-                            example=example)
+        found = DecimalAndThousandsMarks(decimal, "", reasons, is_certain=any(vote.is_certain for vote in deciding),
+                                         example=example)
     elif chosen:
         found = _choose_certain_mark_or_leave_open(deciding, example)
     else:
         mark = next(each for each in DECIMAL_MARKS if each in example)
         sure = delimiter == "," and mark == "."
         reasons = ("the cells are separated by commas",) if sure else ()
-        found = NumberMarks(mark, "", reasons, is_open=not sure, example=example)
+        found = DecimalAndThousandsMarks(mark, "", reasons, is_open=not sure, example=example)
     return _add_thousands_separators(found, columns)
 
 
-def resolve_marks_by_quantities_outside_table(marks: NumberMarks, text: str) -> NumberMarks:
+def resolve_marks_by_quantities_outside_table(marks: DecimalAndThousandsMarks, text: str) -> DecimalAndThousandsMarks:
     """Resolve ambiguous marks by quantities with units in the text outside of the table, if these have one mark."""
     found = {match["mark"]: match[0] for match in _QUANTITY.finditer(text)}
     if len(found) != 1:
@@ -179,7 +180,8 @@ def resolve_marks_by_quantities_outside_table(marks: NumberMarks, text: str) -> 
                    evidence=(f"{quantity!r} outside of the table has {DECIMAL_WORDS[mark]}",))
 
 
-def _choose_certain_mark_or_leave_open(votes: Sequence[_DecimalMarkVoteOfColumn], example: str) -> NumberMarks:
+def _choose_certain_mark_or_leave_open(votes: Sequence[_DecimalMarkVoteOfColumn],
+                                       example: str) -> DecimalAndThousandsMarks:
     """Return the decimal mark of the most certain vote; both marks remain possible unless both are certain.
 
     If both marks are certain, reading the cells raises an error with the line of the cell.
@@ -188,11 +190,13 @@ def _choose_certain_mark_or_leave_open(votes: Sequence[_DecimalMarkVoteOfColumn]
     against = tuple(dict.fromkeys(vote.reason for vote in votes if vote.decimal != best.decimal))[:2]
     certain = all(any(vote.decimal == mark and vote.is_certain for vote in votes) for mark in DECIMAL_MARKS)
     doubted = next((vote.example for vote in votes if vote.decimal != best.decimal and vote.example), example)
-    return NumberMarks(best.decimal or ".", "", (best.reason,), against, is_certain=certain, is_open=not certain,
-                       example=doubted)
+    return DecimalAndThousandsMarks(best.decimal or ".", "", (best.reason,), against, is_certain=certain,
+                                    is_open=not certain,
+                                    example=doubted)
 
 
-def _add_thousands_separators(marks: NumberMarks, columns: Iterable[Sequence[str]]) -> NumberMarks:
+def _add_thousands_separators(marks: DecimalAndThousandsMarks,
+                              columns: Iterable[Sequence[str]]) -> DecimalAndThousandsMarks:
     """Return the marks with the thousands separators that occur in the columns."""
     seen: dict[str, str] = {}
     for cells in columns:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
+from tissue_sim.recording.formats.guesses import ColumnGuess, InterpretationOverrides
 from tissue_sim.recording.formats.kind_hints import make_hints_from_text_above_and_sheet_name
 from tissue_sim.recording.formats.kind_words import find_named_tests
 from tissue_sim.recording.formats.sizes import find_sizes_and_speed_in_mm
@@ -14,13 +14,13 @@ from tissue_sim.units import get_si_factor_and_offset
 
 
 def find_gauge_length_and_source_or_none(numbers: NumberTable, statements: Mapping[str, str],
-                                         hints: ColumnHints) -> tuple[float, str] | None:
+                                         hints: InterpretationOverrides) -> tuple[float, str] | None:
     """Return the gauge length, m, and its source: the user or the file; None: unknown.
 
     Args:
         numbers: table of numbers.
         statements: statements of the file about these numbers, key -> value with unit.
-        hints: hints of the user; `ColumnHints.height` is the gauge length.
+        hints: hints of the user; `InterpretationOverrides.height` is the gauge length.
     """
     if hints.height is not None:
         return hints.height, "stated"

@@ -15,7 +15,8 @@ from tissue_sim.recording.formats.kind_words import NamedTest
 from tissue_sim.recording.recording import CHANNELS, Recording
 from tissue_sim.units import UNITS, find_quantity_of_unit_or_none
 
-__getattr__ = make_getattr_for_old_names(__name__, {"Stated": "ColumnHints"})
+__getattr__ = make_getattr_for_old_names(__name__, {"Stated": "InterpretationOverrides",
+                                                    "ColumnHints": "InterpretationOverrides"})
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class ColumnGuess:
         return entry | {key: value for key, value in stated.items() if value is not None}
 
     @property
-    def missing_unit_or_scale_or_none(self) -> str | None:
+    def missing_information_text_or_none(self) -> str | None:
         """Information about this column that only the user knows, such as its unit, in words; None: complete."""
         name = repr(self.header) if self.header else str(self.place)
         if self.unit is None and self.scale is None and CHANNELS[self.channel] != "ratio":
@@ -131,10 +132,10 @@ class TableGroup:
     speed: tuple[float, str] | None = None
 
     @property
-    def missing_units_and_scales(self) -> tuple[str, ...]:
+    def missing_information_texts(self) -> tuple[str, ...]:
         """Information about the columns that only the user knows, in words; empty: complete."""
-        return tuple(column.missing_unit_or_scale_or_none for column in self.columns
-                     if column.missing_unit_or_scale_or_none)
+        return tuple(column.missing_information_text_or_none for column in self.columns
+                     if column.missing_information_text_or_none)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +164,7 @@ class FileInterpretation:
 
 
 @dataclass(frozen=True)
-class ColumnHints:
+class InterpretationOverrides:
     """Hints of the user about the columns of a file, which override the detected ones.
 
     Attributes:

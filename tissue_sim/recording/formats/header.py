@@ -11,7 +11,7 @@ from pathlib import Path
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.recording.formats.cell_units import move_cell_units_to_unit_row
 from tissue_sim.recording.formats.number_text import is_number_with_either_mark
-from tissue_sim.recording.formats.table import Table, TableRow, split_rows
+from tissue_sim.recording.formats.table import Table, TableRow, split_text_into_rows
 from tissue_sim.units import split_header_and_known_unit, split_header_with_brackets
 
 #: A letter.
@@ -28,7 +28,7 @@ def iterate_table_for_each_delimiter(text: str, *, file: Path, skip_lines: int =
     content = list(io.StringIO(text, newline=None))
     kept = "\n" * min(skip_lines, len(content)) + "".join(content[skip_lines:])
     for delimiter in delimiters:
-        yield Table(move_cell_units_to_unit_row(split_rows(kept, delimiter, file=file), kept), delimiter)
+        yield Table(move_cell_units_to_unit_row(split_text_into_rows(kept, delimiter, file=file), kept), delimiter)
 
 
 def find_table_header_and_data_rows(tables: Iterable[Table], names: Sequence[str], *,

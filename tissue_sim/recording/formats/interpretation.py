@@ -9,10 +9,10 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
-from tissue_sim.recording.formats.comparison import list_value_pairs_valid_in_both_readings
+from tissue_sim.recording.formats.comparison import list_value_pairs_valid_in_both_interpretations
 from tissue_sim.recording.formats.gauge_length import is_converted_by_gauge_length
-from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
-from tissue_sim.recording.formats.pairing import apply_measure_conversion
+from tissue_sim.recording.formats.guesses import ColumnGuess, InterpretationOverrides
+from tissue_sim.recording.formats.pairing import add_measure_conversion_to_column
 from tissue_sim.recording.formats.vocabulary import (
     MachineFormat,
     classify_column_source_or_empty,
@@ -32,7 +32,7 @@ Read = Callable[[Sequence[ColumnGuess]], tuple[Recording, ...]]
 
 
 @dataclass(frozen=True)
-class ComparisonSettings:
+class ColumnComparisonSettings:
     """Thresholds for the comparison of columns.
 
     Attributes:
@@ -61,7 +61,7 @@ class ComparisonSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = ComparisonSettings()
+_SETTINGS = ColumnComparisonSettings()
 #: Channel -> reason of an inverted sign.
 _TURNED = {"displacement": "falls under load", "force": "against the motion", "nominal stress": "against the motion",
            "stretch": "positive in compression"}
@@ -72,7 +72,7 @@ def get_command_line_channel_name(channel: str) -> str:
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
 
-def make_machine_assumption(machine: MachineFormat | None, hints: ColumnHints) -> Assumption:
+def make_machine_assumption(machine: MachineFormat | None, hints: InterpretationOverrides) -> Assumption:
     """Return the assumption about the machine that wrote the file."""
     if machine is None:
         return Assumption("format", "table", ("no mark of a known machine",), flag="--format table",
@@ -82,7 +82,8 @@ def make_machine_assumption(machine: MachineFormat | None, hints: ColumnHints) -
 
 
 def iterate_column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-                               others: Sequence[ColumnGuess], hints: ColumnHints) -> Iterator[Assumption]:
+                               others: Sequence[ColumnGuess],
+                               hints: InterpretationOverrides) -> Iterator[Assumption]:
     """Yield the assumptions about role, unit, sign and measure of each column.
 
     Args:
@@ -150,7 +151,7 @@ def compare_columns_and_replace_constant_ones(read: Read, columns: tuple[ColumnG
     remarks: list[str] = []
     for rival in rivals:
         column = next((each for each in columns if each.channel == rival.channel), None)
-        if column is None or column.missing_unit_or_scale_or_none or rival.missing_unit_or_scale_or_none \
+        if column is None or column.missing_information_text_or_none or rival.missing_information_text_or_none \
             or column.measure != rival.measure:
             continue
         swapped = tuple(replace(rival, sign=each.sign) if each is column else each for each in columns)
@@ -158,7 +159,7 @@ def compare_columns_and_replace_constant_ones(read: Read, columns: tuple[ColumnG
             other = read(swapped)
         except InputError:
             continue
-        pairs = [pair for pair in list_value_pairs_valid_in_both_readings(recordings, other, column.channel)
+        pairs = [pair for pair in list_value_pairs_valid_in_both_interpretations(recordings, other, column.channel)
                  if pair[0].size]
         if not pairs:
             continue
@@ -206,7 +207,7 @@ def _quote_for_command_line(text: str) -> str:
 
 def _make_unit_assumption(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
                           recordings: Sequence[Recording],
-                          others: Sequence[ColumnGuess], hints: ColumnHints, flag: str) -> Assumption:
+                          others: Sequence[ColumnGuess], hints: InterpretationOverrides, flag: str) -> Assumption:
     """Return the assumption about the unit of a column, with % or a contradictory unit as an alternative."""
     channel, subject = column.channel, f"unit of {column.channel}"
     is_stated = not (hints.units.keys() | hints.scales.keys()).isdisjoint({channel, column.role})
@@ -229,7 +230,7 @@ def _make_unit_assumption(read: Read, column: ColumnGuess, columns: Sequence[Col
         return Assumption(subject, value, (f"in the header {column.header!r}",), (rival,), (AlternativeValue(
                 column.other_unit, other / own if grows else None if channel == "time" else own / other,
                 f"--unit {flag}={column.other_unit}"),), f"--unit {flag}={column.unit}")
-    if is_stated or column.missing_unit_or_scale_or_none:
+    if is_stated or column.missing_information_text_or_none:
         evidence: tuple[str, ...] = ()
     elif split_header_and_known_unit(column.header)[1] is not None:
         evidence = (f"in the header {column.header!r}",)
@@ -256,13 +257,14 @@ def _is_strain_or_stretch_without_factor(column: ColumnGuess) -> bool:
 
 def _list_percent_as_alternative_if_plausible(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
                                               recordings: Sequence[Recording], others: Sequence[ColumnGuess], flag: str,
-                                              *, is_named: bool ) -> tuple[AlternativeValue, ...]:
+                                              *, is_named: bool) -> tuple[AlternativeValue, ...]:
     """Return the unit % as an alternative for large strains without a unit; empty if % is excluded.
 
     Another measure of strain, or displacement over gauge length, that agrees with the strains excludes %.
     """
     values = np.concatenate([own for own,
-                             _ in list_value_pairs_valid_in_both_readings(recordings, recordings, column.channel)])
+                             _ in list_value_pairs_valid_in_both_interpretations(recordings, recordings,
+                                                                                 column.channel)])
     # A derived displacement is the strain times the gauge length, which is its scale in mm.
     length = 1e-3 * (column.scale or 1e3)
     largest = float(np.abs(values - (column.channel == "stretch" and column.role == "strain")).max()) / length
@@ -272,13 +274,13 @@ def _list_percent_as_alternative_if_plausible(read: Read, column: ColumnGuess, c
     for other in others:
         same = (other.measure == column.measure
                 and is_converted_by_gauge_length(other) == is_converted_by_gauge_length(column))
-        if other.channel != column.channel or same or other.missing_unit_or_scale_or_none:
+        if other.channel != column.channel or same or other.missing_information_text_or_none:
             continue
         try:
             rival = read([other if each is column else each for each in columns])
         except InputError:
             continue
-        pairs = [pair for pair in list_value_pairs_valid_in_both_readings(recordings, rival, column.channel)
+        pairs = [pair for pair in list_value_pairs_valid_in_both_interpretations(recordings, rival, column.channel)
                  if pair[0].size]
         limit = (_SETTINGS.agreement if other.measure != column.measure else _SETTINGS.same_unit) * largest * length
         if pairs and max(float(np.abs(its - own).max()) for own, its in pairs) <= limit:
@@ -290,7 +292,8 @@ def _list_percent_as_alternative_if_plausible(read: Read, column: ColumnGuess, c
 
 
 def _make_measure_assumption(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
-                             recordings: Sequence[Recording], hints: ColumnHints, flag: str) -> Assumption:
+                             recordings: Sequence[Recording], hints: InterpretationOverrides,
+                             flag: str) -> Assumption:
     """Return the assumption about the measure of a strain or stress, with measures that other columns suggest."""
     words = normalize_header_text(column.header)
     named = find_measure_name_in_header_or_none(words, column.role)
@@ -312,7 +315,7 @@ def _make_measure_assumption(read: Read, column: ColumnGuess, columns: Sequence[
     alternatives = []
     for other in dict.fromkeys(others):
         bare = replace(column, measure=None, offset=None)
-        changed = apply_measure_conversion(bare, other)
+        changed = add_measure_conversion_to_column(bare, other)
         alternatives.append(
             AlternativeValue(other, _compute_fitted_modulus_ratio_or_none(read, column, changed, recordings, columns),
                              f"--measure {flag}={other}"))
@@ -332,7 +335,7 @@ def _compute_modulus_ratio_from_largest_strains(read: Read, column: ColumnGuess,
     except InputError:
         return None
     rest = float(column.channel == "stretch")
-    pairs = [pair for pair in list_value_pairs_valid_in_both_readings(recordings, other, column.channel)
+    pairs = [pair for pair in list_value_pairs_valid_in_both_interpretations(recordings, other, column.channel)
              if pair[0].size]
     own, its = (max((float(np.abs(pair[which] - rest).max()) for pair in pairs), default=0.0) for which in (0, 1))
     return own / its if its > 0 else None
@@ -346,19 +349,20 @@ def _compute_fitted_modulus_ratio_or_none(read: Read, column: ColumnGuess, chang
         other = read([changed if each is column else each for each in columns])
     except InputError:
         return None
-    own, its = _fit_shear_moduli_of_both_readings(recordings, other)
+    own, its = _fit_shear_moduli_of_both_interpretations(recordings, other)
     return its / own if own and its else None
 
 
-def _fit_shear_moduli_of_both_readings(first: Sequence[Recording],
-                                       second: Sequence[Recording]) -> tuple[float | None, float | None]:
+def _fit_shear_moduli_of_both_interpretations(first: Sequence[Recording],
+                                              second: Sequence[Recording]) -> tuple[float | None, float | None]:
     """Return the least-squares shear moduli, Pa, of a neo-Hookean specimen for two readings of a table.
 
     The law is P = mu (l - l^-2). None: the readings have no stretch and stress.
     """
     if not all({"stretch", "nominal stress"} <= set(each.channels) for each in (*first, *second)):
         return None, None
-    parts = [list_value_pairs_valid_in_both_readings(first, second, name) for name in ("stretch", "nominal stress")]
+    parts = [list_value_pairs_valid_in_both_interpretations(first, second, name)
+             for name in ("stretch", "nominal stress")]
     if not parts[0]:
         return None, None
     stretches, stresses = ([np.concatenate([pair[which] for pair in part]) for which in (0, 1)] for part in parts)

@@ -46,7 +46,7 @@ def make_hints_from_file_top_and_text_sheets(source: FileContent, found: Sequenc
                     for table in source.tables if id(table) not in with_numbers]
 
 
-def make_header_hint_without_unknown_tests(own: Sequence[str], others: Sequence[str]) -> KindHint:
+def make_header_hint_without_unregistered_tests(own: Sequence[str], others: Sequence[str]) -> KindHint:
     """Return one hint: headers of the columns that are read, and other headers that name no test without a kind.
 
     A header of a column that is not read is omitted if it names a test without a kind, such as a bending strain.

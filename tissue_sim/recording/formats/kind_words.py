@@ -82,7 +82,7 @@ class NamedTest:
                           "no such kind of test. --kind overrules the word", field="kind")
 
 
-def normalize_text(text: str) -> str:
+def normalize_and_truncate_line(text: str) -> str:
     """Return a text in lower case without accents, with one blank between words and numbers.
 
     ``PureShear_3pt`` gives ``pure shear 3 pt``. The text is cut at `_LONGEST_LINE` characters.
@@ -97,7 +97,8 @@ def normalize_text(text: str) -> str:
 def find_named_tests(hints: Iterable[KindHint]) -> tuple[NamedTest, ...]:
     """Return the tests that texts name, in order; of overlapping words the longest, and registered kinds first."""
     return tuple(named for hint in hints for line in hint.text.splitlines()
-                 if not _NAME_ENTRIES.match(normalize_text(line)) for named in _iterate_tests_in_line(line, hint))
+                 if not _NAME_ENTRIES.match(normalize_and_truncate_line(line))
+                 for named in _iterate_tests_in_line(line, hint))
 
 
 def _iterate_tests_in_line(line: str, hint: KindHint) -> Iterator[NamedTest]:
@@ -105,9 +106,9 @@ def _iterate_tests_in_line(line: str, hint: KindHint) -> Iterator[NamedTest]:
 
     Tests without a registered kind are included. Abbreviations count in file names only.
     """
-    text = normalize_text(line)
+    text = normalize_and_truncate_line(line)
     matches: list[tuple[int, int, bool, NamedTest]] = []
-    for pattern, kind, unknown, is_short in _compile_patterns_of_kinds_and_unknown_tests(
+    for pattern, kind, unknown, is_short in _compile_patterns_of_kinds_and_unregistered_tests(
         _list_names_titles_words_of_kinds()):
         if is_short and not hint.is_file_name:
             continue
@@ -131,7 +132,7 @@ def _iterate_tests_in_line(line: str, hint: KindHint) -> Iterator[NamedTest]:
 def _list_names_titles_words_of_kinds() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
     """Return (name, title, title words) of all registered kinds.
 
-    They are the hashable key of `_compile_patterns_of_kinds_and_unknown_tests`.
+    They are the hashable key of `_compile_patterns_of_kinds_and_unregistered_tests`.
     """
     return tuple((name, kind.title, kind.title_words) for name, kind in KINDS.items())
 
@@ -144,14 +145,14 @@ def _list_unregistered_tests(
 
 
 @lru_cache(maxsize=8)
-def _compile_patterns_of_kinds_and_unknown_tests(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
-                                                 ) -> tuple[tuple[re.Pattern[str], str | None,
-                                                                  KnownTestWithoutKind | None, bool], ...]:
+def _compile_patterns_of_kinds_and_unregistered_tests(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
+                                                      ) -> tuple[tuple[re.Pattern[str], str | None,
+                                                                       KnownTestWithoutKind | None, bool], ...]:
     """Return (pattern, kind, test without a kind, whether the word is an abbreviation) of all words."""
     words: list[tuple[str, str | None, KnownTestWithoutKind | None, bool]] = []
     for name, title, own in kinds:
         words += [(rf"\b(?:{word})\b", name, None, False)
-                  for word in (*own, normalize_text(name), normalize_text(title))]
+                  for word in (*own, normalize_and_truncate_line(name), normalize_and_truncate_line(title))]
         words += [(rf"\b(?:{word})\b", name, None, True) for word in _SHORT.get(name, ())]
     without_kind = _list_unregistered_tests(kinds)
     for test in UNKNOWN_TESTS:

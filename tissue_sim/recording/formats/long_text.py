@@ -145,7 +145,7 @@ def _make_verified_trailing_number_lines(text: str, start: int, delimiter: str) 
     units: tuple[str, ...] = ()
     for piece in _iterate_chunks_of_plain_tabbed_lines(text, start, delimiter):
         if not suffixes:
-            quantities = [_get_text_after_number_and_unit(cell) for cell in piece[:piece.index(b"\n")].split(_CELL_END)]
+            quantities = [_get_unit_suffix_and_unit(cell) for cell in piece[:piece.index(b"\n")].split(_CELL_END)]
             suffixes = tuple(suffix for suffix, _ in quantities)
             units = tuple(unit for _, unit in quantities)
             if len(suffixes) < 2:
@@ -160,7 +160,7 @@ def _make_verified_trailing_number_lines(text: str, start: int, delimiter: str) 
     return TrailingNumberLines(text, start, delimiter, "".join(sorted(found)), suffixes, units)
 
 
-def _get_text_after_number_and_unit(cell: bytes) -> tuple[bytes, str]:
+def _get_unit_suffix_and_unit(cell: bytes) -> tuple[bytes, str]:
     """Return the text after the number in a cell, and its unit; both are empty without a known unit."""
     text = cell.decode("latin-1")
     pair = split_number_and_unit(text)

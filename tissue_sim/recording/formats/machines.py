@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.columns import Sheets
-from tissue_sim.recording.formats.guesses import ColumnHints
+from tissue_sim.recording.formats.guesses import InterpretationOverrides
 from tissue_sim.recording.formats.kind_guess import KIND_OF_TEST
 from tissue_sim.recording.formats.understanding import interpret_file
 from tissue_sim.recording.formats.vocabulary import MACHINES
@@ -51,8 +51,8 @@ def _read_file_of_given_or_any_machine(path: str | Path, machine: str | None, sh
                                        ) -> tuple[Recording, ...]:
     """Read the recordings in a file; `machine` is a name in `MACHINES` (None: any machine)."""
     path = Path(path)
-    understood = interpret_file(path, ColumnHints(format=machine, sheet=sheet, any_test=True))
-    missing = [what for reading in understood.readings for what in reading.missing_units_and_scales]
+    understood = interpret_file(path, InterpretationOverrides(format=machine, sheet=sheet, any_test=True))
+    missing = [what for reading in understood.readings for what in reading.missing_information_texts]
     if missing:
         raise InputError(f"does not state {', nor '.join(missing)}; give columns with unit or scale instead of the "
                          "format", file=path, line=understood.readings[0].line)

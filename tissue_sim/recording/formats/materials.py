@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
-from tissue_sim.recording.formats.guesses import ColumnHints, TableGroup
+from tissue_sim.recording.formats.guesses import InterpretationOverrides, TableGroup
 from tissue_sim.recording.formats.pairing import RecordingColumns
 from tissue_sim.recording.formats.sizes import make_size_signature
 from tissue_sim.recording.formats.statements import FileStatementsByKey
@@ -18,14 +18,15 @@ _SUBJECT = "titles of the tables"
 
 
 def split_table_group_by_material_and_size(reading: TableGroup, groups: Sequence[RecordingColumns],
-                                           places: Sequence[tuple[str, int]], hints: ColumnHints) -> list[TableGroup]:
+                                           places: Sequence[tuple[str, int]],
+                                           hints: InterpretationOverrides) -> list[TableGroup]:
     """Split a group of tables into one group for each pair of material (by title) and specimen size.
 
     Args:
         reading: group of all tables.
         groups: tables in the order of the file.
         places: (sheet, line of the header) of each recording.
-        hints: hints of the user; `ColumnHints.one_material` disables the split by titles.
+        hints: hints of the user; `InterpretationOverrides.one_material` disables the split by titles.
 
     Returns:
         The groups, or the one unchanged group. Several materials add a question to the user to each group.
@@ -59,14 +60,14 @@ def split_table_group_by_material_and_size(reading: TableGroup, groups: Sequence
 
 
 def add_material_question_if_titles_differ(readings: Sequence[TableGroup], tables: Sequence[Sequence[RecordingColumns]],
-                                           hints: ColumnHints
+                                           hints: InterpretationOverrides
                                            ) -> tuple[TableGroup, ...]:
     """Add a question to groups of tables of one kind of test with different columns and titles of different materials.
 
     Args:
         readings: readings of all tables.
         tables: groups of tables with equal columns and units.
-        hints: hints of the user; with `ColumnHints.one_material`, no question is added.
+        hints: hints of the user; with `InterpretationOverrides.one_material`, no question is added.
     """
     alike = {(reading.kind.kind, *sorted(column.channel for column in reading.columns)) for reading in readings}
     if len(tables) < 2 or len(alike) > 1 or hints.one_material:

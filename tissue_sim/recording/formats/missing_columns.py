@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from tissue_sim.recording.formats.guesses import ColumnHints
+from tissue_sim.recording.formats.guesses import InterpretationOverrides
 from tissue_sim.recording.formats.number_text import is_number_with_either_mark, split_number_and_unit
 from tissue_sim.recording.formats.pairing import find_column_named_by_user_or_none, find_column_position_or_none
 from tissue_sim.recording.formats.sizes import find_size_texts_without_known_unit
@@ -14,7 +14,8 @@ from tissue_sim.recording.formats.vocabulary import MachineFormat, find_role_and
 from tissue_sim.recording.measures import MEASURES, find_measure_name_in_header_or_none
 
 
-def explain_missing_columns(found: Sequence[NumberTable], machine: MachineFormat | None, hints: ColumnHints,
+def explain_missing_columns(found: Sequence[NumberTable], machine: MachineFormat | None,
+                            hints: InterpretationOverrides,
                             statements: Callable[[NumberTable], Mapping[str, str]]) -> str:
     """Return the message for a file without a recording, which lists all missing information.
 

@@ -19,9 +19,9 @@ from tissue_sim.recording.formats.number_text import is_number_with_either_mark
 from tissue_sim.recording.formats.table import (
     ChannelColumn,
     TableRow,
+    build_recording_from_rows,
     get_si_conversion,
-    read_recording_table,
-    split_rows,
+    split_text_into_rows,
 )
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import get_si_factor_and_offset, split_header_with_brackets
@@ -83,14 +83,15 @@ def read_native_rows(rows: Sequence[TableRow], path: Path, end: TrailingNumberLi
     if not rows:
         raise InputError(f"holds only comments, expected the header {EXAMPLE!r}", file=path)
     header, *data = rows
-    return read_recording_table(header, data, _identify_columns(header, path), file=path, end=end)
+    return build_recording_from_rows(header, data, _identify_columns(header, path), file=path, end=end)
 
 
 def _split_text_into_rows_without_comment_lines(text: str, path: Path) -> list[TableRow]:
     """Split the lines of a text into cells at commas; lines that begin with ``#`` are omitted."""
     # Comments become empty lines, so that the line numbers remain those of the file.
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    return split_rows("\n".join("" if line.lstrip().startswith("#") else line for line in lines), ",", file=path)
+    return split_text_into_rows("\n".join("" if line.lstrip().startswith("#") else line for line in lines), ",",
+                                file=path)
 
 
 def _identify_columns(header: TableRow, path: Path) -> list[ChannelColumn]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from tissue_sim.units import find_known_unit
+from tissue_sim.units import find_known_unit_or_none
 
 #: Possible decimal marks. The mark that is not the decimal mark may be a thousands separator.
 DECIMAL_MARKS = (".", ",")
@@ -142,7 +142,7 @@ def split_number_and_unit(cell: str) -> tuple[str, str] | None:
     if cell.isascii() and "%" not in cell and cell.lower() == cell.upper():
         return None  # without a letter the cell has no unit
     match = _QUANTITY.fullmatch(cell)
-    unit = None if match is None else find_known_unit(match["unit"])
+    unit = None if match is None else find_known_unit_or_none(match["unit"])
     if match is None or unit is None or not is_number_with_either_mark(match["number"]):
         return None
     return match["number"], unit

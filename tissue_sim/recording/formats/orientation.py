@@ -13,7 +13,7 @@ from tissue_sim.recording.recording import Recording
 
 
 @dataclass(frozen=True)
-class OrientationSettings:
+class SignAndZeroSettings:
     """Settings of `set_column_signs_and_zeros`.
 
     Attributes:
@@ -27,7 +27,7 @@ class OrientationSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = OrientationSettings()
+_SETTINGS = SignAndZeroSettings()
 
 
 def set_column_signs_and_zeros(columns: Sequence[ColumnGuess], recordings: Sequence[Recording],

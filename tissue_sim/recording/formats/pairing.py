@@ -14,7 +14,7 @@ from tissue_sim.recording.formats.gauge_length import (
     make_displacement_column_from_strain,
     make_stretch_column_from_displacement,
 )
-from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
+from tissue_sim.recording.formats.guesses import ColumnGuess, InterpretationOverrides
 from tissue_sim.recording.formats.header import find_positions_of_cells_with_name
 from tissue_sim.recording.formats.kind_hints import make_hints_from_text_above_and_sheet_name
 from tissue_sim.recording.formats.kind_words import find_named_tests
@@ -31,7 +31,7 @@ from tissue_sim.recording.formats.vocabulary import (
 )
 from tissue_sim.recording.measures import ENGINEERING, MEASURES, find_measure_name_in_header_or_none
 from tissue_sim.recording.recording import CHANNELS
-from tissue_sim.units import UNITS, find_known_unit
+from tissue_sim.units import UNITS, find_known_unit_or_none
 
 #: Role of a column -> channel of a recording. A strain is read as the stretch (strain + 1).
 _CHANNEL_OF_ROLE = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
@@ -97,7 +97,7 @@ class RecordingColumns:
         return (*make_size_signature(self.stated), *tests, self.speed, *columns)
 
 
-def find_recording_columns(numbers: NumberTable, machine: MachineFormat | None, hints: ColumnHints,
+def find_recording_columns(numbers: NumberTable, machine: MachineFormat | None, hints: InterpretationOverrides,
                            statements: Mapping[str, str]) -> list[RecordingColumns]:
     """Return the columns of each recording in a table with one or several recordings side by side.
 
@@ -153,12 +153,12 @@ def find_recording_columns(numbers: NumberTable, machine: MachineFormat | None, 
                        for each in part if each.role in ("strain", "shear strain") and each.variant[1] not in MEASURES]
             rivals = (*rivals,
                       *(replace(make_displacement_column_from_strain(strain, length), rank=rank[chosen["displacement"]])
-                        for strain in strains if not strain.missing_unit_or_scale_or_none))
+                        for strain in strains if not strain.missing_information_text_or_none))
         groups.append(RecordingColumns(numbers, columns, others, rivals, speed))
     return groups
 
 
-def _build_user_columns(numbers: NumberTable, named: Sequence[ColumnGuess], hints: ColumnHints,
+def _build_user_columns(numbers: NumberTable, named: Sequence[ColumnGuess], hints: InterpretationOverrides,
                         statements: Mapping[str, str]) -> RecordingColumns:
     """Return the columns of the one recording whose columns the user names with flags."""
     roles = {column.role: column for column in named}
@@ -197,7 +197,7 @@ def _convert_motion_column_by_gauge_length(column: ColumnGuess, motion: str, gau
 
     A displacement becomes a stretch, and a strain a displacement.
     """
-    if column.role != motion or column.missing_unit_or_scale_or_none:
+    if column.role != motion or column.missing_information_text_or_none:
         return column
     if motion == "displacement":
         return make_stretch_column_from_displacement(column, gauge)
@@ -211,7 +211,7 @@ def _find_source_and_measure_in_header(numbers: NumberTable, position: int, role
 
 
 def _get_stated_constant_speed_or_none(roles: Collection[str], numbers: NumberTable,
-                                       hints: ColumnHints) -> tuple[float, str] | None:
+                                       hints: InterpretationOverrides) -> tuple[float, str] | None:
     """Return constant speed (m/s) and its source for a table of time and force without a motion.
 
     Returns:
@@ -282,10 +282,11 @@ def _select_best_column_position_per_role(part: Sequence[ColumnPositionWithRole]
     return {role: each.position for role, each in best.items()}
 
 
-def _select_motion_and_load_roles_or_none(chosen: Mapping[str, int], hints: ColumnHints) -> tuple[str, str] | None:
+def _select_motion_and_load_roles_or_none(chosen: Mapping[str, int],
+                                          hints: InterpretationOverrides) -> tuple[str, str] | None:
     """Return matching roles of motion and load; None: no such columns.
 
-    Displacement and force, the measured quantities, are preferred unless `ColumnHints.direct` is true.
+    Displacement and force, the measured quantities, are preferred unless `InterpretationOverrides.direct` is true.
     """
     sheared = hints.kind == "simple_shear" or "shear strain" in chosen
     mechanical = [("displacement", "force")]
@@ -295,7 +296,7 @@ def _select_motion_and_load_roles_or_none(chosen: Mapping[str, int], hints: Colu
 
 
 def _interpret_column_of_known_role(numbers: NumberTable, position: int, role: str, machine: MachineFormat | None,
-                                    hints: ColumnHints, *, is_named: bool = False) -> ColumnGuess:
+                                    hints: InterpretationOverrides, *, is_named: bool = False) -> ColumnGuess:
     """Return the interpretation of a column with a given role.
 
     Args:
@@ -327,13 +328,13 @@ def _interpret_column_of_known_role(numbers: NumberTable, position: int, role: s
     column = ColumnGuess(channel, header, position + 1, unit, role, int(said["sign"] or 1),
                          None if said["scale"] is None else float(said["scale"]), None, bool(header), reason,
                          other_unit=other_unit)
-    return apply_measure_conversion(column, hints.measures.get(role, hints.measures.get(channel)))
+    return add_measure_conversion_to_column(column, hints.measures.get(role, hints.measures.get(channel)))
 
 
 def _find_unit_below_differing_from_header(numbers: NumberTable, position: int, unit: str | None) -> str | None:
     """Return the unit in the row of units if its size differs from the unit in the header; None: no contradiction."""
     cells = () if numbers.units is None else numbers.units.cells
-    below = find_known_unit(cells[position]) if position < len(cells) else None
+    below = find_known_unit_or_none(cells[position]) if position < len(cells) else None
     if below is None or unit not in UNITS or UNITS[below] == UNITS[unit]:
         return None
     return below
@@ -346,7 +347,7 @@ def _is_bracket_remark(text: str, role: str) -> bool:
         or words in ("lambda", "λ")
 
 
-def apply_measure_conversion(column: ColumnGuess, stated_measure: str | None = None) -> ColumnGuess:
+def add_measure_conversion_to_column(column: ColumnGuess, stated_measure: str | None = None) -> ColumnGuess:
     """Return the column with the conversion of its measure to stretch (strain + 1 if engineering) or nominal stress.
 
     Args:
@@ -368,7 +369,7 @@ def apply_measure_conversion(column: ColumnGuess, stated_measure: str | None = N
 
 
 def find_column_named_by_user_or_none(numbers: NumberTable, channel: str, name: str | int,
-                                      hints: ColumnHints) -> ColumnGuess | None:
+                                      hints: InterpretationOverrides) -> ColumnGuess | None:
     """Return the column that the user names; None: this table has no such column."""
     position = find_column_position_or_none(numbers, name)
     if position is None or position not in numbers.columns:

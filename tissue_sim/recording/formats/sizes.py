@@ -11,7 +11,7 @@ from itertools import product
 from tissue_sim.recording.formats.number_text import parse_number_preferring_point_or_nan
 from tissue_sim.recording.formats.size_words import classify_size_name
 from tissue_sim.recording.formats.vocabulary import normalize_header_text
-from tissue_sim.units import UNITS, find_known_unit, split_header_and_known_unit
+from tissue_sim.units import UNITS, find_known_unit_or_none, split_header_and_known_unit
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def find_used_and_contradicting_sizes_in_mm(statements: Mapping[str, str],
 
 
 def _compute_rectangular_areas_mm2(known: Mapping[str, Sequence[_SizeInSiWithRounding]], kind: str | None,
-                                   height: str | None ) -> list[_Candidate]:
+                                   height: str | None) -> list[_Candidate]:
     """Return cross-sections of rectangular specimens, mm2: width * thickness, or width * length of a block.
 
     Args:
@@ -203,7 +203,7 @@ def parse_number_and_optional_unit_or_none(text: str) -> tuple[float, str | None
 def _parse_stated_length_or_none(key: str, text: str) -> _SizeInSiWithRounding | None:
     """Return a stated length, m; None: not a length with a known unit."""
     pair = parse_number_and_optional_unit_or_none(text)
-    unit = None if pair is None or pair[1] is None else find_known_unit(pair[1])
+    unit = None if pair is None or pair[1] is None else find_known_unit_or_none(pair[1])
     if pair is None or unit is None or UNITS[unit][0] != "length" or not 0 < pair[0] < 1e9:
         return None
     return _SizeInSiWithRounding(key, pair[0] * UNITS[unit][1], _compute_relative_rounding(text, pair[0]))
@@ -217,7 +217,7 @@ def _parse_stated_area_or_none(key: str, text: str) -> _SizeInSiWithRounding | N
              or _AREA_UNIT_IN_KEY.search(key))
     if pair is None or match is None or not 0 < pair[0] < 1e9:
         return None
-    factor = UNITS[find_known_unit(match["unit"]) or "mm"][1] ** 2
+    factor = UNITS[find_known_unit_or_none(match["unit"]) or "mm"][1] ** 2
     return _SizeInSiWithRounding(key, pair[0] * factor, _compute_relative_rounding(text, pair[0]))
 
 

@@ -22,10 +22,10 @@ from tissue_sim.recording.formats.containers import is_mat_tdms_or_hdf5_file, re
 from tissue_sim.recording.formats.long_text import try_splitting_off_trailing_numbers
 from tissue_sim.recording.formats.number_text import is_number_with_either_mark
 from tissue_sim.recording.formats.size_words import classify_size_name
-from tissue_sim.recording.formats.table import Table, TableRow, split_rows
+from tissue_sim.recording.formats.table import Table, TableRow, split_text_into_rows
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheets
 from tissue_sim.recording.recording import MIN_POINTS
-from tissue_sim.units import find_known_unit, split_header_and_known_unit, split_header_with_brackets
+from tissue_sim.units import find_known_unit_or_none, split_header_and_known_unit, split_header_with_brackets
 
 #: Expected content of the file, for messages.
 _EXPECTED = "a recording (text, spreadsheet, MATLAB, LabVIEW, HDF5 or AFM)"
@@ -98,7 +98,8 @@ class NumberTable:
         header = self.get_column_header(place)
         loose = split_header_and_known_unit(header)[1]
         below = self.units.cells[place].strip("[]() ") if self.units and place < len(self.units.cells) else None
-        return (find_known_unit(loose or "") or find_known_unit(below or "") or split_header_with_brackets(header)[1]
+        return (find_known_unit_or_none(loose or "") or find_known_unit_or_none(below or "")
+                or split_header_with_brackets(header)[1]
                 or below or None)
 
 
@@ -146,7 +147,7 @@ def _split_text_to_table_or_raise(text: str, delimiter: str | None, skip_lines: 
 def _split_lines_and_move_units_to_row(lines: list[str], delimiter: str, path: Path) -> Table:
     """Return the table of lines split at the delimiter; units after the numbers are moved to a row of units."""
     text = "\n".join(lines)
-    return Table(move_cell_units_to_unit_row(split_rows(text, delimiter, file=path), text), delimiter)
+    return Table(move_cell_units_to_unit_row(split_text_into_rows(text, delimiter, file=path), text), delimiter)
 
 
 def _find_delimiter_with_most_numbers(lines: list[str], path: Path) -> str:

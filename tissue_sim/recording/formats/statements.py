@@ -17,7 +17,7 @@ from tissue_sim.recording.formats.size_words import SENTENCE_WORDS, classify_siz
 from tissue_sim.recording.formats.sizes import parse_number_and_optional_unit_or_none
 from tissue_sim.recording.formats.sources import NumberTable
 from tissue_sim.recording.formats.table import TableRow
-from tissue_sim.units import find_known_unit, split_header_and_known_unit
+from tissue_sim.units import find_known_unit_or_none, split_header_and_known_unit
 
 #: "key: value" or "key = value".
 _KEY_VALUE = re.compile(r"^(?P<key>[^:=]{1,80}?)\s*[:=]\s*(?P<value>.*?)\s*[;,]*$")
@@ -187,7 +187,7 @@ def _iterate_row_statements(row: TableRow, decimal: str | None) -> Iterator[tupl
                and not is_number_with_either_mark(cells[i - 1])]
     if len(numeric) > 1 and not _KEY_VALUE.match(cells[0]):
         for i in numeric:
-            unit = cells[i + 1] if i + 1 < len(cells) and find_known_unit(cells[i + 1]) else ""
+            unit = cells[i + 1] if i + 1 < len(cells) and find_known_unit_or_none(cells[i + 1]) else ""
             yield _move_unit_from_key_to_value(cells[i - 1], f"{_remove_thousands_separator(cells[i], decimal)} {unit}")
         return
     for cell in cells[1:]:
@@ -195,8 +195,9 @@ def _iterate_row_statements(row: TableRow, decimal: str | None) -> Iterator[tupl
             yield _move_unit_from_key_to_value(match["key"], match["value"])
     match = _KEY_VALUE.match(cells[0])
     if match and match["value"]:
-        unit = cells[1] if len(cells) > 1 and is_number_with_either_mark(match["value"]) and find_known_unit(cells[1]) \
-            else ""
+        has_unit = (len(cells) > 1 and is_number_with_either_mark(match["value"])
+                    and find_known_unit_or_none(cells[1]) is not None)
+        unit = cells[1] if has_unit else ""
         yield _move_unit_from_key_to_value(match["key"],
                                            f"{_remove_thousands_separator(match['value'], decimal)} {unit}")
     elif len(cells) >= 2:
@@ -256,7 +257,7 @@ def _find_unit_row_value_rows_and_last_row(rows: Sequence[TableRow],
 
 
 def _add_small_table_sizes_and_get_its_rows(rows: Sequence[TableRow], header: int, found: FileStatementsByKey,
-                                            decimal: str | None, table: int, tables: int ) -> set[int]:
+                                            decimal: str | None, table: int, tables: int) -> set[int]:
     """Add the sizes of a small table to `found`, and return the positions of the rows of the small table."""
     units, values, last = _find_unit_row_value_rows_and_last_row(rows, header)
     if not values:
@@ -310,7 +311,7 @@ def _has_unit_and_same_number(stated: str, quantity: str) -> bool:
     return first is not None and second is not None and first[1] is not None and first[0] == second[0]
 
 
-def add_missing_sizes_to_second_statements(first: Mapping[str, str], second: Mapping[str, str]) -> dict[str, str]:
+def copy_second_with_missing_sizes(first: Mapping[str, str], second: Mapping[str, str]) -> dict[str, str]:
     """Return the statements of `second`, and the statements of `first` about sizes that `second` lacks."""
     own = {classify_size_name(key) for key in second} | {None}
     return {**{key: value for key, value in first.items() if classify_size_name(key) not in own}, **second}

@@ -15,7 +15,11 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.formats.decimal_mark import DECIMAL_WORDS, NumberMarks, detect_number_marks
+from tissue_sim.recording.formats.decimal_mark import (
+    DECIMAL_WORDS,
+    DecimalAndThousandsMarks,
+    detect_decimal_and_thousands_marks,
+)
 from tissue_sim.recording.formats.long_text import NotPlainNumbersError, TrailingNumberLines
 from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, parse_number_or_nan
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
@@ -29,7 +33,7 @@ _THREE_DIGIT_GROUP = re.compile(r"\d{3}(\.\d*)?")
 _LEADING_DIGITS = re.compile(r"[+-]?[1-9]\d{0,2}")
 #: Quantity -> name of its SI unit in messages.
 _SI_UNIT_WORDS = {"time": "s", "length": "m", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "units",
-       "temperature": "K"}
+                  "temperature": "K"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +83,7 @@ class ChannelColumn:
     offset: float = 0.0
 
 
-def split_rows(text: str, delimiter: str, *, file: Path) -> list[TableRow]:
+def split_text_into_rows(text: str, delimiter: str, *, file: Path) -> list[TableRow]:
     """Split the lines with content at a delimiter; cells may be quoted (RFC 4180).
 
     Args:
@@ -125,9 +129,11 @@ def select_cells_and_drop_blank_rows(rows: Iterable[TableRow], places: Sequence[
     return [row for row in chosen if not row.is_blank]
 
 
-def read_recording_table(header: TableRow, rows: Sequence[TableRow], columns: Sequence[ChannelColumn], *, file: Path,
-                         delimiter: str = ",", metadata: Mapping[str, Any] | None = None,
-                         end: TrailingNumberLines | None = None, marks: NumberMarks | None = None) -> Recording:
+def build_recording_from_rows(header: TableRow, rows: Sequence[TableRow], columns: Sequence[ChannelColumn], *,
+                              file: Path,
+                              delimiter: str = ",", metadata: Mapping[str, Any] | None = None,
+                              end: TrailingNumberLines | None = None,
+                              marks: DecimalAndThousandsMarks | None = None) -> Recording:
     """Return the recording in the columns of a table.
 
     Args:
@@ -157,7 +163,7 @@ def read_recording_table(header: TableRow, rows: Sequence[TableRow], columns: Se
                          f"at least {MIN_POINTS}", file=file)
     numeric = [column for column in columns if column.channel not in LABELS]
     if marks is None:
-        marks = detect_number_marks(list_cells_of_each_number_column(rows, numeric), delimiter=delimiter)
+        marks = detect_decimal_and_thousands_marks(list_cells_of_each_number_column(rows, numeric), delimiter=delimiter)
         if marks.is_open:
             raise InputError(f"{marks.question_text}; expected numbers with one reading", file=file, line=header.line)
     values = _parse_number_matrix_in_file_units(rows, numeric, marks, file)
@@ -195,7 +201,7 @@ def list_cells_of_each_number_column(rows: Sequence[TableRow], columns: Iterable
 
 
 def _parse_trailing_numbers_in_file_units(end: TrailingNumberLines, columns: Sequence[ChannelColumn], width: int,
-                                          delimiter: str, marks: NumberMarks ) -> np.ndarray:
+                                          delimiter: str, marks: DecimalAndThousandsMarks) -> np.ndarray:
     """Return the numbers of the trailing lines in the units of the file, shape (rows, columns).
 
     Raises:
@@ -219,7 +225,8 @@ def _format_count_with_noun(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _parse_number_matrix_in_file_units(rows: Sequence[TableRow], columns: Sequence[ChannelColumn], marks: NumberMarks,
+def _parse_number_matrix_in_file_units(rows: Sequence[TableRow], columns: Sequence[ChannelColumn],
+                                       marks: DecimalAndThousandsMarks,
                                        file: Path) -> np.ndarray:
     """Return the numbers of the columns in the units of the file, shape (rows, columns).
 

@@ -43,7 +43,7 @@ class FileReaderForChosenColumns:
         entries = {}
         for column in columns:
             entries[column.channel] = column.to_campaign_entry()
-            if column.missing_unit_or_scale_or_none:
+            if column.missing_information_text_or_none:
                 # The kind of test is found from numbers without a unit, too.
                 entries[column.channel]["scale"] = column.scale or 1.0
                 if column.unit not in UNITS:

@@ -20,11 +20,11 @@ from tissue_sim.recording.cleaning import (
 )
 from tissue_sim.recording.formats.columns import RecordingWithDecimalMark
 from tissue_sim.recording.formats.decimal_mark import (
-    NumberMarks,
-    detect_number_marks,
+    DecimalAndThousandsMarks,
+    detect_decimal_and_thousands_marks,
     resolve_marks_by_quantities_outside_table,
 )
-from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints, FileInterpretation, TableGroup
+from tissue_sim.recording.formats.guesses import ColumnGuess, FileInterpretation, InterpretationOverrides, TableGroup
 from tissue_sim.recording.formats.header import find_positions_of_cells_with_name
 from tissue_sim.recording.formats.interpretation import (
     compare_columns_and_replace_constant_ones,
@@ -35,7 +35,7 @@ from tissue_sim.recording.formats.interpretation import (
 from tissue_sim.recording.formats.kind_guess import check_kind_and_list_remarks, guess_kind, make_kind_assumption
 from tissue_sim.recording.formats.kind_hints import (
     collect_label_hints,
-    make_header_hint_without_unknown_tests,
+    make_header_hint_without_unregistered_tests,
     make_hints_from_file_top_and_text_sheets,
     make_hints_from_text_above_and_sheet_name,
 )
@@ -54,10 +54,10 @@ from tissue_sim.recording.formats.pairing import (
 from tissue_sim.recording.formats.sources import FileContent, NumberTable, list_all_number_tables, read_file_content
 from tissue_sim.recording.formats.statements import (
     FileStatementsByKey,
-    add_missing_sizes_to_second_statements,
     add_rows_statements_except_known_sizes,
     add_statements_of_rows,
     collect_statements_about_table,
+    copy_second_with_missing_sizes,
     do_rows_state_specimen_size,
     find_listed_sizes_of_one_recording,
 )
@@ -72,7 +72,7 @@ _MARKED_ROWS = 2000
 _NAMING_CHANNELS = ("displacement", "stretch", "shear strain", "force", "nominal stress")
 
 
-def interpret_file(path: str | Path, hints: ColumnHints | None = None) -> FileInterpretation:
+def interpret_file(path: str | Path, hints: InterpretationOverrides | None = None) -> FileInterpretation:
     """Interpret the content of a text, spreadsheet or container.
 
     Args:
@@ -82,7 +82,7 @@ def interpret_file(path: str | Path, hints: ColumnHints | None = None) -> FileIn
     Raises:
         InputError: the file does not exist or has no recording; the message lists all missing information.
     """
-    path, hints = Path(path), hints or ColumnHints()
+    path, hints = Path(path), hints or InterpretationOverrides()
     source = read_file_content(path, delimiter=hints.delimiter, sheet=hints.sheet, skip_lines=hints.skip_lines)
     found = list_all_number_tables(source)
     if not found:
@@ -102,17 +102,17 @@ def interpret_file(path: str | Path, hints: ColumnHints | None = None) -> FileIn
     tables = _make_tables_with_statements(source, found, tables, hints)
     with located_and_converted_errors(file=path):
         together = group_replicate_recording_columns(tables)
-        parts = [_read_and_interpret_equal_tables(source, group, hints, machine, titles,
-                                                  _list_unused_headers(group[0].numbers, tables)) for group in together]
-        readings, refused = _split_off_unknown_tests([reading for several, _ in parts for reading in several], hints)
+        parts = [_interpret_tables_with_equal_columns(
+            source, same, hints, machine, titles, _list_unused_headers(same[0].numbers, tables)) for same in together]
+        readings, refused = _split_off_unregistered_tests([one for several, _ in parts for one in several], hints)
         readings = add_material_question_if_titles_differ(readings, together, hints)
     every = [marks for _, marks in parts]
     marks = next((each for each in every if each.is_open), next((each for each in every if each.thousands), every[0]))
     if len(readings) > 1:
-        readings = _name_readings(readings)
+        readings = _make_table_group_names_unique(readings)
     return FileInterpretation(path, machine.name if machine else "table", source.kind, source.tables[0].delimiter,
                               marks.decimal if source.kind == "text" else None, source.encoding, readings,
-                              (*warnings, *refused, *_make_empty_sheet_warnings(source, readings)),
+                              (*warnings, *refused, *_make_warnings_of_sheets_without_recording(source, readings)),
                               (make_machine_assumption(machine, hints), *marks.list_assumptions()))
 
 
@@ -130,7 +130,7 @@ def _remove_sweeps(found: Sequence[NumberTable], path: Path) -> tuple[list[Numbe
     return kept, tuple(f"a table is omitted: {explain_refused_sweep(names)}" for names in sweeps[:1])
 
 
-def _split_off_unknown_tests(readings: Sequence[TableGroup], hints: ColumnHints
+def _split_off_unregistered_tests(readings: Sequence[TableGroup], hints: InterpretationOverrides
                              ) -> tuple[tuple[TableGroup, ...], tuple[str, ...]]:
     """Return the readings of tests with a registered kind, and a sentence about each omitted reading.
 
@@ -147,7 +147,7 @@ def _split_off_unknown_tests(readings: Sequence[TableGroup], hints: ColumnHints
 
 
 def _make_tables_with_statements(source: FileContent, found: Sequence[NumberTable], groups: Sequence[RecordingColumns],
-                                 hints: ColumnHints) -> list[RecordingColumns]:
+                                 hints: InterpretationOverrides) -> list[RecordingColumns]:
     """Return the tables with their statements; a table without sizes has the sizes of the previous table."""
     sheets = {id(numbers.table) for numbers in found}
     elsewhere = [row for table in source.tables if id(table) not in sheets for row in table.rows]
@@ -161,14 +161,14 @@ def _make_tables_with_statements(source: FileContent, found: Sequence[NumberTabl
     for i, group in enumerate(groups):
         above, below, shared = around[id(group.numbers)]
         positions = [column.place - 1 for column in group.columns]
-        decimal = hints.decimal or _find_supported_decimal_mark_or_none(group.numbers, positions)
+        decimal = hints.decimal or _find_unambiguous_decimal_mark_or_none(group.numbers, positions)
         own = replace(group.numbers, above=above, below=() if shared else below)
         nearby = collect_statements_about_table(own, positions, decimal=decimal, table=i, tables=count)
         # The rows above a table have precedence over a list with one row for each table.
         lists = find_listed_sizes_of_one_recording((*groups[0].numbers.above, *trailing, *elsewhere), decimal, i, count)
-        statements = add_missing_sizes_to_second_statements(lists, nearby)
+        statements = copy_second_with_missing_sizes(lists, nearby)
         previous = complete[-1].stated if complete else {}
-        every = FileStatementsByKey(add_missing_sizes_to_second_statements(previous, statements))
+        every = FileStatementsByKey(copy_second_with_missing_sizes(previous, statements))
         if shared:
             add_statements_of_rows(below, every, decimal, i, count)
         last = group.numbers is groups[-1].numbers
@@ -200,23 +200,24 @@ def _get_rows_above_and_below_each_table(tables: Sequence[NumberTable]
     return found
 
 
-def _find_statements(numbers: NumberTable, hints: ColumnHints) -> Mapping[str, str]:
+def _find_statements(numbers: NumberTable, hints: InterpretationOverrides) -> Mapping[str, str]:
     """Return the statements (key -> value with unit) about a table; see `collect_statements_about_table`."""
-    decimal = hints.decimal or _find_supported_decimal_mark_or_none(numbers, numbers.columns)
+    decimal = hints.decimal or _find_unambiguous_decimal_mark_or_none(numbers, numbers.columns)
     return collect_statements_about_table(numbers, (), decimal=decimal)
 
 
-def _find_supported_decimal_mark_or_none(numbers: NumberTable, positions: Sequence[int]) -> str | None:
+def _find_unambiguous_decimal_mark_or_none(numbers: NumberTable, positions: Sequence[int]) -> str | None:
     """Return the decimal mark of the first rows of a table; None: no marks, or both decimal marks are possible."""
     rows = numbers.rows[:_MARKED_ROWS]
     cells = [[row.cells[position] for row in rows if position < len(row.cells)] for position in positions]
-    marks = detect_number_marks(cells, delimiter=numbers.table.delimiter)
+    marks = detect_decimal_and_thousands_marks(cells, delimiter=numbers.table.delimiter)
     return marks.decimal if (marks.evidence or marks.is_certain) and not marks.is_open else None
 
 
-def _read_and_interpret_equal_tables(source: FileContent, groups: Sequence[RecordingColumns], hints: ColumnHints,
-                                     machine: MachineFormat | None, titles: Sequence[KindHint], unused: tuple[str, ...]
-                                     ) -> tuple[list[TableGroup], NumberMarks]:
+def _interpret_tables_with_equal_columns(
+        source: FileContent, groups: Sequence[RecordingColumns], hints: InterpretationOverrides,
+        machine: MachineFormat | None, titles: Sequence[KindHint], unused: tuple[str, ...]
+        ) -> tuple[list[TableGroup], DecimalAndThousandsMarks]:
     """Read tables with equal columns; return one group for each material and size, and the decimal mark of the numbers.
 
     The signs are chosen so that the load is positive. Each material that the titles name is a separate group.
@@ -276,7 +277,8 @@ def _read_and_interpret_equal_tables(source: FileContent, groups: Sequence[Recor
     return split_table_group_by_material_and_size(reading, groups, lines, hints), marks
 
 
-def _build_read_options_without_columns(source: FileContent, first: RecordingColumns, hints: ColumnHints,
+def _build_read_options_without_columns(source: FileContent, first: RecordingColumns,
+                                        hints: InterpretationOverrides,
                                         sheets: Sequence[str], *, by_name: bool) -> dict[str, Any]:
     """Return the options of `tissue_sim.read_recordings` except the columns."""
     options: dict[str, Any] = {}
@@ -296,7 +298,7 @@ def _build_read_options_without_columns(source: FileContent, first: RecordingCol
 
 
 def _resolve_marks_by_numbers_outside_table(marked: Sequence[RecordingWithDecimalMark],
-                                            groups: Sequence[RecordingColumns]) -> NumberMarks:
+                                            groups: Sequence[RecordingColumns]) -> DecimalAndThousandsMarks:
     """Return the marks of the numbers; ambiguous marks are resolved by numbers outside of the table if possible."""
     every = [each.marks for each in marked]
     found = next((marks for marks in every if marks.is_open or marks.thousands), every[0])
@@ -310,7 +312,7 @@ def _collect_kind_hints(source: FileContent, first: RecordingColumns, columns: S
                         titles: Sequence[KindHint]) -> list[KindHint]:
     """Return the texts with words for a test in the order of decreasing reliability; the last is the file name."""
     above, sheet = make_hints_from_text_above_and_sheet_name(first.numbers)
-    return [make_header_hint_without_unknown_tests([each.header for each in columns], first.others), above, sheet,
+    return [make_header_hint_without_unregistered_tests([each.header for each in columns], first.others), above, sheet,
             *(title for title in titles if title.text != above.text), *collect_label_hints(first.numbers),
             KindHint(source.file.stem, "in the name of the file", is_file_name=True)]
 
@@ -360,7 +362,7 @@ def _do_headers_identify_columns(groups: Sequence[RecordingColumns]) -> bool:
     return True
 
 
-def _name_readings(readings: Sequence[TableGroup]) -> tuple[TableGroup, ...]:
+def _make_table_group_names_unique(readings: Sequence[TableGroup]) -> tuple[TableGroup, ...]:
     """Return the readings with unique names: common beginning of the headers, name of the sheet, or number."""
     named: list[TableGroup] = []
     for number, reading in enumerate(readings, start=1):
@@ -389,7 +391,7 @@ def _list_text_of_rows_above_and_header(numbers: NumberTable) -> list[str]:
     return [" ".join(row.cells) for row in rows]
 
 
-def _make_empty_sheet_warnings(source: FileContent, readings: Sequence[TableGroup]) -> tuple[str, ...]:
+def _make_warnings_of_sheets_without_recording(source: FileContent, readings: Sequence[TableGroup]) -> tuple[str, ...]:
     """Return a warning if sheets have no recording."""
     tables = {name for reading in readings for name in reading.sheets}
     empty = [table.name for table in source.tables if table.name and table.name not in tables]

@@ -1,8 +1,8 @@
 """Table of tests without a registered kind, and of the words that name these tests in files.
 
 The words are regular expressions for lower-case text without accents and with single blanks (see
-`tissue_sim.recording.formats.kind_words.normalize_text`). A plug-in that registers a kind with a name or a title word
-of this table also receives the words of the table.
+`tissue_sim.recording.formats.kind_words.normalize_and_truncate_line`). A plug-in that registers a kind with a name or a
+title word of this table also receives the words of the table.
 """
 
 from __future__ import annotations

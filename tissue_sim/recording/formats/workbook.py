@@ -47,7 +47,7 @@ class Sheet:
         """Return the rows below the first `skip_rows` rows; units after the numbers are moved to a row of units."""
         return Table(move_cell_units_to_unit_row([row for row in self.rows if row.line > skip_rows]), name=self.name)
 
-    def add_location_to_errors(self) -> AbstractContextManager[None]:
+    def located_errors(self) -> AbstractContextManager[None]:
         """Return a context manager that adds the file and the name of this sheet to an `InputError` raised in it."""
         return located_and_converted_errors(file=self.file, part=f"sheet {self.name!r}")
 

@@ -37,7 +37,7 @@ def read_xlsx(path: str | Path, *, columns: Mapping[str, Any] | None = None, she
 
 def _read_native_sheet(found: Sheet) -> Recording:
     """Return the recording of a sheet with the native header; columns without a name and comment rows are omitted."""
-    with found.add_location_to_errors():
+    with found.located_errors():
         rows = [row for row in found.rows if not row.cells[0].startswith("#")]
         # Columns without a name are not part of the table.
         named = [i for i, cell in enumerate(rows[0].cells) if cell] if rows else []
