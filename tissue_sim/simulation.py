@@ -12,6 +12,7 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
+from tissue_sim.fem.stepping.steps_to_pose import STEPS_TO_POSE, iterate_adaptive_steps_to_pose
 from tissue_sim.force_error import (
     FORCE_ERROR,
     RelativeForceErrorEstimate,
@@ -21,7 +22,7 @@ from tissue_sim.force_error import (
 from tissue_sim.laws import find_stability_range
 from tissue_sim.material.effect import CombinedForceFactor
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose, Screw, interpolate_pose, scale_screw
+from tissue_sim.pose import Pose, Screw, scale_screw
 from tissue_sim.recording.recording import Recording
 from tissue_sim.slip import blend_bonded_and_frictionless_recordings
 from tissue_sim.tilt import compute_tilted_recording
@@ -32,11 +33,6 @@ class SimulationSettings:
     """Settings of the steps of a whole test.
 
     Attributes:
-        smallest_cut: smallest step, over the distance between two samples, 1.
-        damped_from: largest step, over the distance between two samples, that is repeated with artificial viscous
-            damping (`Solver.step_with_damping`) after a failure without extrapolation, 1.
-        max_solves: largest number of linear solves of a step.
-        max_damped_solves: the same for a damped step.
         rough_tolerance: relative residual of the second solution for the error estimate, 1.
         most_to_compare: largest ratio of the linear solves of the second solution to those of the first, 1.
         always_to_compare: number of linear solves that the second solution may use in any case.
@@ -46,10 +42,6 @@ class SimulationSettings:
         most_trials: largest number of trials.
     """
 
-    smallest_cut: float = 2.0**-10
-    damped_from: float = 2.0**-3
-    max_solves: int = 40
-    max_damped_solves: int = 24
     rough_tolerance: float = 1e-3
     most_to_compare: int = 4
     always_to_compare: int = 400
@@ -167,7 +159,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         if step.status is not StepStatus.CONVERGED:
             depth = tissue.pose.depth
             message = (f"stopped at {depth * 1e3:.4g} mm on the way to {position * 1e3:.4g} mm (sample "
-                       f"{sample + 1}), the step cut to {_SETTINGS.smallest_cut:.1g} of its length: "
+                       f"{sample + 1}), the step cut to {STEPS_TO_POSE.smallest_cut:.1g} of its length: "
                        f"{step.status.message}")
             stability = find_stability_range(model.material.energy_law, model.material.values)
             if step.status is StepStatus.INDEFINITE or not stability.is_stable_in_whole_range:
@@ -338,7 +330,7 @@ class _ToolDrive:
         solver, train = self._solver, self._train
         if not train.compliance:
             self.travel = position
-            yield from _iterate_adaptive_steps_to_pose(solver, self._make_pose(position), dt, **self._options)
+            yield from iterate_adaptive_steps_to_pose(solver, self._make_pose(position), dt, **self._options)
             return
         saved = solver.save()
         depth, growth = train.predict_depth_and_slope(position)
@@ -352,7 +344,7 @@ class _ToolDrive:
                 solver.restore(saved)
             self.travel = depth
             duration = 0.0 if near else dt
-            for step in _iterate_adaptive_steps_to_pose(solver, self._make_pose(depth), duration, **self._options):
+            for step in iterate_adaptive_steps_to_pose(solver, self._make_pose(depth), duration, **self._options):
                 yield step
             if step.status is not StepStatus.CONVERGED:
                 return
@@ -369,32 +361,3 @@ class _ToolDrive:
 
     def _make_pose(self, travel: float) -> Pose:
         return self._solver.project_pose(self._experiment.tool_pose(travel))
-
-
-def _iterate_adaptive_steps_to_pose(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> Iterator[Step]:
-    """Yield steps of a solver to a pose along a rigid motion of `dt` s at constant speed; `options` are of each step.
-
-    A step is halved after a failure and doubled after a success.
-    """
-    start, most = solver.pose, min(2, solver.highest_order)
-    done, length, order = 0.0, 1.0, most
-    while True:
-        share = min(length, 1.0 - done)
-        last = done + share >= 1.0 - 1e-9
-        # Extrapolation is inaccurate across a change of contact; the linear solution for the tool's motion is not.
-        goal = target if last else interpolate_pose(start, target, done + share)
-        step = solver.step(goal, share * dt, max_iterations=_SETTINGS.max_solves, predictor_order=order, **options)
-        yield step
-        if step.status is not StepStatus.CONVERGED and not order and length <= _SETTINGS.damped_from:
-            damped = solver.step_with_damping(goal, share * dt, max_iterations=_SETTINGS.max_damped_solves, **options)
-            for step in damped:
-                yield step
-        if step.status is StepStatus.CONVERGED:
-            if last:
-                return
-            done, length, order = done + share, length * 2.0, most
-        else:
-            # First the same step without extrapolation.
-            length, order = (length, 0) if order else (length / 2.0, most)
-            if length < _SETTINGS.smallest_cut:
-                return

@@ -10,7 +10,7 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
-from tissue_sim.fem.contact_settings import TOLERANCES
+from tissue_sim.fem.contact.settings import TOLERANCES
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import structured_mesh
 from tissue_sim.simulation import _iterate_adaptive_steps_to_pose

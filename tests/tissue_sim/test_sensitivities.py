@@ -11,7 +11,7 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.differentiation import FiniteDifferenceSettings
 from tissue_sim.fem.axisymmetric import contact_pairs, sensitivity
-from tissue_sim.fem.contact_settings import RelativeContactTolerances
+from tissue_sim.fem.contact.settings import RelativeContactTolerances
 from tissue_sim.parameters import parameter_values, with_values
 
 STUDY = {"C10": 1404.9, "C20": 699.4}

@@ -8,7 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.differentiation import FiniteDifferenceSettings
-from tissue_sim.fem.contact_settings import RelativeContactTolerances
+from tissue_sim.fem.contact.settings import RelativeContactTolerances
 from tissue_sim.fem.solid import discretisation
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.mesh.hexahedra import HEX8P0

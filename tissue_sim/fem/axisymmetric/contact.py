@@ -11,7 +11,7 @@ from numpy.polynomial.legendre import leggauss
 from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.fem.axisymmetric.array_layouts import SURFACE_ARRAYS
-from tissue_sim.fem.contact_settings import PenaltySettings
+from tissue_sim.fem.contact.settings import PenaltySettings
 from tissue_sim.fem.taichi.origins import copy_to_addressable_array
 from tissue_sim.mesh import Mesh
 
@@ -97,7 +97,7 @@ class ContactPair:
         profile: outline of the body, in the frame of the tool if the body moves with the tool.
         edges: node numbers of the element edges, shape (m, nodes of an edge).
         friction: Coulomb coefficients of the body's face and of its shaft; 0: frictionless,
-            `tissue_sim.fem.contact_settings.STICK`: no slip.
+            `tissue_sim.fem.contact.settings.STICK`: no slip.
         moves: whether the body moves with the tool; otherwise the body rests.
         tied: whether an interface without slip holds the edges from the start.
         stays: whether the edges stay in contact under tension.
@@ -163,7 +163,7 @@ class ContactPoints:
         face: numbers of the points under a face without slip of the tool.
         areas: surface area of each point, m2, shape (n,).
         springs: penalty stiffness of each point, N/m, shape (n,).
-        anchors: bond (a `tissue_sim.fem.contact_settings.ContactBondState`) and anchor of each point at the last
+        anchors: bond (a `tissue_sim.fem.contact.settings.ContactBondState`) and anchor of each point at the last
             equilibrium; the anchor is the displacement of the point in the frame of the body, (r, z), m; shape (n, 3).
         initial: bond and anchor at the beginning of a step, with the bonds of points that the tool reaches in the step,
             shape (n, 3).

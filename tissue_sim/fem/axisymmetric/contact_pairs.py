@@ -8,7 +8,7 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS, Plate
 from tissue_sim.fem.axisymmetric.contact import ContactPair, ContactPairs
-from tissue_sim.fem.contact_settings import STICK, TOLERANCES
+from tissue_sim.fem.contact.settings import STICK, TOLERANCES
 from tissue_sim.mesh import Mesh
 
 #: Smallest tip radius, over the radius of the contact, with which contact conditions at Gauss points are accurate.

@@ -11,8 +11,8 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.fem.axisymmetric.contact_pairs import build_contact_pairs_or_none
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, STUDY_SLENDERNESS, UNMEASURED, MeshResolution
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
-from tissue_sim.fem.settling import solve_self_weight_equilibrium
 from tissue_sim.fem.solver import Step
+from tissue_sim.fem.stepping.settling import solve_self_weight_equilibrium
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh import (
     Mesh,

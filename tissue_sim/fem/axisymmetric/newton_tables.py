@@ -14,7 +14,7 @@ class StepIntegerIndex(IntEnum):
         CONTACTS: number of contact points; 0 removes the contact.
         REMEMBERS: 1 if the tissue has a memory (relaxation, softening, effects at the points).
         UNSYMMETRIC: output, 1 if the matrix is unsymmetric because points slip.
-        CHANGEABLE: which points may change their contact state, see `tissue_sim.fem.contact_settings.ALL_POINTS`.
+        CHANGEABLE: which points may change their contact state, see `tissue_sim.fem.contact.settings.ALL_POINTS`.
         START_MODE: a `StartMode`.
         STIFFNESS_ASKED: 1 if a converged step computes the stiffness of the tool.
         FACTORISED: output, 1 if the matrix is factorised at the end of the step.

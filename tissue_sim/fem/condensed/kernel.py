@@ -27,7 +27,7 @@ from tissue_sim.fem.condensed.tables import (
     SurfaceNodeColumn,
 )
 from tissue_sim.fem.contact.closest_point import make_closest_point_function
-from tissue_sim.fem.contact_settings import SOLID_PENALTY, ContactBondState
+from tissue_sim.fem.contact.settings import SOLID_PENALTY, ContactBondState
 from tissue_sim.fem.taichi.array_tables import LANE_REALS, ArrayLayout, integer_array_type, real_array_type
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES, get_shared_scratch_field

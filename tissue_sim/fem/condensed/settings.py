@@ -25,7 +25,6 @@ class StepperSettings:
         reassembly_interval: number of increments that use the same derivatives if the same nodes are in contact.
         max_increment: largest increment of the tool, as a fraction of the contact radius.
         min_increment: smallest increment after failures, as a fraction of `max_increment`.
-        rounding: an increment that ends closer to the end of the step than this fraction of the step ends at the step.
         violation_factor: tolerance of the contact conditions over that of the surface.
     """
 
@@ -43,5 +42,4 @@ class StepperSettings:
     reassembly_interval: int = 8
     max_increment: float = 0.03
     min_increment: float = 0.5
-    rounding: float = 1e-9
     violation_factor: float = 0.5

@@ -37,7 +37,8 @@ from tissue_sim.fem.condensed.wrench_kernel import (
     WrenchKernelArrayIndex,
     make_bond_commit_and_wrench_kernel,
 )
-from tissue_sim.fem.contact_settings import ContactBondState
+from tissue_sim.fem.contact.settings import ContactBondState
+from tissue_sim.fem.stepping.increments import AdaptiveIncrements
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LOCK
@@ -245,22 +246,17 @@ class CondensedStepper:
         start = self._pose
         if start is None:
             return self._solve_increment_to_result(pose, exact)
-        length, done, increment = self.compute_max_contact_point_travel(compute_rigid_motion(start, pose)), 0.0, 1.0
-        if length > 0.0:
-            increment = min(1.0, self._largest / length)
+        travel = self.compute_max_contact_point_travel(compute_rigid_motion(start, pose))
+        largest = self._largest / travel if travel else math.inf
+        increments = AdaptiveIncrements(_SETTINGS.min_increment * largest, min(1.0, largest))
         while True:
-            # The last increment ends exactly at the pose.
-            end = 1.0 if done + increment > 1.0 - _SETTINGS.rounding else done + increment
-            step = self._solve_increment_to_result(interpolate_pose(start, pose, end), exact)
+            step = self._solve_increment_to_result(interpolate_pose(start, pose, increments.end), exact)
             if step.converged:
-                done = end
-                increment = 1.0 if length == 0.0 else min(2.0 * increment, self._largest / length)
-                if done == 1.0:
+                increments.advance()
+                if increments.is_complete:
                     return step
-            else:
-                increment *= 0.5
-                if increment * length < _SETTINGS.min_increment * self._largest or length == 0.0:
-                    return step
+            elif not increments.halve_if_above_smallest():
+                return step
 
     def _solve_increment_to_result(self, pose: Pose, exact: bool) -> ContactStepResult:
         """Solve the contact at the end of one increment; the state is unchanged if the solution does not converge."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tissue_sim.fem.contact_settings import STICK
+from tissue_sim.fem.contact.settings import STICK
 from tissue_sim.fem.reduced.contact_kernel import (
     LAYER_ARRAYS,
     NodeState,

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.contact_settings import ALL_POINTS, SOLID_PENALTY, ActiveSetSettings, ContactBondState
+from tissue_sim.fem.contact.settings import ALL_POINTS, SOLID_PENALTY, ActiveSetSettings, ContactBondState
 from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_geometry
 from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.contact_state import NodalContactState

@@ -13,7 +13,7 @@ from tissue_sim.errors import ConvergenceError, InputError, make_hint_with_simil
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
-from tissue_sim.fem.contact_settings import STICK, TOLERANCES
+from tissue_sim.fem.contact.settings import STICK, TOLERANCES
 from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.placement import PLACEMENT, FirstTouchHeightAndSolverMaker

@@ -23,7 +23,7 @@ from tissue_sim.fem.condensed.model import (
     Executor,
     run_now_and_get_completion_check,
 )
-from tissue_sim.fem.contact_settings import SOLID_PENALTY
+from tissue_sim.fem.contact.settings import SOLID_PENALTY
 from tissue_sim.fem.linear.sparse import get_pardiso_or_scipy_name
 from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_geometry
 from tissue_sim.fem.solid.condensed_tangent import CondensedTangent

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.fem.contact_settings import ContactBondState
+from tissue_sim.fem.contact.settings import ContactBondState
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_geometry
 from tissue_sim.fem.solid.contact import ContactNodes

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.fem.settling import solve_self_weight_equilibrium
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives
 from tissue_sim.fem.solid.settings import SETTLING
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import Neighbours, Step, StepStatus
+from tissue_sim.fem.stepping.settling import solve_self_weight_equilibrium
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.specimen import Specimen
 
@@ -102,7 +102,7 @@ class SolidSelfWeightProblem:
 
 def solve_solid_self_weight_equilibrium(stand: Callable[[SolidMesh], SolidSolver], mesh: SolidMesh, specimen: Specimen
                                         ) -> tuple[SolidSolver, SolidSelfWeightProblem]:
-    """Compute the equilibrium of a solid under its weight, without a tool (`tissue_sim.fem.settling`).
+    """Compute the equilibrium of a solid under its weight, without a tool (`tissue_sim.fem.stepping.settling`).
 
     Args:
         stand: makes the solver of a mesh without tool and weight.

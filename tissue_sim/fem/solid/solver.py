@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from tissue_sim.fem.contact_settings import ALL_POINTS
+from tissue_sim.fem.contact.settings import ALL_POINTS
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.contact import ContactNodes, ContactViolationAndCounts

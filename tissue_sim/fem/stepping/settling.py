@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solver import Step, StepStatus
+from tissue_sim.fem.stepping.increments import AdaptiveIncrements
 from tissue_sim.specimen import Specimen
 
 #: Largest number of Newton steps for the undeformed height.
@@ -63,16 +64,13 @@ def solve_self_weight_equilibrium(problem: SelfWeightProblem, specimen: Specimen
 
 
 def _apply_weight_in_increments(problem: SelfWeightProblem, solver: Any, specific_weight: float) -> None:
-    applied, increment = 0.0, 1.0
-    while applied < 1.0:
-        next_applied = min(1.0, applied + increment)
-        step = problem.solve_equilibrium_under_weight(solver, next_applied * specific_weight)
+    increments = AdaptiveIncrements(problem.smallest_increment)
+    while not increments.is_complete:
+        step = problem.solve_equilibrium_under_weight(solver, increments.end * specific_weight)
         if step.status is StepStatus.CONVERGED:
-            applied = next_applied
-            increment *= 2.0
-            continue
-        increment /= 2.0
-        if increment < problem.smallest_increment:
-            raise ConvergenceError("the specimen has no equilibrium under its own weight: the solver stopped at "
-                                   f"{applied:.0%} of the weight ({step.status.message}). Check density and moduli.")
+            increments.advance()
+        elif not increments.halve_if_above_smallest():
+            raise ConvergenceError(
+                "the specimen has no equilibrium under its own weight: the solver stopped at "
+                f"{increments.done:.0%} of the weight ({step.status.message}). Check density and moduli.")
     problem.store_resting_state(solver)
