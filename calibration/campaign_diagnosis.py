@@ -25,7 +25,7 @@ from calibration.diagnosis.confirmation import (
 )
 from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.diagnosis.diagnosis import Diagnosis, DiagnosisStage
-from calibration.diagnosis.duration import describe_expected_duration_or_empty, measure_solid_simulation_cpu_seconds
+from calibration.diagnosis.duration import describe_expected_duration_or_empty, measure_solid_simulation_cpu_s_by_test
 from calibration.diagnosis.evidence import (
     FitEvidence,
     Measured,
@@ -256,7 +256,7 @@ class CampaignDiagnosis:
             estimator.require_fittable_law(law, 0)
             if self.steps.announce is not None and (
                     words := describe_expected_duration_or_empty(
-                        measure_solid_simulation_cpu_seconds(estimator.build_law_problem(law)))):
+                        measure_solid_simulation_cpu_s_by_test(estimator.build_law_problem(law)))):
                 self.steps.announce(f"{campaign.name}: {words}")
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> DiagnosisResult:

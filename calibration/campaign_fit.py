@@ -26,7 +26,7 @@ from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator
 from calibration.fit.predictor import PredictionParameters, make_held_out_predictor_or_none
 from calibration.fit.preload_cover import copy_notes_with_explained_preload
 from calibration.fit.profiles import ProfileSide, compute_profile_side
-from calibration.fit.ranking import Fitted, explain_ranking, rank_laws_and_split_results
+from calibration.fit.ranking import Fitted, explain_ranking, rank_fits_predictions_and_curves
 from calibration.fit.replicates import find_replicate_disagreements
 from calibration.fit.result import CalibrationResult
 from calibration.fit.run_context import RunContext
@@ -111,7 +111,7 @@ class CampaignFit:
             raise ConvergenceError(f"{self.campaign.path}: no start of any law converges "
                                    f"({next(iter(failures.values()), '')}); state other values in fit.start, or use a "
                                    "smaller max_strain")
-        fits, predictions, curves = rank_laws_and_split_results(found)
+        fits, predictions, curves = rank_fits_predictions_and_curves(found)
         fitted = [curve for test in self.campaign.tests if not test.hold_out for curve in self.measured[test.name]]
         message = explain_ranking(fits, predictions, fitted)
         for disagreement in disagreements:

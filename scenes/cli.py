@@ -29,7 +29,7 @@ from scenes.commands import (
     view,
 )
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import InputErrorArgumentParser, describe_unavailable_feature
+from scenes.commands.shared.parsing import InputErrorArgumentParser, describe_not_yet_available_feature
 from tissue_sim import __version__
 from tissue_sim.errors import (
     ConvergenceError,
@@ -145,7 +145,7 @@ def _require_known_command_and_action(words: list[str]) -> None:
     actions = getattr(COMMANDS[name], "ACTIONS", ())
     if actions and len(words) > 1 and not words[1].startswith("-"):
         if words[1] in COMMANDS[name].LATER:
-            raise InputError(describe_unavailable_feature(f"command {f'{name} {words[1]}'!r}"))
+            raise InputError(describe_not_yet_available_feature(f"command {f'{name} {words[1]}'!r}"))
         if words[1] not in actions:
             raise InputError(
                 f"unknown command {f'{name} {words[1]}'!r}{make_hint_with_similar_or_known_words(words[1], actions)}")

@@ -92,7 +92,18 @@ class OldName:
 
     def __get__(self, instance: Any, owner: type | None = None) -> Any:
         warnings.warn(f"{self._label} is renamed to {self._new}", DeprecationWarning, stacklevel=2)
+        caller = sys._getframe(1).f_code
+        for kind in (owner or type(instance)).__mro__:
+            if caller is _get_code_or_none(vars(kind).get(self._new)):
+                # ``super().old`` in a method of `kind` that overrides the member: the member of the next class.
+                return getattr(super(kind, owner if instance is None else instance), self._new)
         return getattr(owner if instance is None else instance, self._new)
+
+
+def _get_code_or_none(member: Any) -> Any:
+    """Return the code of a function, class method, static method or property; None for other members."""
+    function = getattr(member, "fget", None) or getattr(member, "__func__", member)
+    return getattr(function, "__code__", None)
 
 
 def with_old_names(**renamed: str) -> Callable[[_Class], _Class]:
@@ -127,14 +138,19 @@ def rename_old_members_of_subclass(subclass: type, renamed: Mapping[str, str]) -
         renamed: old name -> new name.
     """
     for old, new in renamed.items():
-        if old not in vars(subclass) or isinstance(vars(subclass)[old], OldName):
+        annotations = vars(subclass).get("__annotations__", {})
+        is_defined = old in vars(subclass) and not isinstance(vars(subclass)[old], OldName)
+        if not is_defined and old not in annotations:
             continue
-        if new not in vars(subclass):
+        if new not in vars(subclass) and new not in annotations:
             warnings.warn(f"{subclass.__name__}.{old} is renamed to {new}; define {new}", DeprecationWarning,
                           stacklevel=3)
-            setattr(subclass, new, vars(subclass)[old])
-        delattr(subclass, old)
-        # `dataclass` reads the annotated names of a class.
-        annotations = vars(subclass).get("__annotations__", {})
+            if is_defined:
+                setattr(subclass, new, vars(subclass)[old])
+        if is_defined:
+            delattr(subclass, old)
         if old in annotations:
-            annotations[new] = annotations.pop(old)
+            # `dataclass` makes fields of the annotated names, in their order.
+            pairs = [(new if name == old else name, kind) for name, kind in annotations.items()]
+            annotations.clear()
+            annotations.update(pairs)

@@ -302,7 +302,7 @@ class _ToolDrive:
     @property
     def combined_force_factor(self) -> float:
         """Factor of the effects in reduced form on the force at the present depth of the tool."""
-        return self._reduced.compute_factor(self._solver.pose.depth)
+        return self._reduced.compute_force_factor_at_depth(self._solver.pose.depth)
 
     def register_sample_and_scale_wrench(self, wrench: Screw, dt: float) -> Screw:
         """Register a converged sample, dt s after the last one; returns its wrench with effects in reduced form."""
@@ -348,7 +348,7 @@ class _ToolDrive:
                 yield step
             if step.status is not StepStatus.CONVERGED:
                 return
-            share = self._reduced.compute_factor(solver.pose.depth, dt)
+            share = self._reduced.compute_force_factor_at_depth(solver.pose.depth, dt)
             force = share * self._experiment.compute_force_against_motion(step.wrench)
             excess = depth + train.compliance * force - position
             if abs(excess) <= _SETTINGS.position_tolerance * max(abs(position), abs(depth), 1e-6):

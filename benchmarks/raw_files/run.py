@@ -138,7 +138,7 @@ def run_file(seed: int, index: int, *, clean: bool = False, only: str | None = N
 
 def _wishes(draft: Draft) -> calibration.ImportOptions:
     stated = calibration.InterpretationOverrides(columns=draft.columns_stated, units=draft.units_stated,
-                                                     kind=draft.stated_kind)
+                                                 kind=draft.stated_kind)
     sizes = draft.specimen_flags() if draft.stated_sizes else {}
     return calibration.ImportOptions(stated, sizes, dict(draft.stated_test), ("neo_hooke",))
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from calibration.campaign.checks import (
     check_bulk_ratio,
-    check_stated_parameter_values,
+    check_values_finite_and_consistent,
     find_recording_files,
     read_column_map_or_none,
     reject_fit_and_noise_keys_without_effect,
@@ -43,7 +43,7 @@ from calibration.campaign.schema import (
     TestTable,
     decode_campaign_tables_bytes_and_defaults,
 )
-from calibration.campaign.specimens import find_suitable_specimen_or_none, read_specimens_by_name
+from calibration.campaign.specimens import find_and_check_specimen_or_none, read_specimens_by_name
 from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
@@ -281,7 +281,7 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], root: P
             validate_delimiter(entry.delimiter, f"{field}.delimiter")
         if entry.decimal is not None:
             validate_decimal_mark(entry.decimal, f"{field}.decimal")
-        specimen = find_suitable_specimen_or_none(entry, specimens, table, field)
+        specimen = find_and_check_specimen_or_none(entry, specimens, table, field)
         tests[name] = Test(
             name, kind, specimen, () if entry.protocol is not None and not entry.recordings else
             find_recording_files(entry.recordings, root, f"{field}.recordings"),
@@ -289,7 +289,7 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], root: P
             entry.hold_out, field, read_experiment_or_none_if_gripped(entry, specimen, root, field),
             read_rig_without_noise(entry, root, field),
             entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol,
-            read_solver_name(entry, specimen, field), _read_omitted_sample_numbers(entry, f"{field}.leave_out"),
+            read_solver_name(entry, specimen, field), _read_left_out_sample_numbers(entry, f"{field}.leave_out"),
             entry.control)
     if all(test.hold_out for test in tests.values()):
         raise InputError("at least one test must be fitted, but all are held out; set hold_out = false for one",
@@ -297,7 +297,7 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], root: P
     return tuple(tests.values())
 
 
-def _read_omitted_sample_numbers(entry: TestTable, field: str) -> Mapping[str, tuple[int, ...]]:
+def _read_left_out_sample_numbers(entry: TestTable, field: str) -> Mapping[str, tuple[int, ...]]:
     """Return recording -> sample numbers, from 1, that a test table leaves out; see `Test.leave_out`."""
     stated = entry.leave_out
     if isinstance(stated, str):
@@ -338,7 +338,7 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
     if table.starts is not None and not 1 <= table.starts <= MAX_STARTS:
         raise InputError(f"starts must be 1 to {MAX_STARTS}; got {table.starts}", field="fit.starts")
     reject_fit_and_noise_keys_without_effect(table, noise)
-    check_stated_parameter_values(table)
+    check_values_finite_and_consistent(table)
     around = {test.name: get_experiment_and_rig_declarations_by_path(
         None if test.specimen is None else test.experiment, test.rig) for test in tests}
     regions = {test.name: () if test.specimen is None else test.specimen.region_names for test in tests}

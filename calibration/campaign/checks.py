@@ -152,7 +152,7 @@ def require_analytical_support_of_fit_table(table: FitTable, named: Mapping[str,
                              "fit.method = 'inverse_fem'", field=f"fit.{key}.{name}")
 
 
-def check_stated_parameter_values(table: FitTable) -> None:
+def check_values_finite_and_consistent(table: FitTable) -> None:
     """Raise an `InputError` for invalid or contradictory numbers in ``start``, ``fixed``, ``prior`` and ``bounds``."""
     for key in BY_PARAMETER:
         for name, value in getattr(table, key).items():

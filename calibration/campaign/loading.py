@@ -46,8 +46,8 @@ def select_sample_indices_for_elastic_law(samples: np.ndarray, displacement: np.
     if control is not None and control.pattern == "creep":
         samples = samples[samples < control.loading]
         if samples.size < MIN_POINTS:
-            raise InputError(f"{path.name}: {control.sentence} ({samples.size} samples of loading)",
-                             field="recordings")
+            raise InputError(f"{path.name} must have at least {MIN_POINTS} samples of loading before its creep; got "
+                             f"{samples.size}. {control.sentence}", field="recordings")
     loads = find_loading_indices_of_one_or_both_sides(displacement[samples], both_sides=both_sides) if samples.size \
         else samples
     if loads.size < MIN_POINTS:
@@ -57,8 +57,8 @@ def select_sample_indices_for_elastic_law(samples: np.ndarray, displacement: np.
     return samples[loads]
 
 
-def require_recorded_loading_from_rest(displacement: np.ndarray, force: np.ndarray, screening: Screening,
-                                       path: Path) -> None:
+def reject_left_out_start_of_loading(displacement: np.ndarray, force: np.ndarray, screening: Screening,
+                                     path: Path) -> None:
     """Raise an error if the loading from rest is missing in a recording of a material with memory.
 
     The force of a material with memory depends on the complete history; the rate of an unrecorded loading is unknown.

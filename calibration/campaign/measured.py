@@ -13,7 +13,7 @@ from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.closed_form_support import require_closed_form_support_if_used
 from calibration.campaign.loading import (
     check_displacement_range,
-    require_recorded_loading_from_rest,
+    reject_left_out_start_of_loading,
     select_sample_indices_for_elastic_law,
 )
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
@@ -28,7 +28,7 @@ from calibration.campaign.segmented import (
     SegmentedRecording,
     get_notes_with_fit_before_contact_warning,
     make_kind_and_tool_mismatch_notes,
-    segment_recording,
+    segment_recording_from_contact,
 )
 from calibration.campaign.specimen_check import require_matching_specimen_metadata
 from calibration.statistics.sensor_noise import SensorNoise, estimate_pooled_sensor_noise, spread_time_stamps
@@ -222,10 +222,11 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
     height = 1.0 if test.specimen is None else test.specimen.height
     screening = add_controlled_quantity_to_screening(screening, displacement, force, time, test)
     if remembering:
-        require_recorded_loading_from_rest(displacement, force, screening, path)
+        reject_left_out_start_of_loading(displacement, force, screening, path)
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
-    whole = segment_recording(test, displacement, force, time, labels, stressed=stressed, remembering=remembering,
-                              path=path)
+    whole = segment_recording_from_contact(test, displacement, force, time, labels, stressed=stressed,
+                                           remembering=remembering,
+                                           path=path)
     displacement, force, keep = whole.displacement, whole.force, whole.used
     if not whole.segmentation.has_air:
         screening = add_load_at_zero_to_screening(screening, displacement, force, campaign,

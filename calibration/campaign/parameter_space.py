@@ -278,7 +278,7 @@ class ParameterSpace:
                 acting.setdefault(each.path, each)
         return acting
 
-    def scale_moduli_to_reference_sum(self, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
+    def normalise_moduli_and_get_factor(self, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
         """Scale all moduli to the sum `REFERENCE_MODULUS`, so that proportional simulations are reused.
 
         Returns:

@@ -17,7 +17,11 @@ from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Material, get_law_parameter_declaration
-from tissue_sim.material.parts import find_parameter_path_and_declaration, find_region_name, make_material_from_numbers
+from tissue_sim.material.parts import (
+    find_parameter_path_and_declaration,
+    find_region_name_or_none,
+    make_material_from_numbers,
+)
 from tissue_sim.parameters import Declaration, parameters
 from tissue_sim.rig.rig import Rig
 
@@ -141,7 +145,7 @@ def _resolve_campaign_parameter(name: str, field: str, laws: Mapping[str, Declar
         full, declaration = find_parameter_path_and_declaration(path)
     except InputError as error:
         raise InputError(error.problem, field=field) from None
-    if (region := find_region_name(full)) is not None:
+    if (region := find_region_name_or_none(full)) is not None:
         having = tuple(test for test, found in regions.items() if region in found)
         if not having:
             known = list(dict.fromkeys(each for found in regions.values() for each in found))

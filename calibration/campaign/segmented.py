@@ -41,9 +41,9 @@ class SegmentedRecording:
     shift: float = 0.0
 
 
-def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None,
-                      labels: np.ndarray | None, *, stressed: bool, remembering: bool, path: Path
-                      ) -> SegmentedRecording:
+def segment_recording_from_contact(test: Test, displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None,
+                                   labels: np.ndarray | None, *, stressed: bool, remembering: bool, path: Path
+                                   ) -> SegmentedRecording:
     """Segment a recording and apply the settings of its test for contact and failure.
 
     The displacement is measured from the recorded, detected or stated contact. Samples after a failure are cut if the

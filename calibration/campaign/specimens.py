@@ -82,8 +82,8 @@ def _read_specimen(entry: SpecimenTable, name: str, folder: Path, field: str) ->
         raise error.with_location(field=field) from None
 
 
-def find_suitable_specimen_or_none(entry: TestTable, specimens: Mapping[str, Specimen], table: CampaignTable,
-                                   field: str) -> Specimen | None:
+def find_and_check_specimen_or_none(entry: TestTable, specimens: Mapping[str, Specimen], table: CampaignTable,
+                                    field: str) -> Specimen | None:
     """Return the specimen of a test; None if the test has no specimen and requires none.
 
     Args:

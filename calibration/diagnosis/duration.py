@@ -35,7 +35,7 @@ class DiagnosisDurationSettings:
 SETTINGS = DiagnosisDurationSettings()
 
 
-def measure_solid_simulation_cpu_seconds(problem: GeneralisedProblem) -> dict[str, float]:
+def measure_solid_simulation_cpu_s_by_test(problem: GeneralisedProblem) -> dict[str, float]:
     """Measure the processor time of a simulation of each three-dimensional test, without derivatives.
 
     Tests with fast solvers and failed simulations are omitted.
@@ -66,7 +66,7 @@ def describe_expected_duration_or_empty(seconds: Mapping[str, float]) -> str:
     """Describe the expected duration and ways to shorten it; empty for a short diagnosis.
 
     Args:
-        seconds: name of the test -> processor time of a simulation, s, from `measure_solid_simulation_cpu_seconds`.
+        seconds: name of the test -> processor time of a simulation, s, from `measure_solid_simulation_cpu_s_by_test`.
     """
     each = sum(seconds.values())
     if SETTINGS.max_simulations * each < SETTINGS.min_announced:

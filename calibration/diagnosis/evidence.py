@@ -126,7 +126,7 @@ class FitEvidence:
         return all(region.adequate for region in self.region_misfit_tests)
 
     @cached_property
-    def _first_curve_and_residuals_by_test(self) -> dict[str, tuple[MeasuredCurve, np.ndarray]]:
+    def _first_curve_and_replicate_residuals_by_test(self) -> dict[str, tuple[MeasuredCurve, np.ndarray]]:
         """Test -> its first recording, and the whitened residuals of its recordings, shape (recordings, n).
 
         Only recordings with the displacements of the first one are included, and only tests with several of them.
@@ -149,7 +149,7 @@ class FitEvidence:
         See `calibration.statistics.common_signal.compute_f_ratio_and_freedoms`.
         """
         return {name: compute_f_ratio_and_freedoms(residuals) for name,
-                (_, residuals) in self._first_curve_and_residuals_by_test.items()}
+                (_, residuals) in self._first_curve_and_replicate_residuals_by_test.items()}
 
     @cached_property
     def significant_common_signals_by_test(self) -> dict[str, CommonSignal]:
@@ -158,10 +158,10 @@ class FitEvidence:
         A rough common signal is missed by the smooth modes of the regions, and it increases the estimated noise.
         """
         found = {}
-        for name, (curve, residuals) in self._first_curve_and_residuals_by_test.items():
+        for name, (curve, residuals) in self._first_curve_and_replicate_residuals_by_test.items():
             segments = _slice_equal_label_runs(curve.segment, residuals.shape[1])
             signal = get_most_significant_common_signal(residuals, segments)
-            if len(self._first_curve_and_residuals_by_test) * signal.p < self.limits.common_signal_level:
+            if len(self._first_curve_and_replicate_residuals_by_test) * signal.p < self.limits.common_signal_level:
                 found[name] = signal
         return found
 
@@ -175,7 +175,7 @@ class FitEvidence:
         """Descriptions of the common signals, such as ``needle (most at 5.1 mm)`` or ``plates (a wave of 17 s)``."""
         words = []
         for name, each in self.significant_common_signals_by_test.items():
-            curve = self._first_curve_and_residuals_by_test[name][0]
+            curve = self._first_curve_and_replicate_residuals_by_test[name][0]
             inside = slice(each.first, each.last + 1)
             if each.waves and curve.time is not None:
                 words.append(f"{name} (a wave of {np.ptp(curve.sample_times[inside]) / each.waves:.2g} s)")

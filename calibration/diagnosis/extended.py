@@ -126,7 +126,7 @@ def _match_full_motion_or_none(held: GeneralisedProblem,
     Returns:
         The problem; None if no test changes.
     """
-    def request_full_motion_if_other_needs_it(test: ForwardTest, of: ForwardTest) -> ForwardTest:
+    def with_full_motion_if_other_needs_it(test: ForwardTest, of: ForwardTest) -> ForwardTest:
         """Return `test`, with the simulation of the whole motion requested if only `of` requires it."""
         if not (isinstance(test, SimulatedTest) and isinstance(of, SimulatedTest)):
             return test
@@ -135,7 +135,7 @@ def _match_full_motion_or_none(held: GeneralisedProblem,
             other.space, np.zeros(0))
         return replace(test, full_motion=True) if differs else test
 
-    tests = tuple(map(request_full_motion_if_other_needs_it, held.tests, other.tests))
+    tests = tuple(map(with_full_motion_if_other_needs_it, held.tests, other.tests))
     if all(one is test for one, test in zip(tests, held.tests, strict=True)):
         return None
     return GeneralisedProblem(held.space, tests, held.solves, held.jitter, held.mesh_error)

@@ -171,7 +171,7 @@ def _find_closest_rivals_and_deviation_or_none(plan: PlannedTestVariation, befor
     noise = before.measured[plan.test.name.removesuffix(" (planned)")][0].noise
     curves = create_planned_curves_with_placeholder_force(plan.test, plan.protocol, noise)
     try:
-        expected = [_predict_whitened_planned_force_and_changes(plan.test, curves, before, each) for each in rivals]
+        expected = [_predict_whitened_force_and_uncertainty(plan.test, curves, before, each) for each in rivals]
     except (InfeasibleError, InputError):
         return None
     worst: tuple[list[str], float] | None = None
@@ -186,8 +186,8 @@ def _find_closest_rivals_and_deviation_or_none(plan: PlannedTestVariation, befor
     return worst
 
 
-def _predict_whitened_planned_force_and_changes(test: Test, curves: tuple[MeasuredCurve, ...], before: FitEvidence,
-                                                rival: EffectRefit) -> tuple[np.ndarray, np.ndarray]:
+def _predict_whitened_force_and_uncertainty(test: Test, curves: tuple[MeasuredCurve, ...], before: FitEvidence,
+                                            rival: EffectRefit) -> tuple[np.ndarray, np.ndarray]:
     """Return the whitened force that a refit predicts for a planned test, and its uncertainty.
 
     Returns:

@@ -69,7 +69,7 @@ class ScoredCandidate:
         return self.signed_score / self.direction.reach if self.direction.reach else 0.0
 
     @cached_property
-    def negative_log_likelihood_gain(self) -> float:
+    def negative_log_likelihood_change(self) -> float:
         """Log likelihood ratio -score^2 / 2 for the ranking of candidates; 0 if the sign of the score is impossible."""
         squares = float(np.sum(self.score**2))
         if self.direction.positive and self.direction.degrees_of_freedom == 1 and self.signed_score < 0:
@@ -101,7 +101,7 @@ class CatalogueScores:
     def best_variant_by_candidate_name(self) -> dict[str, ScoredCandidate]:
         """Name of a candidate -> its trial shape values with the highest score; highest scores first."""
         found: dict[str, ScoredCandidate] = {}
-        for each in sorted(self.all, key=lambda one: one.negative_log_likelihood_gain):
+        for each in sorted(self.all, key=lambda one: one.negative_log_likelihood_change):
             found.setdefault(each.candidate.name, each)
         return found
 
@@ -246,8 +246,8 @@ def refine_jump_displacement(proposal: ScoredCandidate, evidence: FitEvidence) -
             if isinstance(change, str):
                 continue
             found = recompute_candidate_score_in_other_fit(replace(proposal, candidate=other, change=change), evidence)
-            if found.direction.degrees_of_freedom and found.negative_log_likelihood_gain \
-                < proposal.negative_log_likelihood_gain:
+            if found.direction.degrees_of_freedom and found.negative_log_likelihood_change \
+                < proposal.negative_log_likelihood_change:
                 proposal = found
         candidate = proposal.candidate
     return proposal

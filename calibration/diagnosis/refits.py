@@ -131,7 +131,7 @@ def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, c
         words: description for progress messages.
         names: names of the candidates; None: those with the highest scores.
     """
-    ranked = [(name, -2.0 * each.negative_log_likelihood_gain) for name,
+    ranked = [(name, -2.0 * each.negative_log_likelihood_change) for name,
               each in proposals.best_variant_by_candidate_name.items()]
     settings = evidence.refit_settings
     # Rivals of the best effect are fitted even if all scores are small.
@@ -146,16 +146,16 @@ def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, c
     tasks = []
     for name in chosen:
         variants = sorted((each for each in proposals.all if each.candidate.name == name),
-                          key=lambda each: each.negative_log_likelihood_gain)
+                          key=lambda each: each.negative_log_likelihood_change)
         if variants[0].candidate.jump:
             variants = [refine_jump_displacement(variants[0], evidence)]
         tasks += [(evidence.problem, evidence.campaign, variant, evidence.parameter_values, error,
                    evidence.effective_sample_count, settings)
                   for variant in variants[:2]
-                  if variant.negative_log_likelihood_gain < variants[0].negative_log_likelihood_gain + 0.5
+                  if variant.negative_log_likelihood_change < variants[0].negative_log_likelihood_change + 0.5
                   * settings.shape_margin]
     titles = [variant.candidate.title for _, _, variant, *_ in tasks]
-    found = context.run_task_for_all(fit_one_effect_or_none, tasks, words, names=titles) if tasks else []
+    found = context.run_task_for_all(fit_effect_or_none_if_untestable, tasks, words, names=titles) if tasks else []
     fits = [each for each in found if each is not None]
     best: dict[str, EffectRefit] = {}
     for each in sorted(fits, key=lambda one: -one.gain):
@@ -218,9 +218,9 @@ def copy_problem(problem: GeneralisedProblem) -> GeneralisedProblem:
     return GeneralisedProblem(problem.space, tests, problem.solves, problem.jitter, problem.mesh_error)
 
 
-def fit_one_effect_or_none(problem: GeneralisedProblem, campaign: Campaign, proposal: ScoredCandidate,
-                           values: Mapping[str, float], error: float, samples: float,
-                           settings: RefitSettings = REFITS) -> EffectRefit | None:
+def fit_effect_or_none_if_untestable(problem: GeneralisedProblem, campaign: Campaign, proposal: ScoredCandidate,
+                                     values: Mapping[str, float], error: float, samples: float,
+                                     settings: RefitSettings = REFITS) -> EffectRefit | None:
     """Fit a problem with one effect, starting from the size that its score gives.
 
     Args:
@@ -263,7 +263,7 @@ def fit_one_effect_or_none(problem: GeneralisedProblem, campaign: Campaign, prop
         return EffectRefit(proposal, extended, changed, descent.theta, descent.error, -np.inf, descent.failure,
                            settings)
     decrease = error - _compute_error_plus_log_determinant(extended, descent)
-    shortfall = -2.0 * proposal.negative_log_likelihood_gain - decrease
+    shortfall = -2.0 * proposal.negative_log_likelihood_change - decrease
     if proposal.direction.degrees_of_freedom == 1 and shortfall > settings.shortfall:
         # With nearly dependent parameters a step with a small decrease may precede one with a larger decrease.
         again = minimise_from_start(extended, descent.theta, corrected=True, enough=0.0, tolerance=tolerance,

@@ -60,7 +60,7 @@ def fit_effects_and_decide_verdict(evidence: FitEvidence, proposals: CatalogueSc
     rivals = (each.gain for each in good if each.proposal.candidate.effect.name != best.proposal.candidate.effect.name)
     has_rival = next(rivals, 0.0) >= limits.rival_gain_ratio * best.gain
     needed = limits.explained_fraction if has_rival else limits.explained_without_rival
-    added, after = _refit_with_further_instances_of_effect(best, evidence, context)
+    added, after = _refit_with_further_terms_of_effect(best, evidence, context)
     rest = recompute_all_scores(proposals, after, [best.candidate_name]).significant_candidates
     if rest or not after.has_adequate_region_residuals:
         pairs = find_required_effect_pairs(evidence, good, proposals, context)
@@ -79,7 +79,7 @@ def fit_effects_and_decide_verdict(evidence: FitEvidence, proposals: CatalogueSc
             return VerdictWithFits("UNKNOWN", refits, (), [], evidence)
     # Decrease of BIC that the remaining scores predict.
     gained = sum(each.gain for each in added)
-    left = max((-2.0 * each.negative_log_likelihood_gain - float(np.log(evidence.effective_sample_count))
+    left = max((-2.0 * each.negative_log_likelihood_change - float(np.log(evidence.effective_sample_count))
                 for each in rest.values()),
                default=0.0)
     left = max(left, 0.0)
@@ -97,8 +97,8 @@ def fit_effects_and_decide_verdict(evidence: FitEvidence, proposals: CatalogueSc
     return VerdictWithFits("NAMED" if alone else "LOOKS_LIKE", refits, added, names, after)
 
 
-def _refit_with_further_instances_of_effect(best: EffectRefit, evidence: FitEvidence,
-                                            context: RunContext) -> tuple[tuple[EffectRefit, ...], FitEvidence]:
+def _refit_with_further_terms_of_effect(best: EffectRefit, evidence: FitEvidence,
+                                        context: RunContext) -> tuple[tuple[EffectRefit, ...], FitEvidence]:
     """Add further instances of the best effect, such as Prony terms, while the residuals require them.
 
     Returns:

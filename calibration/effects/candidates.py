@@ -93,8 +93,8 @@ def make_experiment_or_rig_candidates(effect: Effect, situation: DiagnosisData, 
     return found
 
 
-def _call_experiment_or_rig_candidates_with_both_ways(*args: Any, both_ways: bool = True,
-                                                      **options: Any) -> list[Candidate]:
+def _call_candidates_with_former_keyword(*args: Any, both_ways: bool = True,
+                                         **options: Any) -> list[Candidate]:
     """Call `make_experiment_or_rig_candidates` with its former keyword ``both_ways`` for ``two_sided``."""
     return make_experiment_or_rig_candidates(*args, two_sided=both_ways, **options)
 
@@ -105,7 +105,7 @@ def __getattr__(name: str) -> Any:
         warnings.warn("calibration.effects.candidates.beside_material is deprecated; use "
                       "make_experiment_or_rig_candidates, whose both_ways is named two_sided", DeprecationWarning,
                       stacklevel=2)
-        return _call_experiment_or_rig_candidates_with_both_ways
+        return _call_candidates_with_former_keyword
     if name == "rig_parameter_candidates":
         warnings.warn("calibration.effects.candidates.rig_parameter_candidates is renamed to "
                       "calibration.effects.candidates.make_experiment_or_rig_candidates", DeprecationWarning,

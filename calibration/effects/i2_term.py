@@ -1,7 +1,7 @@
 """Dependence of the strain energy on the second invariant."""
 
 from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError
-from calibration.effects.wider_law import WIDER, get_parameters_of_biderman_special_case
+from calibration.effects.wider_law import WIDER, check_biderman_case_and_get_parameter_names
 
 
 class I2Term(Effect):
@@ -20,7 +20,7 @@ class I2Term(Effect):
 
     def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidate that extends the fitted law to Biderman's law by C01."""
-        if "C01" in get_parameters_of_biderman_special_case(situation.law):
+        if "C01" in check_biderman_case_and_get_parameter_names(situation.law):
             raise NotTestableError("the fitted law has a term in I2 - 3 already")
         # mu = 2 (C10 + C01).
         size = 0.5 * self.trial_fraction * situation.estimated_shear_modulus

@@ -29,4 +29,4 @@ class PartialSlip(Effect):
 def _has_bonded_faces_that_can_slip(test: Test) -> bool:
     """Return whether a test has bonded faces and the same test with frictionless faces can be simulated."""
     experiment = get_experiment(test)
-    return experiment.friction == "bonded" and not experiment.tool.sharp_edge
+    return experiment.friction == "bonded" and not experiment.tool.has_sharp_edge

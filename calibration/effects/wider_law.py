@@ -9,7 +9,7 @@ from tissue_sim.laws import InvariantLaw, find_law
 WIDER = "biderman"
 
 
-def get_parameters_of_biderman_special_case(name: str) -> set[str]:
+def check_biderman_case_and_get_parameter_names(name: str) -> set[str]:
     """Check that a law is a special case of Biderman's law, and return the names of its parameters.
 
     Args:
@@ -42,7 +42,7 @@ def find_lowest_missing_coefficient_and_power(name: str) -> tuple[str, int]:
     Raises:
         NotTestableError: the law has all powers of Biderman's law, or it is not a special case of Biderman's law.
     """
-    known = get_parameters_of_biderman_special_case(name)
+    known = check_biderman_case_and_get_parameter_names(name)
     for order in (2, 3):
         if f"C{order}0" not in known:
             return f"C{order}0", order

@@ -107,9 +107,10 @@ def find_equally_good_different_materials(law: Law, parameters: Mapping[str, flo
         if minimum.rise >= SETTINGS.rise or not law.mu0(other) > 0:
             continue
         known = [parameters, *(one.parameters_of_law for one in found)]
-        if all(_find_test_of_largest_stress_difference(law, one, other, stretches)[0] > SETTINGS.difference
+        if all(_find_largest_stress_difference_and_test(law, one, other, stretches)[0] > SETTINGS.difference
                for one in known):
-            _, test, stretch, (own, theirs) = _find_test_of_largest_stress_difference(law, parameters, other, stretches)
+            _, test, stretch, (own, theirs) = _find_largest_stress_difference_and_test(law, parameters, other,
+                                                                                       stretches)
             found.append(AlternativeMinimum(
                 parameters=minimum.parameters, parameters_of_law=dict(other), R2=minimum.R2, rise=minimum.rise,
                 separated_by=test, at=stretch, stress_Pa=own, alternative_stress_Pa=theirs))
@@ -150,7 +151,7 @@ def replace_misleading_standard_errors(space: ParameterSpace, spread: ParameterU
     return replace(spread, standard_errors=errors)
 
 
-def _find_test_of_largest_stress_difference(
+def _find_largest_stress_difference_and_test(
         law: Law, one: Mapping[str, float], other: Mapping[str, float],
         stretches: tuple[float, float]) -> tuple[float, str, float, tuple[float, float]]:
     """Return the largest relative difference of the nominal stresses of two materials over several tests.

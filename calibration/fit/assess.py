@@ -83,7 +83,7 @@ def build_fit_record(estimator: Estimator, estimate: Estimate, spread: Parameter
         "law": law.name, "formula": law.formula(), "parameters": values, "symbols": space.symbols,
         "units": units, "alternatives": alternatives, "clauses": clauses,
         "standard_errors": {name: errors[name] for name in order},
-        "derivatives": _classify_derivative_methods(estimate, theta),
+        "derivatives": _classify_parameter_derivatives(estimate, theta),
         "covariance": ParameterCovariance(order=order, matrix=covariance.tolist()),
         "correlation": compute_correlation_matrix(covariance).tolist(), "covariance_from": spread.basis,
         "intervals95": intervals, "not_identifiable": loose,
@@ -98,7 +98,7 @@ def build_fit_record(estimator: Estimator, estimate: Estimate, spread: Parameter
         "population": specimens.population, "material_of": list(specimens.material_of),
         "left_out_specimens": dict(specimens.left_out),
         "material_file": f"{law.name}.material.json" if mu0 > 0 and not specimens.missing_population_reason else None}
-    lost = [*law.describe_parameters_at_limit(moduli),
+    lost = [*law.describe_limiting_cases(moduli),
             *_describe_instability_in_unmeasured_modes(stability, reached, stretches),
             *list_warning_if_specimens_differ(estimate), *specimens.list_specimen_warnings(unusable)]
     found = FitFieldInputs(estimate, spread, descents, values, loose, status, unusable, lost)
@@ -122,7 +122,7 @@ def _assess_shear_modulus_precision(estimate: Estimate, spread: ParameterUncerta
         lambda theta: law.mu0(space.select_law_parameter_values(space.get_values_by_name(theta))), stated)
 
 
-def _classify_derivative_methods(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
+def _classify_parameter_derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
     """Return free parameter -> ``"difference"`` if any test uses finite differences for it, otherwise ``"exact"``."""
     problem, names = estimate.problem, set()
     for test in problem.tests:

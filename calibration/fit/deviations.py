@@ -74,7 +74,7 @@ def compute_model_bias_scatter_and_noise(measured: Sequence[MeasuredCurve], gaps
         # A common offset, and offsets far beyond the scatter, are errors of the model and stay in the deviations.
         own = np.clip(own - own.mean(axis=0) if len(own) > 1 else own,
                       -SETTINGS.max_scatter, SETTINGS.max_scatter)
-        gaps = [gap - _compute_force_changes_per_offset_deviation(contact, scatter) @ weights
+        gaps = [gap - _compute_force_changes_per_jitter(contact, scatter) @ weights
                 for gap, contact, weights in zip(gaps, contacts, own, strict=True)]
     segments = [_get_segment_label_of_each_sample(curve) for curve in measured]
     path_segments, count = _get_segment_label_of_each_sample(path, measured[0]), len(measured)
@@ -118,7 +118,7 @@ def compute_model_bias_scatter_and_noise(measured: Sequence[MeasuredCurve], gaps
     return ModelBiasScatterAndNoise(bias, [ScatterComponent(spread, count - 1.0)], noise)
 
 
-def _compute_force_changes_per_offset_deviation(contact: np.ndarray, scatter: ContactAndForceZeroJitter) -> np.ndarray:
+def _compute_force_changes_per_jitter(contact: np.ndarray, scatter: ContactAndForceZeroJitter) -> np.ndarray:
     """Return the change of the force per standard deviation of contact offset and zero, N, shape (n, 2)."""
     return np.column_stack([scatter.contact * contact, np.full(contact.size, scatter.zero)])
 
@@ -126,7 +126,7 @@ def _compute_force_changes_per_offset_deviation(contact: np.ndarray, scatter: Co
 def _estimate_scaled_contact_offset_and_zero(gap: np.ndarray, contact: np.ndarray, curve: MeasuredCurve,
                                              scatter: ContactAndForceZeroJitter) -> np.ndarray:
     """Return the most probable contact offset and zero of a recording in units of their scatter, shape (2,)."""
-    columns = _compute_force_changes_per_offset_deviation(contact, scatter) / curve.noise.deviation
+    columns = _compute_force_changes_per_jitter(contact, scatter) / curve.noise.deviation
     return np.linalg.solve(np.eye(2) + columns.T @ columns, columns.T @ gap / curve.noise.deviation)
 
 

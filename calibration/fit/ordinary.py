@@ -192,7 +192,7 @@ def fit_law_to_descents_and_estimate(problem: OrdinaryProblem) -> tuple[list[Des
         return minimise_from_start(target, start, start=number, enough=0.0, tolerance=tolerance, gradient=tolerance,
                                    max_solves=most)
 
-    def compare_minima_by_parameter(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    def make_mask_of_agreeing_parameters(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Return for each free parameter whether two minima agree, bool, shape (p,)."""
         return (np.abs(one - other) <= DESCENT.same_minimum * np.abs(other) + 1e-9)[: len(problem.space.free)]
 
@@ -200,7 +200,7 @@ def fit_law_to_descents_and_estimate(problem: OrdinaryProblem) -> tuple[list[Des
         (_SETTINGS.thinned_solves, _SETTINGS.thinned_tolerance)
     starts = compute_analytical_starts(thin)
     descents = [run_descent(thin, start, number, *limits) for number, start in enumerate(starts, 1)]
-    ends = find_distinct_minima([(d, 1) for d in descents if np.isfinite(d.error)], compare_minima_by_parameter)
+    ends = find_distinct_minima([(d, 1) for d in descents if np.isfinite(d.error)], make_mask_of_agreeing_parameters)
     refined = ends if problem.long_term_variables_or_none \
         else [(run_descent(problem, end.theta, end.start, _SETTINGS.solves),
                count)
@@ -217,7 +217,7 @@ def fit_law_to_descents_and_estimate(problem: OrdinaryProblem) -> tuple[list[Des
         if np.isfinite(descents[-1].error):
             refined.append((run_descent(problem, descents[-1].theta, descents[-1].start, _SETTINGS.solves), 1))
     refined = find_distinct_minima([item for item in refined if np.isfinite(item[0].error)],
-                                   compare_minima_by_parameter)
+                                   make_mask_of_agreeing_parameters)
     scale = max(1.0, refined[0][0].error / max(problem.samples - problem.bounds[0].size, 1))
     best = refined[find_index_of_preferred_minimum(problem.space,
                                                    [(d.error / scale, d.theta) for d, _ in refined])][0]

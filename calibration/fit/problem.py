@@ -306,9 +306,9 @@ class GeneralisedProblem(LeastSquaresProblem):
         offsets = np.linspace(-_SETTINGS.scan_range, _SETTINGS.scan_range, _SETTINGS.scan_points)
         for columns, (t, r) in zip(self.offset_columns, self.places, strict=True):
             test, measured = self.tests[t], self.tests[t].measured[r]
-            if not hasattr(test, "compute_force_column_per_offset"):
+            if not hasattr(test, "compute_force_at_contact_offsets"):
                 continue
-            forces = test.compute_force_column_per_offset(answers[t], r, offsets * self.jitter.contact)
+            forces = test.compute_force_at_contact_offsets(answers[t], r, offsets * self.jitter.contact)
             gaps = forces - measured.force[:, None]
             white = whiten_columns(np.column_stack([gaps, np.full(measured.force.size, self.jitter.zero)]),
                                    measured.time, measured.noise)

@@ -36,7 +36,7 @@ _SETTINGS = RankingSettings()
 Fitted = tuple[Fit, list[Prediction], Sequence[TestCurves]]
 
 
-def rank_laws_and_split_results(
+def rank_fits_predictions_and_curves(
         fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], dict[str, Sequence[TestCurves]]]:
     """Sort laws: usable fits first, then fits without parameters on bounds, then fits with a material.
 

@@ -33,7 +33,7 @@ def describe_self_weight(campaign: Campaign, fit: Fit) -> str:
     columns = _list_specimens_in_frictionless_compression(campaign)
     for specimen in dict.fromkeys([*columns, *(test.specimen for test in campaign.tests if test.specimen is not None
                                                and test.specimen.specific_weight)]):
-        words, sag = _make_self_weight_template_and_sag_mm(specimen, fit, campaign, column=specimen in columns)
+        words, sag = _make_self_weight_sentence_and_sag_mm(specimen, fit, campaign, column=specimen in columns)
         alike.setdefault(words, {})[specimen.name] = sag
     several = sum(map(len, alike.values())) > 1
     sentences = [f"Self-weight{' of ' if several else ''}{', '.join(found) if several else ''}"
@@ -42,7 +42,7 @@ def describe_self_weight(campaign: Campaign, fit: Fit) -> str:
     return " ".join(sentences) or "Self-weight is not included."
 
 
-def _make_self_weight_template_and_sag_mm(specimen: Specimen, fit: Fit, campaign: Campaign, *,
+def _make_self_weight_sentence_and_sag_mm(specimen: Specimen, fit: Fit, campaign: Campaign, *,
                                           column: bool) -> tuple[str, float | None]:
     """Return the sentence after "Self-weight of NAME", with placeholders for the sag in two or three digits.
 
@@ -87,7 +87,8 @@ def _list_specimens_in_frictionless_compression(campaign: Campaign) -> list[Spec
 def _compute_sag_or_none_without_equilibrium(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | None:
     """Return the sag of a specimen, m; None without equilibrium or with unknown parameters."""
     law, material = find_law(fit.law), get_shared_and_population_mean_material(fit)
-    values = {path: _find_specimen_parameter_or_typical(path, specimen, fit, campaign, material.parameters.get(path))
+    values = {path: _find_specimen_law_parameter_or_typical(path, specimen, fit, campaign,
+                                                            material.parameters.get(path))
               for path in law.parameters}
     try:
         if None in values.values():
@@ -97,8 +98,8 @@ def _compute_sag_or_none_without_equilibrium(specimen: Specimen, fit: Fit, campa
         return None
 
 
-def _find_specimen_parameter_or_typical(path: str, specimen: Specimen, fit: Fit, campaign: Campaign,
-                                        typical: float | None) -> float | None:
+def _find_specimen_law_parameter_or_typical(path: str, specimen: Specimen, fit: Fit, campaign: Campaign,
+                                            typical: float | None) -> float | None:
     """Return a parameter of the law for a specimen: its own, that of its first test or recording, or the shared one."""
     tests = [test.name for test in campaign.tests if test.specimen is not None and test.specimen.name == specimen.name]
     for mark in (specimen.name, *tests):

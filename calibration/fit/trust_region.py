@@ -143,16 +143,16 @@ class _NuisanceEliminatedProblem:
         """
         evaluation = self.problem.evaluate(self.convert_variables_to_unknowns(u))
         residual, jacobian = evaluation.projected_residual_and_jacobian
-        jacobian = self.variables.transform_jacobian(jacobian, u)
+        jacobian = self.variables.convert_jacobian_to_variables(jacobian, u)
         if self.enough:
-            bound = self._find_bounds_about_to_be_crossed(u, jacobian.T @ residual)
+            bound = self._find_bounds_to_be_crossed_or_nan(u, jacobian.T @ residual)
             inside = jacobian[:, ~np.isfinite(bound)]
             gain = float(np.sum((inside @ np.linalg.lstsq(inside, residual, rcond=1e-12)[0])**2))
             if gain < self.enough * max(1.0, evaluation.penalised_sum_of_squares / self.problem.samples):
                 raise self._make_descent_end_on_bounds(np.where(np.isfinite(bound), bound, u), evaluation)
         return jacobian
 
-    def _find_bounds_about_to_be_crossed(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    def _find_bounds_to_be_crossed_or_nan(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Return the bound that each variable is close to and would cross, shape (k,); NaN: none."""
         low, high = self.variables.bounds
         near = DESCENT.bound_distance * np.maximum(np.abs(u), DESCENT.bound_distance)

@@ -46,7 +46,7 @@ class SizeScaledVariables:
         """Convert variables of the optimiser to unknowns (SI units); both have shape (k,)."""
         return variables * self.sizes
 
-    def transform_jacobian(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
+    def convert_jacobian_to_variables(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
         """Return derivatives with respect to the variables, from those with respect to the unknowns (chain rule).
 
         Args:
@@ -103,8 +103,8 @@ class LongTermPronyVariables:
         unknowns[self.tau] = np.exp(variables[self.tau])
         return unknowns
 
-    def transform_jacobian(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
-        """Return derivatives with respect to the variables; see `SizeScaledVariables.transform_jacobian`."""
+    def convert_jacobian_to_variables(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
+        """Return derivatives with respect to the variables; see `SizeScaledVariables.convert_jacobian_to_variables`."""
         factor, changed = 1.0 + variables[self.g].sum(), jacobian.copy()
         changed[:, self.moduli] *= factor
         changed[:, self.tau] *= np.exp(variables[self.tau])

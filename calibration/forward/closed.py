@@ -12,7 +12,7 @@ from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.contract import InfeasibleError, StretchRange
 from calibration.forward.difference_steps import DIFFERENCES
 from calibration.forward.simulation_cache import SimulationCache
-from tissue_sim.closed_form.histories import LARGEST_STEP, HomogeneousHistory
+from tissue_sim.closed_form.histories import LARGEST_STEP, StrainHistory
 from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import TestKind
@@ -55,7 +55,7 @@ class ClosedFormTest:
         height: height of the specimen, m.
         area: cross-section, m2.
         measured: recordings of the test.
-        largest_step: largest strain step of a history, see `HomogeneousHistory`.
+        largest_step: largest strain step of a history, see `StrainHistory`.
         specimen: specimen with self-weight; None in this class.
     """
 
@@ -66,7 +66,7 @@ class ClosedFormTest:
     measured: tuple[MeasuredCurve, ...]
     largest_step: float = LARGEST_STEP
     specimen: Specimen | None = None
-    _histories: dict[int, HomogeneousHistory] = field(default_factory=dict, repr=False, init=False)
+    _histories: dict[int, StrainHistory] = field(default_factory=dict, repr=False, init=False)
 
     is_force_proportional_to_moduli: ClassVar[bool] = True
     is_homogeneous: ClassVar[bool] = True
@@ -277,18 +277,18 @@ class ClosedFormTest:
 
     @property
     def _supports_homogeneous_history(self) -> bool:
-        """Whether `HomogeneousHistory` can compute the stress: uniaxial loading or simple shear."""
+        """Whether `StrainHistory` can compute the stress: uniaxial loading or simple shear."""
         return type(self.closed_form) is ClosedForm and self.closed_form.law_mode in ("uniaxial", "simple_shear")
 
-    def get_homogeneous_history(self, recording: int, offset: float = 0.0) -> HomogeneousHistory:
+    def get_homogeneous_history(self, recording: int, offset: float = 0.0) -> StrainHistory:
         """Return the deformation history of the specimen in a recording; cached if the contact offset is 0."""
         if offset == 0.0 and recording in self._histories:
             return self._histories[recording]
         measured = self.measured[recording]
         mode: Literal["uniaxial", "simple_shear"] = "uniaxial" if self.closed_form.rest else "simple_shear"
-        found = HomogeneousHistory(mode, measured.sample_times,
-                                   self.convert_displacement_to_stretch_or_shear(measured.displacement - offset),
-                                   self.largest_step)
+        found = StrainHistory(mode, measured.sample_times,
+                              self.convert_displacement_to_stretch_or_shear(measured.displacement - offset),
+                              self.largest_step)
         if offset == 0.0:
             self._histories[recording] = found
         return found

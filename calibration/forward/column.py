@@ -45,7 +45,7 @@ class ColumnTest(ClosedFormTest):
         # With the deepest point appended, the column is solved at the same states for every offset.
         moved = np.append(displacement, deepest)
         stress = column.nominal_stress(law, moved, values)[:-1]
-        slope = -column.nominal_stress_slope(law, moved, values)[:-1] if contact else None
+        slope = -column.stress_displacement_slope(law, moved, values)[:-1] if contact else None
         derivatives = column.nominal_stress_parameter_derivatives(law, moved, values)[:-1]
         if not np.isfinite(stress).all():
             raise InfeasibleError(f"{self.name}: {law.name} has no equilibrium of the specimen under its weight at the "

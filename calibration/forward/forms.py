@@ -76,7 +76,7 @@ def build_forward_test_of_inverse_fit(test: Test, curves: Sequence[MeasuredCurve
     depth = min(deepest + margin, 0.999 * test.experiment.thickness)
     speed = float(np.median([curve.mean_loading_speed or STUDY_SPEED for curve in curves]))
     tool = test.experiment.tool
-    smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.is_path_dependent)
+    smooth = tool.is_plate or (tool.has_sharp_edge and not test.experiment.is_path_dependent)
     ramp = MonotonicLoading.make_loading_to_depth(float(depth), max(speed, 1e-9), smooth=smooth,
                                                   strain=float(depth / height))
     return SimulatedTest(test.name, test.experiment, test.rig, (ramp,), (0,) * len(curves), curves, layered,

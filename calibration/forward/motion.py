@@ -86,7 +86,7 @@ class MonotonicLoading:
         return Protocol(self.depth / self.speed, self.depth)
 
     @property
-    def counterpart_with_equal_first_leg_steps(self) -> MonotonicLoading:
+    def counterpart_with_uniform_first_leg_steps(self) -> MonotonicLoading:
         """Copy of this loading with the same depth and the same number of steps, which are equal."""
         return replace(self, depth=np.linspace(self.depth[0], self.depth[-1], self.depth.size))
 
@@ -111,7 +111,7 @@ class MonotonicLoading:
         """Return the curve that interpolates values at the knots.
 
         Args:
-            columns: force and its derivatives, force first, shape (k, m).
+            columns: force, N, and its derivatives by the fitted parameters, force first, shape (k, m).
         """
         return _LoadingCurve(self.depth, columns)
 
@@ -151,8 +151,8 @@ class _LoadingCurve:
         # The curve is extrapolated linearly beyond the simulated depth.
         return self._spline(simulated) + rate * (inside - simulated)[:, None], -rate[:, 0] * derivative
 
-    def compute_force_column_per_offset(self, time: np.ndarray | None, displacement: np.ndarray,
-                                        offsets: np.ndarray) -> np.ndarray:
+    def compute_force_at_contact_offsets(self, time: np.ndarray | None, displacement: np.ndarray,
+                                         offsets: np.ndarray) -> np.ndarray:
         """Return the force at samples for several contact offsets, m; shape (n, offsets)."""
         inside, simulated, _ = self._compute_smooth_and_clipped_depth_and_slope(displacement[:, None] - offsets)
         return self._force(simulated) + self._force(self._end, 1) * (inside - simulated)
@@ -231,7 +231,7 @@ class TimedMotion:
         return Protocol(self.time - self.time[0], self.displacement)
 
     @property
-    def counterpart_with_equal_first_leg_steps(self) -> TimedMotion:
+    def counterpart_with_uniform_first_leg_steps(self) -> TimedMotion:
         """Copy of this motion with equal steps in its first straight segment; other steps are unchanged."""
         first, last = self.legs[0]
         time, displacement = self.time.copy(), self.displacement.copy()
@@ -260,7 +260,7 @@ class TimedMotion:
         """Return the curve that interpolates values at the knots, as a function of the recording's time.
 
         Args:
-            columns: force and its derivatives, force first, shape (k, m).
+            columns: force, N, and its derivatives by the fitted parameters, force first, shape (k, m).
             position: true position of the tool at the knots, m, shape (k,); None: the reported displacement.
             separates: whether a tool that retracts past first contact separates from the tissue; otherwise the tissue
                 pulls.
@@ -323,7 +323,7 @@ class _TimedCurve:
         values[((leg_of == 0) | self._separates) & (position < offset)] = 0.0
         return values[:, :-1], values[:, -1]
 
-    def compute_force_column_per_offset(self, time: Any, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    def compute_force_at_contact_offsets(self, time: Any, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
         """Return the force at samples for several contact offsets, m; shape (n, offsets)."""
         return np.column_stack([self(time, displacement, offset)[0][:, 0] for offset in offsets])
 

@@ -198,12 +198,12 @@ class RigForceCurve:
         before_contact = ~np.maximum.accumulate(position >= 0.0)
         columns[before_contact], rate[before_contact] = 0.0, 0.0
         for number, (other, step) in self.neighbours.items():
-            columns[:, number] = (other.compute_force_column_per_offset(time, displacement, np.array([offset]))[:, 0]
+            columns[:, number] = (other.compute_force_at_contact_offsets(time, displacement, np.array([offset]))[:, 0]
                                   - columns[:, 0]) / step
         return columns, rate
 
-    def compute_force_column_per_offset(self, time: np.ndarray | None, displacement: np.ndarray,
-                                        offsets: np.ndarray) -> np.ndarray:
+    def compute_force_at_contact_offsets(self, time: np.ndarray | None, displacement: np.ndarray,
+                                         offsets: np.ndarray) -> np.ndarray:
         """Return the force at the samples for several contact offsets, m; shape (n, offsets)."""
         position = self.compute_tool_positions(offsets)
         return np.where(np.maximum.accumulate(position >= 0.0, axis=0), self.curve.compute_force(position), 0.0)

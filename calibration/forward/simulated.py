@@ -340,16 +340,16 @@ class SimulatedTest(SimulatedMotions):
         """Return the names of the free parameters whose derivatives are finite differences, not exact ones."""
         return answer.differences
 
-    def compute_force_column_per_offset(self, answer: SimulatedTestForceCurves, recording: int,
-                                        offsets: np.ndarray) -> np.ndarray:
+    def compute_force_at_contact_offsets(self, answer: SimulatedTestForceCurves, recording: int,
+                                         offsets: np.ndarray) -> np.ndarray:
         """Return the force at the samples of a recording for several contact offsets, m; shape (n, offsets)."""
         if answer.readouts[recording].reading_only_rig_or_none is not None:
             return np.column_stack([self.evaluate_force_and_derivatives(answer, recording, offset)[0]
                                     for offset in offsets])
         measured = self.measured[recording]
         curve, effects = answer.curves[recording], answer.effects[recording]
-        forces = curve.compute_force_column_per_offset(self._convert_to_motion_time_or_none(recording),
-                                                       measured.displacement, offsets)
+        forces = curve.compute_force_at_contact_offsets(self._convert_to_motion_time_or_none(recording),
+                                                        measured.displacement, offsets)
         # A jump occurs at a true depth, so the contact offset determines its sample.
         return effects.compute_force_factor(measured, compute_depth_in_tissue(curve, measured, offsets)) * forces \
             if effects.effects else forces

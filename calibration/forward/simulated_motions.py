@@ -47,8 +47,7 @@ class SimulatedMotions:
         correction: force of the accurate mesh minus that of the fast mesh at the knots of each motion, N, shape (k,);
             empty before `update_mesh_force_difference_and_get_ratio`.
         position_correction: depth, m, and the same difference of forces, N, at the knots of one loading, shapes (k,).
-        mesh_key: key of the mesh_key; tests with the same key have the same mesh_key error. Empty: no other test shares
-            the mesh_key.
+        mesh_key: key of the mesh; tests with the same key have the same mesh error. Empty: no other test uses the mesh.
         full_motion: whether the whole motion is simulated even if the force depends on the tool position alone.
         solver: name of the solver.
         mesh_error: relative error of the accurate mesh; None: not computed.
@@ -130,7 +129,7 @@ class SimulatedMotions:
             keeps_force_proportional_to_moduli(each, rigid=rigid) or self._parameter_affects_readings_only(each, values)
             for each in space.unknowns if each.is_modulus or each.applies_to_recording(self.name, recording))
         if proportional:
-            values, factor = space.scale_moduli_to_reference_sum(values)
+            values, factor = space.normalise_moduli_and_get_factor(values)
 
         def build_model_without_readout(of: dict[str, float]) -> Model:
             """Return the model at parameter values `of`, whose rig moves the tool but does not change readings."""
@@ -177,7 +176,7 @@ class SimulatedMotions:
         With friction the fast mesh needs short steps near first contact, and the accurate mesh converges more often
         with equal steps. If one spacing fails, the other one is tried.
         """
-        equal = motion.counterpart_with_equal_first_leg_steps
+        equal = motion.counterpart_with_uniform_first_leg_steps
         first, second = (equal, motion) if isinstance(motion, TimedMotion) else (motion, equal)
         try:
             used, (force, *_) = first, self._simulate_or_load_force_and_derivatives(

@@ -39,7 +39,7 @@ from calibration.importing.sidecar import (
 )
 from calibration.importing.size_assumptions import copy_interpretation_with_size_assumptions
 from calibration.importing.sizes_of_tables import copy_with_question_on_contradicting_sizes
-from calibration.importing.zero import interpret_and_correct_load_at_zero, select_linear_laws_or_neo_hooke
+from calibration.importing.zero import interpret_and_correct_load_at_zero, select_laws_linear_in_parameters_or_neo_hooke
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import run_in_sandbox
 from tissue_sim.errors import InputError, located_and_converted_errors, shorten_text_in_middle
@@ -202,7 +202,7 @@ def _interpret_and_correct_load_at_zero(parts: Sequence[ReplicateFile], wishes: 
     The second value is None if the load is zero at zero displacement.
     """
     sizes = {key: size.value for key, size in get_specimen_sizes_by_priority(parts[0].reading, wishes).items()}
-    laws = select_linear_laws_or_neo_hooke(wishes.laws or DEFAULT_LAWS["analytical"])
+    laws = select_laws_linear_in_parameters_or_neo_hooke(wishes.laws or DEFAULT_LAWS["analytical"])
     return interpret_and_correct_load_at_zero(parts, sizes, laws, wishes.zero)
 
 

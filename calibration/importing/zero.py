@@ -233,18 +233,18 @@ def _fit_explanation_or_none(value: str, displacement: np.ndarray, load: np.ndar
     return _ExplanationFit(float(criterion), float(np.sqrt(squares / count)), modulus, trial_shift)
 
 
-def select_linear_laws_or_neo_hooke(names: Sequence[str]) -> tuple[str, ...]:
+def select_laws_linear_in_parameters_or_neo_hooke(names: Sequence[str]) -> tuple[str, ...]:
     """Return those of the given laws whose stress is linear in the parameters; ``("neo_hooke",)`` if there is none."""
     strain = np.array([0.9, 0.95])
 
-    def is_linear(name: str) -> bool:
+    def is_linear_in_parameters(name: str) -> bool:
         """Return whether the derivatives of the stress with respect to the parameters are constant."""
         law = find_law(name)
         one, two = (law.nominal_stress_parameter_derivatives(strain, np.full(len(law.parameters), value))
                     for value in (1.0, 2.0))
         return bool(np.allclose(one, two))
 
-    return tuple(name for name in names if name in LAWS and is_linear(name)) or ("neo_hooke",)
+    return tuple(name for name in names if name in LAWS and is_linear_in_parameters(name)) or ("neo_hooke",)
 
 
 def _choose_load_at_zero_explanation(explanations: Sequence[tuple[dict[str, _ExplanationFit], float]],

@@ -115,8 +115,8 @@ def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: fl
     best, lowest = np.zeros(len(unknown)), float(evaluate_reml_criteria(np.zeros(len(unknown))))
     # A standard deviation may be 0, where its logarithm is infinite: each subset of nonzero ones is minimised.
     for present in [[0]] if len(unknown) == 1 else [[0], [1], [0, 1]]:
-        value, candidate = _get_least_criterion_and_deviations(evaluate_reml_criteria, len(unknown), present,
-                                                               [ranges[k] for k in present])
+        value, candidate = _find_least_criterion_and_deviations(evaluate_reml_criteria, len(unknown), present,
+                                                                [ranges[k] for k in present])
         if value < lowest - _SETTINGS.gain:
             best, lowest = candidate, value
     found = insert_stated_values(best)
@@ -229,8 +229,8 @@ def _find_deviation_search_range(tests: Sequence[Sequence[WhitenedReplicate]], k
     return _SETTINGS.smallest * error, _SETTINGS.largest * (offset + largest_error)
 
 
-def _get_least_criterion_and_deviations(criterion: Callable[[np.ndarray], np.ndarray], size: int, present: list[int],
-                                        ranges: list[tuple[float, float]]) -> tuple[float, np.ndarray]:
+def _find_least_criterion_and_deviations(criterion: Callable[[np.ndarray], np.ndarray], size: int, present: list[int],
+                                         ranges: list[tuple[float, float]]) -> tuple[float, np.ndarray]:
     """Minimise the criterion over the logarithms of nonzero standard deviations: grid search, then L-BFGS-B.
 
     Args:

@@ -159,7 +159,7 @@ class AtiSerialSensor(ForceSensor):
 
     def tare(self) -> None:
         """Set the mean counts of the last 0.1 s as zero; if that time has no record, those of the last record."""
-        recent = self._get_receiver_or_raise().wait_for_recent_counts(TIMING.tare)
+        recent = self._get_receiver_or_raise().get_counts_of_last_seconds(TIMING.tare)
         self._zero = tuple(sum(counts) / len(recent) for counts in zip(*recent, strict=True))
 
     def stop(self) -> None:
@@ -303,7 +303,7 @@ class _RecordReceiverThread:
             raise self._trouble
         return found
 
-    def wait_for_recent_counts(self, seconds: float) -> list[tuple[int, ...]]:
+    def get_counts_of_last_seconds(self, seconds: float) -> list[tuple[int, ...]]:
         """Return the counts of the records of the last `seconds` s; wait until at least one record was received.
 
         Raises:

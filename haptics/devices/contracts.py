@@ -330,9 +330,7 @@ class HapticDevice(ABC):
             InputError: The device cannot be steered, or the depth is not a finite number.
         """
         raise InputError(f"a target requires a steerable motion; got a {type(self).__name__}. Switch to a "
-                         f"TargetFollowingMotion "
-                         "first",
-                         field="aim")
+                         "TargetFollowingMotion first", field="aim")
 
     def describe(self) -> dict[str, Any]:
         """Return metadata for reports: back-end, largest force. Keys carry units, values have JSON types."""

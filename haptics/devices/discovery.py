@@ -73,10 +73,10 @@ def _probe_default_devices() -> Iterator[ProbeResult]:
             else:
                 yield ProbeResult(f"{back_end}:", kind, False, _FILES.get(back_end, "give its name with its settings"))
     for port in ports:
-        yield _probe_serial_port(port)
+        yield _probe_port_by_opening(port)
 
 
-def _probe_serial_port(port: str) -> ProbeResult:
+def _probe_port_by_opening(port: str) -> ProbeResult:
     """Open and close a port without sending anything: a query of one device can be a motion command of another."""
     try:
         SerialLine(port, 9600, "a device").close()

@@ -275,17 +275,17 @@ class _ExchangeThread:
                 self._has_force.wait(0.5 * TIMING.stale)
                 self._has_force.clear()
                 requested, force = self._request
-                self._exchange_messages(force if time.monotonic() - requested <= TIMING.silence else (0.0, 0.0, 0.0))
+                self._exchange_once(force if time.monotonic() - requested <= TIMING.silence else (0.0, 0.0, 0.0))
             # The answer confirms that the service has received the zero force.
             self._unanswered = 0
-            self._exchange_messages((0.0, 0.0, 0.0), within=0.2)
+            self._exchange_once((0.0, 0.0, 0.0), within=0.2)
         except OSError as error:
             self.exchange_error_message = (f"the Haply Inverse service at {self._address} is gone ({error}); start it "
                                            "again, then this program")
         finally:
             self._line.close()
 
-    def _exchange_messages(self, force: Vector, within: float = TIMING.answer) -> None:
+    def _exchange_once(self, force: Vector, within: float = TIMING.answer) -> None:
         """Send a force, N, unless too many messages are in flight, and receive answers for up to `within` seconds."""
         if self._unanswered < TIMING.max_unanswered:
             self._line.send(encode_force_message(self._device_id, force), within + 1.0)

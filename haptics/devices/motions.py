@@ -126,9 +126,9 @@ class TargetFollowingMotion(Motion):
         self._starts_at_tool = start is None
         self._time = 0.0
         self._velocity = [0.0, 0.0, 0.0]
-        self._set_start_and_target(approach, start or 0.0, start or 0.0)
+        self._set_approach_and_depths(approach, start or 0.0, start or 0.0)
 
-    def _set_start_and_target(self, approach: Approach | None, start: float, target: float) -> None:
+    def _set_approach_and_depths(self, approach: Approach | None, start: float, target: float) -> None:
         """Set the approach, and present and target depth on it, m; the tool is placed on the axis of the approach."""
         self.approach = approach
         # A position is x and y, where the tool's axis meets the height of first contact, and the depth along the axis.
@@ -141,7 +141,7 @@ class TargetFollowingMotion(Motion):
     def set_approach(self, approach: Approach | None) -> None:
         """Set the approach and restart the motion on it, unless it has one or begins at the pose of the tool."""
         if self.approach is None and approach is not None and not self._starts_at_tool:
-            self._set_start_and_target(approach, self._position[2], self._target[2])
+            self._set_approach_and_depths(approach, self._position[2], self._target[2])
 
     def _set_orientation_and_axis_from_pose(self, pose: Pose) -> None:
         """Store the orientation of a pose, and its tool axis as change of x, y and height per depth along the axis."""
@@ -352,7 +352,10 @@ def make_sine_motion(text: str) -> SineMotion:
 
 
 def make_motion_from_protocol_text(text: str) -> ProtocolMotion:
-    """Make a motion from the text of a protocol, ``ramp 4mm @2mm/s; unload``; see `tissue_sim.Protocol.parse`."""
+    """Make a motion from the text of a protocol, ``ramp 4mm @2mm/s; unload``; see `tissue_sim.Protocol.parse`.
+
+    It repeats without end if the last displacement equals the first, as in this example.
+    """
     return make_protocol_motion_repeated_if_closed(Protocol.parse(text))
 
 

@@ -134,7 +134,7 @@ class PhidgetStage(Stage):
                 raise DeviceError(f"{which} answers within {_TIMES.attach_ms / 1000:g} s; check its power, the cable "
                                   "and the serial number, close the Phidget Control Panel, and on Linux let your user "
                                   "open it (udev rule 99-libphidget22.rules)") from None
-            raise self._mark_lost_zero_and_make_error(error) from None
+            raise self._make_error_and_unset_zero_if_lost(error) from None
         return motor
 
     def _configure_motor(self, motor: Any) -> None:
@@ -152,7 +152,7 @@ class PhidgetStage(Stage):
         except DeviceError:
             raise
         except Exception as error:
-            raise self._mark_lost_zero_and_make_error(error) from None
+            raise self._make_error_and_unset_zero_if_lost(error) from None
 
     def _enable_failsafe_and_set_runs_on(self, motor: Any) -> None:
         """Enable the failsafe, and set `runs_on` to its time, s; infinite if the controller has no failsafe."""
@@ -185,7 +185,7 @@ class PhidgetStage(Stage):
             motor.setTargetPosition(0.0)
             motor.setEngaged(True)
         except Exception as error:
-            raise self._mark_lost_zero_and_make_error(error) from None
+            raise self._make_error_and_unset_zero_if_lost(error) from None
         self._homed, self._goal = True, None
 
     def move(self, position: float, speed: float) -> None:
@@ -209,7 +209,7 @@ class PhidgetStage(Stage):
                 motor.setVelocityLimit(0.0)
                 return
         except Exception as error:
-            raise self._mark_lost_zero_and_make_error(error) from None
+            raise self._make_error_and_unset_zero_if_lost(error) from None
         self._goal = position
 
     def position(self) -> StageSample:
@@ -220,7 +220,7 @@ class PhidgetStage(Stage):
                 motor.resetFailsafe()
             steps, turning = motor.getPosition(), bool(motor.getIsMoving())
         except Exception as error:
-            raise self._mark_lost_zero_and_make_error(error) from None
+            raise self._make_error_and_unset_zero_if_lost(error) from None
         now, position = time.monotonic(), steps * self._length_per_count
         goal = self._goal
         # The controller reports a motion shortly after its beginning, hence the comparison with the target.
@@ -268,7 +268,7 @@ class PhidgetStage(Stage):
             raise DeviceError("the Phidget stepper is not started; start it first")
         return self._motor
 
-    def _mark_lost_zero_and_make_error(self, error: Exception) -> DeviceError:
+    def _make_error_and_unset_zero_if_lost(self, error: Exception) -> DeviceError:
         """Return a DeviceError with the remedy for an error of the library; marks the zero as unknown if it is lost."""
         code = getattr(error, "code", None)
         if code == _PhidgetErrorCode.FAILSAFE:

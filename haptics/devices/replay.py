@@ -71,7 +71,7 @@ class ReplaySensor(ForceSensor):
 
     def read(self) -> tuple[ForceSample, ...]:
         """Return the recorded samples whose time has come since the last call; DeviceError after the last sample."""
-        now, due = self._get_time_and_due_sample_count()
+        now, due = self._get_now_and_due_sample_count()
         first, self._returned = self._returned, due
         if first == len(self._times):
             raise DeviceError(f"the recording {self._name!r} is at its end, after {len(self._times)} samples in "
@@ -84,7 +84,7 @@ class ReplaySensor(ForceSensor):
 
     def tare(self) -> None:
         """Set the values of the newest sample that is due as zero, which is subtracted from later values."""
-        _, due = self._get_time_and_due_sample_count()
+        _, due = self._get_now_and_due_sample_count()
         self._zero = self._values[due - 1]
 
     def stop(self) -> None:
@@ -97,7 +97,7 @@ class ReplaySensor(ForceSensor):
                 "speed": self._speed, "resolution_N": self._resolution, "samples": len(self._times),
                 "duration_s": float(self._times[-1])}
 
-    def _get_time_and_due_sample_count(self) -> tuple[float, int]:
+    def _get_now_and_due_sample_count(self) -> tuple[float, int]:
         """Return the present time, s on the clock, and the number of samples due since the start, at least 1."""
         if self._began is None:
             raise DeviceError(f"the replay of {self._name!r} is not started; start it first")

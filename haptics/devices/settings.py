@@ -7,7 +7,9 @@ import sys
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.public_names import make_getattr_for_old_names
 
-__getattr__ = make_getattr_for_old_names(__name__, {"read_settings": "parse_number_settings"})
+__getattr__ = make_getattr_for_old_names(__name__, {
+    "read_settings": "parse_number_settings",
+    "read_word_settings_and_remaining_text": "parse_word_settings_and_remaining_text"})
 
 
 def parse_number_settings(text: str, **defaults: float) -> dict[str, float]:

@@ -177,7 +177,7 @@ class TicStage(Stage):
         acceleration = min(max(acceleration, tic.MOTION.least_acceleration), tic.MOTION.top_acceleration)
         for command, variable in ((TicCommand.SET_MAX_ACCELERATION, VariableOffset.MAX_ACCELERATION),
                                   (TicCommand.SET_MAX_DECELERATION, VariableOffset.MAX_DECELERATION)):
-            self._send_and_require_acceptance(command, acceleration, variable)
+            self._send_and_verify_variable(command, acceleration, variable)
 
     def home(self) -> None:
         """Send the command to home, and return when homing has begun; `position` shows its end."""
@@ -209,7 +209,7 @@ class TicStage(Stage):
                               "homed")
         self._enter_normal_operation()
         units = max(round(speed * self._steps / tic.MOTION.speed_unit), 1)
-        self._send_and_require_acceptance(TicCommand.SET_MAX_SPEED, units, VariableOffset.MAX_SPEED)
+        self._send_and_verify_variable(TicCommand.SET_MAX_SPEED, units, VariableOffset.MAX_SPEED)
         target = round(position * self._steps)
         self._send_unless_halted(TicCommand.SET_TARGET_POSITION, target, halts)
         status = self._read_status()
@@ -334,7 +334,7 @@ class TicStage(Stage):
         """Read a setting of the Tic and return it, an unsigned number of `size` bytes."""
         return int.from_bytes(self._read_block(TicCommand.GET_SETTING, setting, size), "little")
 
-    def _send_and_require_acceptance(self, command: TicCommand, value: int, variable: VariableOffset) -> None:
+    def _send_and_verify_variable(self, command: TicCommand, value: int, variable: VariableOffset) -> None:
         """Send a command with a number, read the variable that it sets, and raise a DeviceError if it differs."""
         self._send_command(command, value)
         if int.from_bytes(self._read_block(TicCommand.GET_VARIABLE, variable, 4), "little") != value:

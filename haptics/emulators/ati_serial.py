@@ -164,7 +164,7 @@ class AtiSerialEmulator(SerialDeviceEmulator):
             case ["SA", number] if number.isascii() and number.isdigit():
                 self._loads = deque(self._loads, maxlen=max(int(number), 1))
             case ["SB"]:
-                self._biases.append(self._measure_mean_counts_before_bias())
+                self._biases.append(self._measure_mean_raw_counts())
             case ["SU"]:
                 if self._biases:
                     self._biases.pop()
@@ -188,7 +188,7 @@ class AtiSerialEmulator(SerialDeviceEmulator):
 
     def _encode_next_record(self) -> bytes:
         """Measure, subtract the bias, and return the bytes of the record in the selected mode, ASCII or binary."""
-        counts = self._measure_mean_counts_before_bias()
+        counts = self._measure_mean_raw_counts()
         bias = self._biases[-1] if self._biases else (0,) * 6
         biased = [count - zero for count, zero in zip(counts, bias, strict=True)]
         clipped = tuple(min(max(count, FORMAT.lowest_count), FORMAT.highest_count) for count in biased)
@@ -197,7 +197,7 @@ class AtiSerialEmulator(SerialDeviceEmulator):
             return encode_binary_record(record)
         return encode_ascii_record_without_ending(record, self._padded) + _END
 
-    def _measure_mean_counts_before_bias(self) -> tuple[int, ...]:
+    def _measure_mean_raw_counts(self) -> tuple[int, ...]:
         """Read the sensor, update the error flag, and return six mean counts; the bias is not yet subtracted."""
         try:
             samples = self._sensor.read()

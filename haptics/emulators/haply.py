@@ -16,6 +16,9 @@ from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import Emulator
 from haptics.protocols.haply import HaplyDeviceState, encode_state_message, find_force_in_client_message
 from tissue_sim.pose import Vector
+from tissue_sim.public_names import make_getattr_for_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"emulate_haply": "make_haply_emulator"})
 
 if TYPE_CHECKING:
     from websockets.sync.server import Server, ServerConnection

@@ -235,7 +235,7 @@ class Loop:
     def _compute_and_record_tick(self, lateness: float, ring: RingWriter) -> None:
         """Execute one tick: read the pose, step the tissue, render the force, and append the tick to the ring."""
         ticker = self._ticker
-        now = ticker.elapsed_nanoseconds
+        now = ticker.nanoseconds_since_start
         passed, self._now = now - self._now, now
         dt = passed * 1e-9
         pose = None
@@ -250,7 +250,7 @@ class Loop:
         rendered = self._rendering.render(answer, dt)
         wrench = rendered.wrench
         self._device.render(wrench)
-        spent = ticker.elapsed_nanoseconds - now
+        spent = ticker.nanoseconds_since_start - now
         self._compute_time.add_nanoseconds(spent)
         self._statuses[answer.status] += 1
         flags = rendered.flags | PAUSED * (not moves)

@@ -34,6 +34,7 @@ class MultiRateTissue(multirate.MultiRateTissue):
     def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None,
                  link: BulkLink | None = None, oldest: float = OLDEST, waits: bool = False,
                  limits: MotionLimits | None = None):
+        self.require_valid_arguments(model, oldest)  # before the task of the process is packed
         super().__init__(model, link or BulkProcess(model, solver=solver, resolution=resolution, mesh=mesh),
                          resolution=resolution if mesh is None else "own mesh", oldest=oldest, waits=waits,
                          limits=limits)

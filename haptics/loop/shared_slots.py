@@ -81,6 +81,7 @@ def find_unused_path(ending: str) -> Path:
     return get_or_create_runtime_folder() / f"{os.getpid()}-{secrets.token_hex(4)}.{ending}"
 
 
+@with_old_names(written="written_count")
 class SlotWriter:
     """Writer of slots; creates the file and removes it when closed.
 

@@ -189,6 +189,6 @@ class Ticker:
         return lateness
 
     @property
-    def elapsed_nanoseconds(self) -> int:
-        """Time from `start` to now, ns."""
+    def nanoseconds_since_start(self) -> int:
+        """Time from `start_first_period` to now, ns."""
         return self._clock() - self._start

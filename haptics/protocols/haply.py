@@ -131,7 +131,7 @@ def _get_object_or_default(content: Mapping[str, Any], key: str,
     return part
 
 
-def _require_finite(value: Any, name: str) -> float:
+def _read_finite_number(value: Any, name: str) -> float:
     """Return a JSON value as a float; raises ValueError unless the value is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name} of the Haply message must be a number; got {json.dumps(value)[:20]}")
@@ -148,7 +148,7 @@ def _read_vector(value: Any, name: str, largest: float) -> Vector:
     """Return x, y and z of a JSON object as a vector; raises ValueError if its length exceeds `largest`."""
     if not isinstance(value, dict):
         raise ValueError(f"{name} is missing")
-    x, y, z = (_require_finite(value.get(axis), f"{name}.{axis}") for axis in _AXES)
+    x, y, z = (_read_finite_number(value.get(axis), f"{name}.{axis}") for axis in _AXES)
     if math.hypot(x, y, z) > largest:
         raise ValueError(f"{name} must have a length of at most {largest:g}; got {math.hypot(x, y, z):.3g}")
     return x, y, z
@@ -161,7 +161,7 @@ def _find_active_grip_orientation(content: Mapping[str, Any]) -> Quaternion | No
             quaternion = _get_object_or_default(grip, "state", {}).get("orientation")
             if not isinstance(quaternion, dict):
                 continue
-            w, x, y, z = (_require_finite(quaternion.get(axis), f"orientation.{axis}") for axis in ("w", *_AXES))
+            w, x, y, z = (_read_finite_number(quaternion.get(axis), f"orientation.{axis}") for axis in ("w", *_AXES))
             length = math.sqrt(w * w + x * x + y * y + z * z)
             if abs(length - 1.0) <= _LIMITS.quaternion_deviation:
                 return w / length, x / length, y / length, z / length

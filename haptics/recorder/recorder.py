@@ -186,7 +186,7 @@ class Recorder:
         if plan.contact == "force":
             self._approach_withdraw_and_tare()
             if plan.preconditioning or plan.touch == "once":
-                self._refine_and_store_contact_point()
+                self._approach_slowly_and_store_contact_point()
         else:
             self._contact_point = self._last_position
         for cycle in range(plan.preconditioning):
@@ -214,7 +214,7 @@ class Recorder:
         self._move_to_waiting_position(2.0)
         self._tare_sensor_in_place()
 
-    def _refine_and_store_contact_point(self) -> None:
+    def _approach_slowly_and_store_contact_point(self) -> None:
         """Approach slowly, estimate the contact point from the samples, store it, and withdraw.
 
         Raises:
@@ -301,7 +301,7 @@ class Recorder:
         motion.poll_for_duration(plan.rest)
         self._require_zero_force_above_contact()
         if plan.contact == "force" and plan.touch == "each":
-            self._refine_and_store_contact_point()
+            self._approach_slowly_and_store_contact_point()
             self._phase = "rest"
         name, started = f"{plan.name}_{number}", _format_local_time()
         loadings, stops = folder.count_loadings_of_test(plan.name), folder.list_stops_for_test(plan.name)

@@ -77,6 +77,8 @@ class ForceFader:
     def step(self, answer: ToolForce, now: float) -> ToolForce:
         """Return the answer with force and stiffness scaled by the gain of this step.
 
+        With a gain below 1 the status CONVERGED becomes RETURNING; LATE and STOPPED become FADING.
+
         Args:
             answer: answer of the tissue.
             now: time, s, on a clock of this computer that always advances; the clock of a client is not used.

@@ -6,7 +6,10 @@ import math
 from dataclasses import dataclass, replace
 
 from tissue_sim.motion_limits import MotionLimits
+from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.tool_force import ToolForce, make_axial_stiffness_matrix
+
+__getattr__ = make_getattr_for_old_names(__name__, {"SceneLimits": "ServerLimits"})
 
 _NO_STIFFNESS = make_axial_stiffness_matrix(0.0)
 

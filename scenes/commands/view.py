@@ -110,7 +110,7 @@ def run(arguments) -> int:
     reduced = load_reduced_model_and_set_flags(arguments)
 
     from scenes.viewer.live_simulation import PATIENT, SETTINGS
-    from scenes.viewer.run import run_headless_and_return_curve, run_viewer_page
+    from scenes.viewer.run import run_headless_and_return_results, run_viewer_page
     from scenes.viewer.scene import BUILT_IN, Scene, read_measurements_by_kind
 
     material = load_scene_material(arguments.material, reduced)
@@ -129,8 +129,8 @@ def run(arguments) -> int:
     if arguments.device:
         options["device"] = make_haptic_device(arguments.device)
     if arguments.headless:
-        answer = run_headless_and_return_curve(scene, arguments.seconds, protocol=arguments.protocol,
-                                               speed=arguments.speed_mm_s * 1e-3, **options)
+        answer = run_headless_and_return_results(scene, arguments.seconds, protocol=arguments.protocol,
+                                                 speed=arguments.speed_mm_s * 1e-3, **options)
         if arguments.json:
             print_json(answer)
         elif answer["phase"] == "stopped":

@@ -43,7 +43,7 @@ class HiddenEffect:
         """
         return make_model_with_effect(self.name, self.values, model) if test in self.tests else model
 
-    def describe_values(self, models: Mapping[str, ts.Model]) -> str:
+    def describe_with_values(self, models: Mapping[str, ts.Model]) -> str:
         """Return title and values of the effect, such as ``viscoelasticity (g1 = 0.12, tau1 = 14.1 s)``.
 
         Args:

@@ -20,7 +20,7 @@ from scenes.demo.hidden_effect import (
     choose_hidden_or_no_effect,
     judge_diagnosis_with_sentence,
 )
-from scenes.demo.hidden_figure import draw_fits_before_and_after
+from scenes.demo.hidden_figure import write_before_and_after_figure
 from scenes.demo.measurement_settings import VirtualReplicateAndErrorSettings
 from scenes.demo.specimen import BULK_RATIO, PHANTOM, SPECIMEN
 from tissue_sim.atomic_write import write_text
@@ -157,10 +157,10 @@ def run_hidden_demo(output: Path, *, seed: int, overwrite: bool = False, console
                                          workers=workers)
     diagnosis, report = result.diagnosis, result.output / "report.html"
     figure = output / "before_and_after.png"
-    draw_fits_before_and_after(result, figure)
+    write_before_and_after_figure(result, figure)
     say(f"\n{diagnosis.message}", markup=False, soft_wrap=True)
     found, sentence = judge_diagnosis_with_sentence(hidden, diagnosis)
-    truth = hidden.describe_values(models)
+    truth = hidden.describe_with_values(models)
     say(f"{'gap':>10}: {diagnosis.gap_before_N:.2g} N before, "
         + ("nothing was added" if diagnosis.gap_after_N is None else f"{diagnosis.gap_after_N:.2g} N after")
         + f"; sensor noise {diagnosis.noise_N:.2g} N", markup=False, soft_wrap=True)

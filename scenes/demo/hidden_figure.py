@@ -23,7 +23,7 @@ AFTER = "#0072B2"
 _BINS = 40
 
 
-def draw_fits_before_and_after(result: DiagnosisResult, path: Path) -> None:
+def write_before_and_after_figure(result: DiagnosisResult, path: Path) -> None:
     """Draw force and residuals of every test over time into an image file.
 
     Args:

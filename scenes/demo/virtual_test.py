@@ -75,7 +75,7 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     seeds = iter(np.random.SeedSequence(seed).generate_state(3 * MEASUREMENT.replicates).tolist())
 
     say("1 measuring the virtual specimen (the first run on a computer compiles the solver, about 10 s) ...")
-    measured = {kind: _write_and_return_replicate_recordings(kind, output / "measured", seeds)
+    measured = {kind: _simulate_and_write_recordings(kind, output / "measured", seeds)
                 for kind in (LUBRICATED, BONDED, NEEDLE)}
 
     say(f"2 calibrating {len(LAWS)} laws on the lubricated test ...")
@@ -116,7 +116,7 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     return answer
 
 
-def _write_and_return_replicate_recordings(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
+def _simulate_and_write_recordings(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
     """Simulate a test, and write its replicates as recordings of the virtual rig.
 
     Args:

@@ -111,14 +111,14 @@ class TriangleConnectivity:
         on_long, on_low, on_high = of_edge[long[of]], of_edge[short_low[of]], of_edge[short_high[of]]
         under, reach = below[middle], reached[middle]
 
-        def choose_point_numbers_on_short_edges(level):
+        def find_level_crossings_on_short_edges(level):
             """Return point numbers: the crossing of a short edge, or the middle corner if it is on the level."""
             return np.where(level < under, on_low + level, np.where(level >= reach, on_high + level, middle))
 
         bottom, top = band == lowest[of], band == highest[of]
         long_below, long_above = np.where(bottom, low, on_long + band - 1), np.where(top, high, on_long + band)
-        short_below = np.where(bottom, low, choose_point_numbers_on_short_edges(band - 1))
-        short_above = np.where(top, high, choose_point_numbers_on_short_edges(band))
+        short_below = np.where(bottom, low, find_level_crossings_on_short_edges(band - 1))
+        short_above = np.where(top, high, find_level_crossings_on_short_edges(band))
         inside = (bottom | (band - 1 < under)) & (top | (band >= reach))
         between = np.where(inside, middle, short_below)
         pieces = np.stack([np.stack([long_below, short_below, between], axis=-1),

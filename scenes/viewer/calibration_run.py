@@ -187,7 +187,7 @@ class SessionCalibrations:
             if number is None:
                 self._waiting[upload.file_stem] = upload
                 return
-            changed = (*present[:number], _add_sidecar_metadata(present[number].file, upload), *present[number + 1:])
+            changed = (*present[:number], _combine_with_sidecar(present[number].file, upload), *present[number + 1:])
             self.state = replace(self.state, recordings=changed)
             return
         if any(each.file.file_stem.lower() == upload.file_stem.lower() for each in present):
@@ -197,7 +197,7 @@ class SessionCalibrations:
             raise InputError("The recording was not added: a calibration takes at most "
                              f"{LIMITS.max_recordings} recordings.",
                              file=upload.name)
-        new = _add_sidecar_metadata(upload, self._waiting.get(upload.file_stem))
+        new = _combine_with_sidecar(upload, self._waiting.get(upload.file_stem))
         self._waiting.pop(upload.file_stem, None)
         self.state = replace(self.state, recordings=(*present, new))
 
@@ -340,7 +340,7 @@ def _have_similar_depth_and_speed(first: UploadedRecording, second: UploadedReco
     return all(a is None or b is None or max(a, b) <= (1.0 + LIMITS.replicate_tolerance) * min(a, b) for a, b in pairs)
 
 
-def _add_sidecar_metadata(file: UploadedRecordingOrSidecar,
+def _combine_with_sidecar(file: UploadedRecordingOrSidecar,
                           sidecar: UploadedRecordingOrSidecar | None) -> UploadedRecording:
     """Combine a recording with the metadata of its sidecar.
 

@@ -90,7 +90,8 @@ def choose_band_levels(low: float, high: float, bands: int = len(PALETTE)) -> np
     if bands < 2:
         raise InputError(f"must be at least 2; got {bands}", field="bands")
     if not (np.isfinite([low, high]).all() and low <= high):
-        raise InputError(f"must have a finite range in ascending order; got {low:g} to {high:g}", field="levels")
+        raise InputError(f"must have finite bounds, the first one not above the second; got {low:g} to {high:g}",
+                         field="levels")
     largest = max(abs(low), abs(high))
     if high - low > SETTINGS.rounding * largest:
         return _choose_round_levels(low, high, bands)

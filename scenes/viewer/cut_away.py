@@ -109,13 +109,13 @@ class TriangulatedHalfSection:
         edges = np.unique(np.sort(np.stack([rim[:, :-1], rim[:, 1:]], axis=-1).reshape(-1, 2), axis=1), axis=0)
 
         coordinates = matrix @ mesh.nodes
-        top, side, base = (_select_points_depending_on_nodes_only(mesh.sets[name], points)
+        top, side, base = (_select_points_on_node_set(mesh.sets[name], points)
                            for name in ("top", "side", "base"))
         top, side = top[np.argsort(coordinates[top, 0])], side[np.argsort(-coordinates[side, 1])]
         base = base[np.argsort(-coordinates[base, 0])]
         outline = np.concatenate([top, side[1:], base[1:]])
         return cls(mesh, matrix, TriangleConnectivity(triangles), outline,
-                   *_find_surface_nodes_and_gauss_interpolation(mesh), edges)
+                   *_find_surface_nodes_and_gauss_shape_functions(mesh), edges)
 
     def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
                               opening: WedgeOpening) -> list[TriangulatedSurface]:
@@ -167,7 +167,7 @@ class TriangulatedHalfSection:
         inside, deepest = tool
         covered = inside >= radius
         rims = [_split_polyline_into_dashes(np.concatenate([circle[:, 0], circle[-1:, 1]]), length) for circle in
-                (opening.make_single_circle_lines(radius, z) for z in ((-height,) if covered else (0.0, -height)))]
+                (opening.make_arc_lines_outside_wedge(radius, z) for z in ((-height,) if covered else (0.0, -height)))]
         side = np.array([[radius, -deepest if covered else 0.0], [radius, -height], [0.0, -height]])
         corners = side if covered else np.concatenate([[[inside, 0.0]], side])
         if opening.removes_nothing:
@@ -212,13 +212,13 @@ def _iterate_point_interpolations(nodes: list[int], shapes: np.ndarray) -> Itera
                            if abs(weight) > 1e-9))
 
 
-def _select_points_depending_on_nodes_only(nodes: np.ndarray, points: dict[tuple, int]) -> np.ndarray:
+def _select_points_on_node_set(nodes: np.ndarray, points: dict[tuple, int]) -> np.ndarray:
     """Return the numbers of the points that depend on the given nodes only."""
     members = set(nodes.tolist())
     return np.array([number for key, number in points.items() if all(node in members for node, _ in key)])
 
 
-def _find_surface_nodes_and_gauss_interpolation(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
+def _find_surface_nodes_and_gauss_shape_functions(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
     """Return the nodes of top and side in order, and the shape functions at the Gauss points between them."""
     top, side, order = mesh.sets["top"], mesh.sets["side"], mesh.element.order
     nodes = np.concatenate([top[np.argsort(mesh.nodes[top, 0])], side[np.argsort(-mesh.nodes[side, 1])][1:]])

@@ -275,11 +275,13 @@ def plot_legend_html(*, measured: int = 0, model: bool = True, compared: str | N
     entries = []
     if measured:
         entries.append(("measured" if measured == 1 else f"measured ({measured})",
-                        (_legend_area_svg(_BAND) if measured > 1 else "") + _legend_line_svg(colours["measured"])))
-    entries += [(name, _legend_line_svg(colours[role])) for role, name, drawn in (
+                        (_legend_area_svg(_BAND) if measured > 1 else "")
+                        + _make_legend_stroke_svg(colours["measured"])))
+    entries += [(name, _make_legend_stroke_svg(colours[role])) for role, name, drawn in (
         ("model", "model", model), ("compared", compared or "", compared is not None), ("live", "live", live),
         ("hand", "on the hand", hand)) if drawn]
-    entries += [("loading", _legend_line_svg("currentColor")), ("unloading", _legend_line_svg("currentColor", "5 3"))]
+    entries += [("loading", _make_legend_stroke_svg("currentColor")),
+                ("unloading", _make_legend_stroke_svg("currentColor", "5 3"))]
     spans = "".join('<span style="display:inline-flex;align-items:center;gap:0.35em;white-space:nowrap">'
                     f'<svg width="22" height="10" viewBox="0 0 22 10" aria-hidden="true">{drawing}</svg>'
                     f"{escape(name)}</span>" for name, drawing in entries)
@@ -388,7 +390,7 @@ def _make_plot_options(series: list[dict[str, Any]], x_range: tuple[float, float
     }
 
 
-def _legend_line_svg(colour: str, dash: str = "") -> str:
+def _make_legend_stroke_svg(colour: str, dash: str = "") -> str:
     return (f'<line x1="1" y1="5" x2="21" y2="5" stroke="{colour}" stroke-width="2"'
             + (f' stroke-dasharray="{dash}"' if dash else "") + "/>")
 

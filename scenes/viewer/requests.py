@@ -24,7 +24,9 @@ class CommandQueue:
         self._queue.put((command, reply, values))
 
     def execute_commands_except_superseded(self, run: Callable[[str, dict[str, Any]], None]) -> None:
-        """Execute the queued commands in order, except superseded ones, and call their reply functions.
+        """Execute the queued commands in order, except superseded ones; call all reply functions.
+
+        A reply function receives None, or the text of the InputError of `run`.
 
         Args:
             run: Executes a command with its arguments. Its InputError becomes the reply.
@@ -61,7 +63,7 @@ def is_command_superseded(command: str, values: dict[str, Any],
             and later[0][2]["values"].keys() == values["values"].keys())
 
 
-def differ_in_parameter_values_only(a: ts.Material, b: ts.Material) -> bool:
+def differ_at_most_in_parameter_values(a: ts.Material, b: ts.Material) -> bool:
     """Return whether two materials differ at most in the values of their parameters and in their name."""
     values = parameter_values(b)
     if parameter_values(a).keys() != values.keys():

@@ -94,7 +94,7 @@ class WedgeOpening:
                   for direction, normal in self.section_face_vectors]
         return np.array(mapped).reshape(len(mapped), *points.shape[:-1], 3)
 
-    def make_single_circle_lines(self, radius: float, z: float) -> np.ndarray:
+    def make_arc_lines_outside_wedge(self, radius: float, z: float) -> np.ndarray:
         """Return the lines of a circle around the axis, without the part inside the wedge, shape (k, 2, 3)."""
         directions = self.segment_half_plane_directions
         ring = np.column_stack([radius * directions, np.full(len(directions), z)])

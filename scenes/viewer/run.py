@@ -74,8 +74,8 @@ def run_viewer_page(scene: Scene, materials: Path, page: dict[str, Any], *, seco
     return 0
 
 
-def run_headless_and_return_curve(scene: Scene, seconds: float, *, protocol: str | None = None,
-                                  speed: float = STUDY_SPEED, **options: Any) -> dict[str, Any]:
+def run_headless_and_return_results(scene: Scene, seconds: float, *, protocol: str | None = None,
+                                    speed: float = STUDY_SPEED, **options: Any) -> dict[str, Any]:
     """Play a protocol without a screen, and return the recorded curve.
 
     Args:

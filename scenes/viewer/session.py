@@ -21,7 +21,7 @@ from scenes.viewer.material_files import save_edited_material
 from scenes.viewer.measurement import compute_force_residual_if_possible, make_first_cycle_motion_protocol
 from scenes.viewer.model_curve import ModelCurveWorker
 from scenes.viewer.reach import limit_lateral_position_to_top_and_range
-from scenes.viewer.requests import CommandQueue, differ_in_parameter_values_only
+from scenes.viewer.requests import CommandQueue, differ_at_most_in_parameter_values
 from scenes.viewer.scene import Scene
 from scenes.viewer.tool_motions import (
     HAND_SPEED,
@@ -32,7 +32,7 @@ from scenes.viewer.tool_motions import (
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter_values, with_values
-from tissue_sim.realtime.accepted_models import require_tissue_moduli
+from tissue_sim.realtime.accepted_models import require_moduli_in_range
 
 #: Duration of a single step of a paused motion, s.
 STEP_TIME = 1.0 / FRAMES.rate
@@ -245,11 +245,11 @@ class Session:
         self._apply_material(material, source)
 
     def _apply_material(self, material: ts.Material, source: str) -> None:
-        require_tissue_moduli(material)  # there may be no running simulation that refuses the material
+        require_moduli_in_range(material)  # there may be no running simulation that refuses the material
         if (reduced := self.scene.reduced) is not None:
             reduced.require_supported_material(material)
         scene = replace(self.scene, material=material, source=source)
-        if not differ_in_parameter_values_only(self.scene.material, material):
+        if not differ_at_most_in_parameter_values(self.scene.material, material):
             self._set_scene_and_restart(scene)
             return
         if self._simulation.phase in (Phase.RUNNING, Phase.PAUSED):

@@ -131,7 +131,7 @@ class ThreeDimensionalMeshBody:
         visible = np.zeros(len(self.mesh.connectivity), dtype=bool)
         visible[self.at_surface] = True
         at_cut = np.zeros(len(self.mesh.nodes), dtype=bool)
-        for _, _, elements in self._find_section_face_crossings(positions, wedge):
+        for _, _, elements in self._find_elements_cut_by_section_faces(positions, wedge):
             at_cut[self.mesh.connectivity[elements]] = True
         # The value of a node is the mean over its elements, so all elements at these nodes are needed.
         visible |= _find_elements_with_flagged_node(at_cut, self.corners)
@@ -192,7 +192,7 @@ class ThreeDimensionalMeshBody:
         on_surface = wedge.transform_scene_to_tool(points)[self.lines]
         lines = [wedge.clip_lines_at_wedge(on_surface, raised[self.lines])]
         element, local = self.mesh.element, wedge.transform_scene_to_tool(positions)
-        cuts = self._find_section_face_crossings(positions, wedge)
+        cuts = self._find_elements_cut_by_section_faces(positions, wedge)
         for (heights, along, elements), (_, normal) in zip(cuts, wedge.opening.section_face_vectors, strict=True):
             sides = self.mesh.connectivity[elements][:,
                                                      element.local_face_node_indices].reshape(
@@ -244,7 +244,7 @@ class ThreeDimensionalMeshBody:
         raised = rim * np.concatenate([np.repeat(1.0 + offset / np.maximum(radius, offset), 2, axis=-1),
                                        np.ones_like(radius)], axis=-1)
         lines = [wedge.transform_tool_to_scene(wedge.clip_lines_at_wedge(rim, raised))]
-        for (heights, along), (_, normal) in zip(wedge.compute_height_and_distance_per_face(local),
+        for (heights, along), (_, normal) in zip(wedge.compute_height_and_edge_distance_per_face(local),
                                                  wedge.opening.section_face_vectors, strict=True):
             ends = intersect_triangles_at_zero_level(touching, heights)
             kept = (ends.interpolate_nodal_values(along).reshape(-1, 2) >= 0.0).all(axis=1)
@@ -252,8 +252,8 @@ class ThreeDimensionalMeshBody:
             lines.append(wedge.transform_tool_to_scene(on_face))
         return np.concatenate(lines)
 
-    def _find_section_face_crossings(self, positions: np.ndarray,
-                                     wedge: Wedge) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _find_elements_cut_by_section_faces(self, positions: np.ndarray,
+                                            wedge: Wedge) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Find the elements that each section face cuts.
 
         Returns:
@@ -263,7 +263,8 @@ class ThreeDimensionalMeshBody:
         cached = wedge.cache.get(id(positions))
         if cached is None:
             cached = []
-            for heights, along in wedge.compute_height_and_distance_per_face(wedge.transform_scene_to_tool(positions)):
+            in_tool_frame = wedge.transform_scene_to_tool(positions)
+            for heights, along in wedge.compute_height_and_edge_distance_per_face(in_tool_frame):
                 above = heights > 0.0
                 crossed = (_find_elements_with_flagged_node(above, self.corners)
                            & _find_elements_with_flagged_node(~above, self.corners)
@@ -275,7 +276,7 @@ class ThreeDimensionalMeshBody:
     def _iterate_section_face_triangles(self, positions: np.ndarray, values: np.ndarray,
                                         wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield points, triangles and values of each section face."""
-        for heights, along, elements in self._find_section_face_crossings(positions, wedge):
+        for heights, along, elements in self._find_elements_cut_by_section_faces(positions, wedge):
             crossings, triangles = intersect_tetrahedra_at_zero_level(self.cells[elements].reshape(-1, 4), heights)
             edge, _, kept = split_triangles_below_and_above(triangles, crossings.interpolate_nodal_values(along))
             points, at_points = (edge.append_interpolated_values(crossings.interpolate_nodal_values(each))

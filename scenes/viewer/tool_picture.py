@@ -262,7 +262,7 @@ def find_tool_contact(surface: PossibleContactBoundary, tool: Tool, depth: float
     rim = lines.reshape(-1, 2)[np.argmax(lines[..., 0])]
     offset = SETTINGS.line_offset * width
     return ToolContactLinesAndArea(np.concatenate([opening.map_to_section_faces(lines, offset).reshape(-1, 2, 3),
-                                                   opening.make_single_circle_lines(rim[0] + offset, rim[1])]),
+                                                   opening.make_arc_lines_outside_wedge(rim[0] + offset, rim[1])]),
                                    float(rim[0]), area)
 
 

@@ -161,11 +161,11 @@ class Trace:
         for point in np.column_stack([records[name] for name in (
                 "time", "tool_depth", "tissue_force", "tool_pose", "tissue_wrench", "force", "status",
                 "inertial")]).tolist():
-            if self._update_largest_force_and_compare(*point[:3]):
+            if self._update_largest_force_and_check_if_kept(*point[:3]):
                 self._append_point_and_drop_oldest(point)
         return self._dropped + self._end - before
 
-    def _update_largest_force_and_compare(self, time: float, depth: float, force: float) -> bool:
+    def _update_largest_force_and_check_if_kept(self, time: float, depth: float, force: float) -> bool:
         """Return whether a tick differs enough from the last point to be kept; update the largest force so far."""
         last_time, last_depth, last_force = self._last
         self._largest = max(self._largest, abs(force))
@@ -230,7 +230,7 @@ class Trace:
     def get_newest_loading_and_unloading(self) -> tuple[TraceBranch | None, TraceBranch | None]:
         """Return the newest loading and the newest unloading; None instead of a branch that does not exist."""
         newest: dict[int, TraceBranch] = {}
-        for direction, first, last in reversed(self._list_branch_directions_and_limits()):
+        for direction, first, last in reversed(self._list_branch_directions_and_indices()):
             newest.setdefault(direction, self._slice_trace_branch_in_time_order(first, last))
             if len(newest) == 2:
                 break
@@ -250,7 +250,7 @@ class Trace:
             Load and unload, N, each of shape (n,), NaN where the tool did not pass.
         """
         passes = {1: np.full(grid.size, np.nan), -1: np.full(grid.size, np.nan)}
-        for direction, first, last in reversed(self._list_branch_directions_and_limits()[-max_branches:]):
+        for direction, first, last in reversed(self._list_branch_directions_and_indices()[-max_branches:]):
             # A branch has its smallest and largest depth at its ends.
             low, high = sorted((self.depth[first], self.depth[last]))
             missing = np.isnan(passes[direction]) & (grid >= low - _ROUNDING) & (grid <= high + _ROUNDING)
@@ -286,7 +286,7 @@ class Trace:
             channels |= zip(_CHANNELS, wrench.T, strict=True)
         return Recording(channels, {"segment": segment, "cycle": cycle}, dict(metadata))
 
-    def _list_branch_directions_and_limits(self) -> list[tuple[int, int, int]]:
+    def _list_branch_directions_and_indices(self) -> list[tuple[int, int, int]]:
         """Return direction (1 or -1), first index and last index of each branch in the arrays of the trace."""
         dropped = self._dropped + self._first
         return [(direction, first - dropped, last - dropped)

@@ -241,7 +241,7 @@ class _CheckedListener:
                 raise _make_version_error("viser passes no function for HTTP requests to serve")
             options.update(logger=_logger, start_serving=False)
             self._server = await websockets.asyncio.server.serve(
-                _add_version_check(handler), self.host, self.port,
+                _wrap_with_client_version_check(handler), self.host, self.port,
                 process_request=self._wrap_request_function_with_checks(process_request), **options)
         except Exception as error:
             self.failure = error
@@ -325,7 +325,7 @@ def _is_loopback_ip_or_raise(host: str) -> bool:
         raise InputError(f"must be an IP address such as {LOOPBACK}; got {host!r}", field="host") from None
 
 
-def _add_version_check(handler: Callable) -> Callable:
+def _wrap_with_client_version_check(handler: Callable) -> Callable:
     """Return viser's connection handler with a check of the client's version, because viser's own check prints."""
 
     async def handle_connection(connection) -> None:

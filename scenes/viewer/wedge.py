@@ -47,7 +47,7 @@ class Wedge:
         """Transform points from the frame of the tool to the frame of the scene, m, shape (..., 3)."""
         return np.array(self.pose.position) + points @ self._tool_to_scene_rotation.T
 
-    def compute_height_and_distance_per_face(self, local: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    def compute_height_and_edge_distance_per_face(self, local: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return the positions of points relative to each section face.
 
         Args:
@@ -70,7 +70,7 @@ class Wedge:
     def are_tool_frame_points_inside(self, local: np.ndarray) -> np.ndarray:
         """Return whether each point, shape (n, 3), m, in the frame of the tool, lies inside the wedge; shape (n,)."""
         inside = np.full(len(local), not self.opening.removes_nothing)
-        for heights, _ in self.compute_height_and_distance_per_face(local):
+        for heights, _ in self.compute_height_and_edge_distance_per_face(local):
             inside &= heights > 0.0
         return inside
 
@@ -85,7 +85,7 @@ class Wedge:
             The remaining parts of `drawn`, shape (m, 2, 3).
         """
         for number in range(len(self.opening.section_face_vectors)):
-            heights, _ = self.compute_height_and_distance_per_face(lines.reshape(-1, 3))[number]
+            heights, _ = self.compute_height_and_edge_distance_per_face(lines.reshape(-1, 3))[number]
             start, end = heights.reshape(-1, 2).T
             cut = (start > 0.0) != (end > 0.0)
             fraction = (start[cut] / (start[cut] - end[cut]))[:, None]
@@ -114,7 +114,8 @@ class Wedge:
         parts, rest = [], triangles
         at_points = [points, *values]
         for number in range(len(self.opening.section_face_vectors)):
-            heights, _ = self.compute_height_and_distance_per_face(self.transform_scene_to_tool(at_points[0]))[number]
+            in_tool_frame = self.transform_scene_to_tool(at_points[0])
+            heights, _ = self.compute_height_and_edge_distance_per_face(in_tool_frame)[number]
             crossings, below, rest = split_triangles_below_and_above(rest, heights)
             at_points = [crossings.append_interpolated_values(each) for each in at_points]
             parts.append(below)

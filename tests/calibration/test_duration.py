@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 import calibration
 import tissue_sim as ts
 from calibration.diagnosis import duration
-from calibration.diagnosis.duration import describe_expected_duration_or_empty, measure_solid_simulation_cpu_seconds
+from calibration.diagnosis.duration import describe_expected_duration_or_empty, measure_solid_simulation_cpu_s_by_test
 from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
@@ -91,10 +91,10 @@ def test_on_the_axis_there_is_nothing_to_wait_for(glued):
     campaign = make_one_law_whole_recording_campaign(calibration.load_campaign(glued))
     problem = build_generalised_problem("neo_hooke", campaign, calibration.read_measured_curves(campaign),
                                         SimulationCache())
-    seconds = measure_solid_simulation_cpu_seconds(problem)
+    seconds = measure_solid_simulation_cpu_s_by_test(problem)
     assert list(seconds) == ["glued"] and seconds["glued"] > 0.0
     problem.tests = tuple(replace(test, solver="axisymmetric") for test in problem.tests)
-    assert measure_solid_simulation_cpu_seconds(problem) == {}
+    assert measure_solid_simulation_cpu_s_by_test(problem) == {}
 
 
 @pytest.mark.parametrize(("seconds", "words"), [

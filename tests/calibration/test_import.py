@@ -141,9 +141,9 @@ def test_everything_that_is_missing_is_said_at_once_and_has_a_line(tmp_path, cap
 def test_units_and_scales_of_a_headerless_file(tmp_path, unit, scale, newtons):
     path = text(tmp_path, "run.txt", numbers(WAY, WAY, WAY, delimiter=" "))
     stated = InterpretationOverrides({"time": "1", "displacement": "B", "force": 3},
-                                         {"time": "s", "displacement": "mm", "force": unit},
-                                         {} if scale is None else {"force": scale},
-                                         kind="lubricated_compression")
+                                     {"time": "s", "displacement": "mm", "force": unit},
+                                     {} if scale is None else {"force": scale},
+                                     kind="lubricated_compression")
     imported = calibration.import_files([path], tmp_path / "c.toml", ImportOptions(
         stated, {"radius_mm": 10.0, "height_mm": 12.0}))
     assert imported.is_complete, (imported.missing, imported.problem)

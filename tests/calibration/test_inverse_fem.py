@@ -192,8 +192,8 @@ class TestProblem:
         for factor in (0.999, 1.001):
             assert lowest < problem.evaluate(descent.theta * factor).penalised_sum_of_squares
         space = ParameterSpace.from_campaign("reduced_polynomial_2", campaign)
-        one, factor = space.scale_moduli_to_reference_sum({"C10": 3.0, "C20": 1.5})
-        other, larger = space.scale_moduli_to_reference_sum({"C10": 3e4, "C20": 1.5e4})
+        one, factor = space.normalise_moduli_and_get_factor({"C10": 3.0, "C20": 1.5})
+        other, larger = space.normalise_moduli_and_get_factor({"C10": 3e4, "C20": 1.5e4})
         assert one == other
         assert larger == pytest.approx(1e4 * factor)
 

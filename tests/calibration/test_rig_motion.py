@@ -332,12 +332,12 @@ def test_failed_finest_mesh_leaves_the_uncertainty_of_the_accurate_mesh(tmp_path
 
 
 def test_puncture_occurs_at_a_true_depth(tmp_path):
-    """A contact offset moves the drop to other samples, also in `compute_force_column_per_offset`."""
+    """A contact offset moves the drop to other samples, also in `compute_force_at_contact_offsets`."""
     test, space, solves = study(tmp_path, "needle_indentation", 'tool = "flat"\ntool_radius_mm = 4.0',
                                 fixed='fixed = { "puncture.drop" = 0.2, "puncture.depth_mm" = 2.0 }')
     answer = test.solve(space, np.array([C10]), solves)
     offsets = np.array([-0.1e-3, 0.0, 0.1e-3])
-    scanned = test.compute_force_column_per_offset(answer, 0, offsets)
+    scanned = test.compute_force_at_contact_offsets(answer, 0, offsets)
     for column, offset in zip(scanned.T, offsets, strict=True):
         assert column == pytest.approx(test.evaluate_force_and_derivatives(answer, 0, offset)[0], abs=1e-9)
         falls = np.flatnonzero(np.diff(column[TIME <= 15]) < 0)

@@ -124,8 +124,8 @@ def test_ogden_tends_to_the_energy_of_hencky():
     for alpha in (0.0, -0.0, 1e-9, -5e-5):
         found = law.nominal_stress(stretch, {"mu1": 1000.0, "alpha1": alpha})
         assert found == pytest.approx(3.0 * 1000.0 * np.log(stretch) / stretch, rel=1e-4)
-    assert law.describe_parameters_at_limit({"mu1": 1.0, "alpha1": 1e-3})
-    assert not law.describe_parameters_at_limit({"mu1": 1.0, "alpha1": -0.5})
+    assert law.describe_limiting_cases({"mu1": 1.0, "alpha1": 1e-3})
+    assert not law.describe_limiting_cases({"mu1": 1.0, "alpha1": -0.5})
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import ClassVar
 
+import numpy as np
 import pytest
 
 import tissue_sim as ts
@@ -74,7 +75,7 @@ def test_old_members_of_a_solver_answer_with_a_warning(old_solver):
         assert solver.unchanged == solver.equilibria_since_contact_change
     with pytest.warns(DeprecationWarning, match=r"Solver\.relaxes is renamed to is_time_dependent"):
         assert solver.relaxes == solver.is_time_dependent
-    with pytest.warns(DeprecationWarning, match=r"Solver\.creep is renamed to step_with_damping"):
+    with pytest.warns(DeprecationWarning, match=r"Solver\.creep is renamed to iterate_steps_with_damping"):
         assert list(solver.creep(ts.Pose.at_depth(0.0))) == []
     with pytest.warns(DeprecationWarning, match=r"Solver\.follow_motion is renamed to enable_inertia"):
         assert solver.follow_motion(1e3) is False
@@ -154,6 +155,7 @@ def test_old_names_of_calibration_give_the_new_members_and_warn(old, new):
     ("tissue_sim", "Experiment", "resistance", "compute_force_against_motion"),
     ("tissue_sim", "Experiment", "homogeneous", "has_homogeneous_deformation"),
     ("tissue_sim", "TestKind", "can_pull", "allows_reversed_load"),
+    ("tissue_sim", "Tool", "sharp_edge", "has_sharp_edge"),
     ("tissue_sim", "Specimen", "digest", "digest_of_files"),
     ("tissue_sim", "Specimen", "stated", "values_by_file_key"),
     ("tissue_sim", "Rig", "apply", "apply_motion_effects"),
@@ -182,6 +184,7 @@ def test_old_names_of_calibration_give_the_new_members_and_warn(old, new):
     ("tissue_sim.fem.solver", "Solver", "ask_for_stiffness", "enable_stiffness_output"),
     ("tissue_sim.fem.solver", "Solver", "differentiate", "enable_force_derivatives"),
     ("tissue_sim.fem.solver", "Solver", "report", "get_recording_metadata"),
+    ("tissue_sim.fem.solver", "Solver", "step_with_damping", "iterate_steps_with_damping"),
     ("haptics.safety.limits", "ForceLimiter", "message", "active_limits_description"),
     ("haptics.safety.passivity", "PassivityObserver", "compute_work_by_hand", "compute_hand_work"),
     ("haptics.safety.passivity", "PassivityObserver", "is_active", "is_port_active"),
@@ -228,7 +231,15 @@ def test_the_old_constructor_of_an_axial_force_warns(owner):
     ("haptics.devices.settings", "read_settings", "parse_number_settings"),
     ("haptics.emulators.terminal", "TerminalEmulator", "SerialDeviceEmulator"),
     ("haptics.safety.force_release", "ForceRelease", "ForceFader"),
-    ("haptics.recorder.plan", "IndentationPlan", "BenchTestPlan")])
+    ("haptics.recorder.plan", "IndentationPlan", "BenchTestPlan"),
+    ("haptics.emulators.haply", "emulate_haply", "make_haply_emulator"),
+    ("haptics.server.scene_limits", "SceneLimits", "ServerLimits"),
+    ("tissue_sim.mesh", "graded_line", "divide_into_graded_intervals"),
+    ("tissue_sim.mesh", "growing_line", "divide_into_growing_intervals"),
+    ("tissue_sim.mesh", "needle_mesh", "cylinder_mesh_refined_under_needle"),
+    ("tissue_sim.mesh", "with_lines", "insert_interfaces_and_refine_layers"),
+    ("tissue_sim.mesh.block", "block_under_tool", "create_block_mesh_under_tool"),
+    ("tissue_sim.fem.free_tool", "FreeTool", "ToolInAirInterface")])
 def test_old_names_of_a_module_give_the_new_members_and_warn(module, old, new):
     members = import_module(module)
     with pytest.warns(DeprecationWarning, match=rf"{module}\.{old} is renamed to {module}\.{new}$"):
@@ -252,6 +263,47 @@ def test_an_effect_that_defines_old_names_is_used_by_the_new_ones():
     assert Halved().is_time_dependent and Halved().compute_force_factor(history) == 0.5
     with pytest.warns(DeprecationWarning, match=r"ForceScalingEffect\.share is renamed to compute_force_factor"):
         assert Halved().share(history) == 0.5
+
+
+def test_an_overriding_method_with_an_old_name_reaches_the_base_class():
+    """``super().old()`` gives the member of the base class, not the method itself again."""
+    with pytest.warns(DeprecationWarning):
+        class Half(type(ts.find_law("ogden_1"))):
+            def as_array(self, values):
+                return 0.5 * super().as_array(values)
+
+        class Digested(Cylinder):
+            @property
+            def digest(self):
+                return "own " + super().digest
+
+    with pytest.warns(DeprecationWarning, match=r"Law\.as_array is renamed"):
+        array = Half(1).convert_parameters_to_array([1000.0, 2.0])
+    np.testing.assert_array_equal(array, [500.0, 1.0])
+    with pytest.warns(DeprecationWarning, match=r"Specimen\.digest is renamed"):
+        assert Digested(0.04, 0.07).digest_of_files == "own "
+
+
+def test_renamed_annotations_keep_their_order_and_other_classes_keep_their_names():
+    class Base:
+        new = OldName("newer")
+
+    class Record(Base):
+        first: int
+        old: int
+        last: int = 2
+
+    with pytest.warns(DeprecationWarning, match=r"Record\.old is renamed to new; define new"):
+        rename_old_members_of_subclass(Record, {"old": "new"})
+    assert list(Record.__annotations__) == ["first", "new", "last"]
+
+    class Loss(ts.PointEffect):
+        name = "loss"
+
+        def share(self):
+            return 0.25
+
+    assert Loss.share(None) == 0.25
 
 
 @pytest.mark.parametrize(("module", "name", "new"), [

@@ -47,8 +47,8 @@ def test_each_effect_changes_its_tests_and_has_a_description(hideable):
     models = build_plain_models()
     for test, model in models.items():
         assert (hidden.add_effect_to_test_model(test, model) != model) == (test in hideable.tests)
-    assert " = " in hidden.describe_values(models)
-    assert HiddenEffect().describe_values(models) == "nothing"
+    assert " = " in hidden.describe_with_values(models)
+    assert HiddenEffect().describe_with_values(models) == "nothing"
 
 
 def test_friction_is_applied_to_both_plates():

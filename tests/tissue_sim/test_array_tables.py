@@ -76,7 +76,7 @@ def test_a_kernel_changes_the_arrays_of_a_table_and_nothing_else(kernel, size):
     values = make_values(size)
     guarded = {name: make_guarded_array(each) for name, each in values.items()}
     arrays = {name: array for name, (array, _) in guarded.items()}
-    kernel(1, LAYOUT.make_table(arrays))
+    kernel(1, LAYOUT.make_offset_table(arrays))
     np.testing.assert_array_equal(arrays["lanes"], values["lanes"] + values["x"][values["dofs"]])
     np.testing.assert_array_equal(arrays["pairs"], 2 * values["pairs"])
     expected = values["tensors"].copy()
@@ -90,9 +90,9 @@ def test_a_kernel_changes_the_arrays_of_a_table_and_nothing_else(kernel, size):
 def test_one_compilation_serves_all_sizes_and_tables(kernel):
     first, second = ({name: copy_to_addressable_array(each) for name, each in make_values(size).items()}
                      for size in (40, 500))
-    kernel(1, LAYOUT.make_table(first))
+    kernel(1, LAYOUT.make_offset_table(first))
     before = {name: array.copy() for name, array in first.items()}
-    kernel(1, LAYOUT.make_table(second))
+    kernel(1, LAYOUT.make_offset_table(second))
     assert all((first[name] == before[name]).all() for name in first)
     assert second["x"][-1] == 599.0
 
@@ -106,20 +106,20 @@ def test_an_array_that_does_not_fit_its_layout_is_refused(name, array, message):
     arrays = {each: copy_to_addressable_array(value) for each, value in make_values(40).items()}
     arrays[name] = copy_to_addressable_array(array)
     with pytest.raises(ValueError, match=message):
-        LAYOUT.make_table(arrays)
+        LAYOUT.make_offset_table(arrays)
 
 
 def test_a_missing_array_is_named():
     arrays = {each: copy_to_addressable_array(value) for each, value in make_values(40).items()}
     arrays["dof"] = arrays.pop("dofs")
     with pytest.raises(ValueError, match="arrays must contain dofs; did you mean 'dof'"):
-        LAYOUT.make_table(arrays)
+        LAYOUT.make_offset_table(arrays)
 
 
 def test_a_table_keeps_its_arrays_alive_until_they_are_replaced():
     first, second = ({name: copy_to_addressable_array(each) for name, each in make_values(40).items()}
                      for _ in range(2))
-    table, expected = LAYOUT.make_table(first), LAYOUT.make_table(second).tolist()
+    table, expected = LAYOUT.make_offset_table(first), LAYOUT.make_offset_table(second).tolist()
     watched = weakref.ref(first["x"])
     del first
     gc.collect()

@@ -64,7 +64,7 @@ def test_without_weight_it_is_the_law(law, values):
     expected = law.nominal_stress(stretch, values)
     np.testing.assert_allclose(column.nominal_stress(law, displacement, values), expected, rtol=1e-5, atol=1e-9)
     slope = -law.nominal_stress_slope(stretch, values) / 0.07
-    np.testing.assert_allclose(column.nominal_stress_slope(law, displacement, values), slope, rtol=2e-5)
+    np.testing.assert_allclose(column.stress_displacement_slope(law, displacement, values), slope, rtol=2e-5)
     np.testing.assert_allclose(column.nominal_stress_parameter_derivatives(law, displacement, values),
                                law.nominal_stress_parameter_derivatives(stretch, values), rtol=1e-4, atol=1e-6)
 
@@ -88,7 +88,7 @@ def test_derivatives_against_central_differences(law, values, height_is):
     reach = 1e-6
     numeric = (column.nominal_stress(law, np.append(inside + reach, 0.012), values)
                - column.nominal_stress(law, np.append(inside - reach, 0.012), values))[:-1] / (2 * reach)
-    np.testing.assert_allclose(column.nominal_stress_slope(law, np.append(inside, 0.012), values)[:-1], numeric,
+    np.testing.assert_allclose(column.stress_displacement_slope(law, np.append(inside, 0.012), values)[:-1], numeric,
                                rtol=1e-6)
 
 
@@ -118,7 +118,8 @@ def test_a_small_sag_is_that_of_linear_elasticity():
 def test_before_contact_the_plate_feels_nothing():
     column = Column(STUDY)
     before = np.array([-3e-3, -1e-9])
-    for answer in (column.nominal_stress, column.nominal_stress_slope, column.nominal_stress_parameter_derivatives):
+    for answer in (column.nominal_stress, column.stress_displacement_slope,
+                   column.nominal_stress_parameter_derivatives):
         assert not answer(POLYNOMIAL, before, PHANTOM).any()
     assert column.base_stretch_at_displacement(POLYNOMIAL, before, PHANTOM) == pytest.approx(
         column.settle(POLYNOMIAL, PHANTOM).base_stretch)

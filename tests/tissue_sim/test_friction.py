@@ -14,7 +14,7 @@ from tissue_sim.fem.axisymmetric.contact_kernels import TOUCHED
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.simulation import _iterate_adaptive_steps_to_pose
+from tissue_sim.fem.stepping.steps_to_pose import iterate_adaptive_steps_to_pose
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 MATERIAL = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4))
@@ -35,7 +35,7 @@ def stepped(friction, tool=None, depth=6e-3, steps=24):
     tested = model(friction, tool)
     solver = build_solver_on_mesh(tested, build_mesh(tested.experiment))
     for place in np.linspace(0.0, depth, steps + 1)[1:]:
-        *_, step = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(place)))
+        *_, step = iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(place)))
         assert step.status is StepStatus.CONVERGED
     return solver
 
@@ -158,7 +158,7 @@ class TestEnergy:
         radii, tractions = surface.places[:, 0].copy(), surface.forces[:, 0].copy()
         down = np.linspace(0.0, 10e-3, steps + 1)
         for place in [*down[1:], *down[-2::-1]]:
-            *_, step = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(place)))
+            *_, step = iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(place)))
             assert step.status is StepStatus.CONVERGED
             work += 0.5 * (force + step.force) * (place - depth)
             depth, force = place, step.force

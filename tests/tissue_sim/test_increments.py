@@ -11,11 +11,11 @@ def test_a_path_ends_exactly_at_one_with_allowed_increments(successes, largest):
     increments, ends, smallest = AdaptiveIncrements(largest * 2.0**-6, largest), [0.0], largest * 2.0**-6
     for success in successes:
         end = increments.end
-        assert smallest * (1.0 - ROUNDING) <= end - increments.done <= largest * (1.0 + ROUNDING) + ROUNDING or end == 1.0
+        assert end == 1.0 or smallest * (1.0 - ROUNDING) <= end - increments.done <= largest * (1.0 + ROUNDING)
         if success:
             increments.advance()
             ends.append(increments.done)
-        elif not increments.halve_if_above_smallest():
+        elif not increments.halve_and_check_size():
             assert increments.length < smallest
             return
         if increments.is_complete:
@@ -29,13 +29,13 @@ def test_a_path_ends_exactly_at_one_with_allowed_increments(successes, largest):
 def test_increments_follow_successes_and_failures():
     increments = AdaptiveIncrements(2.0**-3)
     assert increments.end == 1.0
-    assert increments.halve_if_above_smallest() and increments.halve_if_above_smallest()
+    assert increments.halve_and_check_size() and increments.halve_and_check_size()
     assert increments.end == 0.25
     increments.advance()
     assert (increments.done, increments.end) == (0.25, 0.75)
     increments.advance()
     assert (increments.done, increments.end, increments.length) == (0.75, 1.0, 1.0)
-    assert [increments.halve_if_above_smallest() for _ in range(4)] == [True, True, True, False]
+    assert [increments.halve_and_check_size() for _ in range(4)] == [True, True, True, False]
 
 
 def test_the_last_increment_has_no_remainder_of_rounding():

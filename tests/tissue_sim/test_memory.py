@@ -11,9 +11,9 @@ import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh, find_element_layer_indices
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import Step, StepStatus
+from tissue_sim.fem.stepping.steps_to_pose import iterate_adaptive_steps_to_pose
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
-from tissue_sim.simulation import _iterate_adaptive_steps_to_pose
 
 #: Name of the law.
 LAW = "reduced_polynomial_2"
@@ -221,7 +221,7 @@ class TestStepping:
         solver = build_solver_on_mesh(m, build_mesh(m.experiment))
 
         def go(depth, dt):
-            *_, step = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(depth), dt)
+            *_, step = iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(depth), dt)
             assert step.status is StepStatus.CONVERGED
             return step.force
 

@@ -12,8 +12,8 @@ from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
 from tissue_sim.fem.contact.settings import TOLERANCES
 from tissue_sim.fem.solver import StepStatus
+from tissue_sim.fem.stepping.steps_to_pose import iterate_adaptive_steps_to_pose
 from tissue_sim.mesh import structured_mesh
-from tissue_sim.simulation import _iterate_adaptive_steps_to_pose
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 RADIUS = 8e-3
@@ -166,7 +166,7 @@ class TestTangent:
         m = model(friction, edge=edge)
         solver = build_solver_on_mesh(m, build_mesh(m.experiment))
         for depth in np.linspace(0, 6e-3, 25):
-            *_, step = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(depth)))
+            *_, step = iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(depth)))
             assert step.status is StepStatus.CONVERGED
         step = solver.step(6.0005e-3, predictor_order=0)
         assert step.status is StepStatus.CONVERGED and step.iterations <= 5
@@ -178,7 +178,7 @@ class TestTangent:
         m = model("frictionless", edge=edge)
         solver = build_solver_on_mesh(m, build_mesh(m.experiment))
         for depth in np.linspace(0, 4e-3, 17):
-            *_, step = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(depth)))
+            *_, step = iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(float(depth)))
         assert step.status is StepStatus.CONVERGED
         with_contact = solver.equations.assemble_committed_tangent()
         pressed = solver.equations.surface.pressed.copy()

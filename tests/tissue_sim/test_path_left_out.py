@@ -48,7 +48,8 @@ def pressed():
             is_lifted.append(True)
             press_again()
 
-        solver.step, solver.reset_to_first_touch, solver.step_with_damping = step, reset_to_first_touch, no_creep
+        solver.step, solver.reset_to_first_touch = step, reset_to_first_touch
+        solver.iterate_steps_with_damping = no_creep
         return simulator
     return make
 

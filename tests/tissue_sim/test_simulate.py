@@ -11,8 +11,8 @@ import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 from tissue_sim.fem.fields import FIELD_UNITS, extrapolate_to_nodes_and_average
 from tissue_sim.fem.solver import Step, StepStatus
+from tissue_sim.fem.stepping.steps_to_pose import iterate_adaptive_steps_to_pose
 from tissue_sim.mesh import cylinder_mesh
-from tissue_sim.simulation import _iterate_adaptive_steps_to_pose
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 SAMPLES = {2: 4, 5: 10, 10: 20}  # mm -> sample of the 21-point ramp to 10 mm
@@ -169,7 +169,7 @@ class TestRecordingOfASimulation:
                 return Step.from_axial_force(StepStatus.CONVERGED if good else StepStatus.SLOW, 1, 0.0, 0.0)
 
         solver, trials = Slow(), []
-        for _step in _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(10.0)):
+        for _step in iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(10.0)):
             trials.append(solver.pose.depth)
         # 10 and 5 fail with and without extrapolation, 2.5 succeeds, 5 more fail, 2.5 succeeds, ...
         assert trials == [0.0] * 4 + [2.5] * 3 + [5.0] * 3 + [7.5, 10.0]
@@ -178,7 +178,7 @@ class TestRecordingOfASimulation:
             highest_order = 0
 
         solver = Plain()
-        trials = [solver.pose.depth for _step in _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(10.0))]
+        trials = [solver.pose.depth for _step in iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(10.0))]
         # Where nothing is extrapolated, nothing is tried twice alike.
         assert trials == [0.0] * 2 + [2.5] * 2 + [5.0] * 2 + [7.5, 10.0]
 
@@ -186,12 +186,12 @@ class TestRecordingOfASimulation:
             def step(self, trial, dt, predictor_order, max_iterations):
                 return Step.from_axial_force(StepStatus.SLOW, 1, 0.0, 0.0)
 
-            def step_with_damping(self, trial, dt, max_iterations):
+            def iterate_steps_with_damping(self, trial, dt, max_iterations):
                 self.crept += 1
                 return iter(())
 
         stuck = Stuck()
-        tried = list(_iterate_adaptive_steps_to_pose(stuck, ts.Pose.at_depth(10.0)))
+        tried = list(iterate_adaptive_steps_to_pose(stuck, ts.Pose.at_depth(10.0)))
         assert len(tried) == 2 * 11  # 2^0 down to 2^-10 of the way, each twice
         assert stuck.crept == 8  # from 2^-3 on
 
@@ -203,13 +203,13 @@ class TestRecordingOfASimulation:
             def step(self, trial, dt, predictor_order, max_iterations):
                 return Step.from_axial_force(StepStatus.SLOW, 1, 0.0, 0.0)
 
-            def step_with_damping(self, trial, dt, max_iterations):
+            def iterate_steps_with_damping(self, trial, dt, max_iterations):
                 yield Step.from_axial_force(StepStatus.INVERTED, 1, 0.0, 0.0)
                 self.pose = trial
                 yield Step.from_axial_force(StepStatus.CONVERGED, 1, 0.0, 1.0)
 
         solver = Snaps()
-        *_, last = _iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(8.0))
+        *_, last = iterate_adaptive_steps_to_pose(solver, ts.Pose.at_depth(8.0))
         assert last.status is StepStatus.CONVERGED and solver.pose.depth == 8.0
 
     def test_a_frictionless_plate_lifts_off(self):

@@ -69,7 +69,7 @@ def test_within_a_bound_it_goes_on_from_step_to_step(monkeypatch, expected, boun
 def test_who_leaves_on_the_way_is_back_at_the_last_equilibrium(monkeypatch, leave):
     barred = Barred(monkeypatch)
     equilibrium = barred.solver.state
-    creep, left = type(barred.solver).step_with_damping, []
+    creep, left = type(barred.solver).iterate_steps_with_damping, []
 
     def follow(*arguments, **options):
         for step in creep(barred.solver, *arguments, **options):
@@ -79,7 +79,7 @@ def test_who_leaves_on_the_way_is_back_at_the_last_equilibrium(monkeypatch, leav
                 raise KeyboardInterrupt
             yield step
 
-    monkeypatch.setattr(barred.solver, "step_with_damping", follow)
+    monkeypatch.setattr(barred.solver, "iterate_steps_with_damping", follow)
     with pytest.raises(KeyboardInterrupt):
         barred.simulator.step(BARRED, 1e-3)
     leave(barred.simulator)
@@ -105,7 +105,7 @@ def test_after_a_creep_in_a_hold_the_tool_moves_on(monkeypatch):
 def test_where_no_creep_helps_it_stops_and_says_so(monkeypatch):
     """A solver that cannot creep yields no step."""
     barred = Barred(monkeypatch)
-    monkeypatch.setattr(barred.solver, "step_with_damping", lambda *arguments, **options: iter(()))
+    monkeypatch.setattr(barred.solver, "iterate_steps_with_damping", lambda *arguments, **options: iter(()))
     answer = barred.simulator.step(BARRED, 1e-3)
     assert answer.status is ts.ForceStatus.STOPPED and answer.depth < BARRED
 
@@ -113,7 +113,7 @@ def test_where_no_creep_helps_it_stops_and_says_so(monkeypatch):
 def test_where_nothing_helps_it_stops_however_little_fits_into_a_step(monkeypatch):
     """Pressed again once, not in every step: otherwise every step would be late."""
     barred = Barred(monkeypatch, max_solves=4)
-    monkeypatch.setattr(barred.solver, "step_with_damping", lambda *arguments, **options: iter(()))
+    monkeypatch.setattr(barred.solver, "iterate_steps_with_damping", lambda *arguments, **options: iter(()))
     answers = [barred.simulator.step(BARRED, 1e-3)]
     while answers[-1].status is ts.ForceStatus.LATE and len(answers) < 500:
         answers.append(barred.simulator.step(BARRED, 1e-3))

@@ -47,7 +47,7 @@ def test_tangent_is_the_derivative_of_the_forces(element, name, past):
     if history:
         # It has been loaded higher before, and stresses are left.
         memory = tissue.tissue.first_region_history
-        memory.prepare_step(0.1)
+        memory.set_step_duration(0.1)
         memory.largest[:] = rng.uniform(0.0, 2000.0, memory.largest.shape)
         memory.inherited[:] = rng.normal(0.0, 300.0, memory.inherited.shape)
     x[:] = rng.normal(0.0, 0.03 * 0.01 / element.order, x.size)

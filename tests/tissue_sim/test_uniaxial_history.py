@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.closed_form.histories import HomogeneousHistory, nominal_stress_history, shear_stress_history
+from tissue_sim.closed_form.histories import StrainHistory, nominal_stress_history, shear_stress_history
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.softening import Softening
@@ -64,8 +64,8 @@ def test_reference_of_form_b(curve):
 @pytest.mark.parametrize("mode", MODES)
 def test_order_two_in_the_step(mode):
     time, strain = np.array([0.0, 3.0, 5.0]), np.array([1.0, 0.6, 1.3]) - (mode == "simple_shear")
-    forces = [HomogeneousHistory(mode, time, strain, step).nominal_stress(RELAXING.energy_law, RELAXING.values,
-                                                                          RELAXING.viscoelastic)
+    forces = [StrainHistory(mode, time, strain, step).nominal_stress(RELAXING.energy_law, RELAXING.values,
+                                                                     RELAXING.viscoelastic)
               for step in (0.02, 0.01, 0.005, 0.02 / 64)]
     errors = [np.abs(stress - forces[-1])[1:].max() for stress in forces[:-1]]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])

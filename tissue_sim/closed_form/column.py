@@ -114,7 +114,7 @@ class Column:
         """Return minus the force of the plate over the undeformed cross-section, Pa, shape of `displacement`."""
         return self._evaluate_curve_or_nan(law, displacement, values, lambda curve: curve.nominal_stress_spline)
 
-    def nominal_stress_slope(self, law: Law, displacement, values) -> np.ndarray:
+    def stress_displacement_slope(self, law: Law, displacement, values) -> np.ndarray:
         """Return d(nominal stress)/d(displacement), Pa/m, shape of `displacement`."""
         return self._evaluate_curve_or_nan(law, displacement, values,
                                            lambda curve: curve.nominal_stress_spline.derivative())

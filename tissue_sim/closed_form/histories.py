@@ -29,7 +29,7 @@ _REST = {"uniaxial": 1.0, "simple_shear": 0.0}
 
 
 @dataclass(frozen=True, eq=False)
-class HomogeneousHistory:
+class StrainHistory:
     """Deformation of a homogeneous test against time, from rest, linear between its points.
 
     Attributes:
@@ -83,7 +83,7 @@ class HomogeneousHistory:
         return np.repeat(np.diff(time) / parts, parts), fine, last - 1
 
     @cached_property
-    def _nominal_stress_component_weights(self) -> np.ndarray:
+    def _second_piola_to_nominal_weights(self) -> np.ndarray:
         """d(nominal stress)/d(two components of S) at every point of the divided history, shape (points, 2)."""
         strain = self._divided_steps_strains_and_samples[1]
         if self.mode == "uniaxial":
@@ -142,7 +142,7 @@ class HomogeneousHistory:
         """
         dt, _, samples = self._divided_steps_strains_and_samples
         stress, weights = self._compute_softened_second_piola_stress(law, values, factor,
-                                                                     softening), self._nominal_stress_component_weights[
+                                                                     softening), self._second_piola_to_nominal_weights[
                                                                          samples]
         relaxing = compute_internal_stress_history_over_g(dt, stress, tau)[samples]
         return np.sum(weights * stress[samples], axis=1), np.einsum("nc,nct->nt", weights, relaxing)
@@ -158,7 +158,7 @@ def nominal_stress_history(material: Material, time, stretch, contact_radius: fl
         contact_radius: radius of the specimen, m, for the time of drainage.
 
     Raises:
-        InputError: see `HomogeneousHistory`; a material with layers, regions or effects at the points; a material that
+        InputError: see `StrainHistory`; a material with layers, regions or effects at the points; a material that
             drains, without a contact radius.
 
     Source: Holzapfel, Nonlinear Solid Mechanics, 2000, sections 6.5 and 6.10.
@@ -187,8 +187,8 @@ def shear_stress_history(material: Material, time, shear, contact_radius: float 
 
 
 def compute_stress_history(mode: str, material: Material, time, strain, contact_radius: float | None) -> np.ndarray:
-    """Compute the nominal stress of a mode of `HomogeneousHistory`; arguments as in `nominal_stress_history`."""
-    history = HomogeneousHistory(mode, time, strain)
+    """Compute the nominal stress of a mode of `StrainHistory`; arguments as in `nominal_stress_history`."""
+    history = StrainHistory(mode, time, strain)
     if material.regions:
         raise InputError("a specimen with regions does not deform homogeneously; use the finite elements",
                          field="regions")

@@ -146,7 +146,7 @@ class Experiment:
         if self.tool.face_radius == 0 and self.friction == "bonded":
             raise InputError(f"a {self.tool.shape} tool has no flat face to be bonded to; use 'stick', 'frictionless' "
                              "or a coefficient of friction", field="friction")
-        if self.tool.sharp_edge and not isinstance(self.friction, str):
+        if self.tool.has_sharp_edge and not isinstance(self.friction, str):
             raise InputError("must be positive with a coefficient of friction: at a sharp edge the slip has no "
                              "direction. Give the tool an edge radius, or use friction 'frictionless', 'stick' or "
                              "'bonded'", field="tool.edge_radius")
@@ -183,7 +183,7 @@ class Experiment:
     @property
     def largest_accurate_depth(self) -> float:
         """Largest depth for a sharp face without friction, m (`SharpFaceDepthLimits`); infinite for other contacts."""
-        if not self.tool.sharp_edge or self.friction != "frictionless":
+        if not self.tool.has_sharp_edge or self.friction != "frictionless":
             return float("inf")
         return min(SHARP_FACE.radius_fraction * self.tool.require_radius(), SHARP_FACE.height_fraction * self.thickness)
 

@@ -86,7 +86,7 @@ class _ProtocolParser:
             steps.append(self.read_step(repeated))
             if self.is_at_end_or_closing_bracket():
                 return tuple(steps)
-            if not self.match_sign_and_advance(";"):
+            if not self.match_symbol_and_advance(";"):
                 raise self._make_error(self.at, "expected ';' between two segments")
 
     def read_step(self, repeated: bool) -> ProtocolSegment | ProtocolRepeat:
@@ -111,7 +111,7 @@ class _ProtocolParser:
         amount = self.read_amount_or_none(quantity, needed=needed, zero=word == "unload", after=word)
         speed = None
         sign = self.at
-        if self.match_sign_and_advance("@"):
+        if self.match_symbol_and_advance("@"):
             if word == "hold":
                 raise self._make_error(sign, "a hold has no speed; remove it")
             speed = self.read_amount_or_none("speed", needed=True, zero=False, after="@")
@@ -125,11 +125,11 @@ class _ProtocolParser:
         if count is None or not count.isdecimal() or not 1 <= float(count) <= 1e9:
             raise self._make_error(at, "expected the number of repetitions, an integer of at least 1, as in repeat 3 "
                                    "(ramp 5mm; unload)")
-        if not self.match_sign_and_advance("("):
+        if not self.match_symbol_and_advance("("):
             raise self._make_error(self.at, "expected the repeated segments in brackets, as in repeat 3 (ramp 5mm; "
                                    "unload)")
         segments = self.read_steps(repeated=True)
-        if not self.match_sign_and_advance(")"):
+        if not self.match_symbol_and_advance(")"):
             raise self._make_error(start, "the brackets of this repeat are not closed; add ')'")
         return ProtocolRepeat(int(count), segments)
 
@@ -167,7 +167,7 @@ class _ProtocolParser:
         self.skip_blanks()
         return self.at == len(self.text) or self.text[self.at] == ")"
 
-    def match_sign_and_advance(self, sign: str) -> bool:
+    def match_symbol_and_advance(self, sign: str) -> bool:
         """Return whether the text continues with a sign, and move past the sign."""
         self.skip_blanks()
         found = self.text.startswith(sign, self.at)

@@ -12,12 +12,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tissue_sim.pose import Pose
+from tissue_sim.public_names import make_getattr_for_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"FreeTool": "ToolInAirInterface"})
 
 #: Tissue that has moved by less than this fraction of the tolerance of the contact is at rest.
 AT_REST = 0.1
 
 
-class FreeToolSolverBase:
+class ToolInAirInterface:
     """Interface of a `tissue_sim.fem.solver.Solver` for a tool in the air, before and after contact."""
 
     mesh: Any = None
@@ -69,11 +72,11 @@ class FreeToolSolverBase:
         """Set the pose of the tool without solving a step; `clearance` must be positive there and on the path."""
 
     def move_to_next_touch(self, pose: Pose) -> bool:
-        """Move a lifted tool in the air to the pose of its next touch; return whether this is like a first touch.
+        """Prepare the next touch of a lifted tool at a pose in the air; return whether it is like a first touch.
 
         Elastic tissue that is at rest again is touched as at the first touch: the solver returns to the state in which
-        the tool just touches, so that the whole face sticks from the touch on. A solver whose mesh belongs to one
-        position of the tool may move it here.
+        the tool just touches, so that the whole face sticks from the touch on. Otherwise the tool moves to the pose in
+        the air. A solver whose mesh belongs to one position of the tool may move it here.
 
         Returns:
             Whether the touch begins as a first touch: the solver is in the state in which the tool just touches.

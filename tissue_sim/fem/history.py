@@ -82,9 +82,9 @@ class MaterialMemory:
         self.works = relaxation is not None or softening is not None
         if relaxation is None:
             self.inherited[:] = 0.0
-        self.prepare_step(0.0)
+        self.set_step_duration(0.0)
 
-    def prepare_step(self, dt: float) -> None:
+    def set_step_duration(self, dt: float) -> None:
         """Set the duration of the next step, and compute the inherited stresses.
 
         Args:

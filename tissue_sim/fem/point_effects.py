@@ -61,7 +61,7 @@ class PointEffects:
         else:
             self.settings = copy_to_addressable_array(settings)
 
-    def prepare_step(self, dt: float) -> None:
+    def set_step_duration(self, dt: float) -> None:
         """Set the duration dt of the next step, s, in the settings of the formulas."""
         self.settings[0] = min(dt, LONGEST)
 

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from tissue_sim.fem.free_tool import FreeToolSolverBase
+from tissue_sim.fem.free_tool import ToolInAirInterface
 from tissue_sim.fem.result_views import Fields as Fields
 from tissue_sim.fem.result_views import SharedFields as SharedFields
 from tissue_sim.fem.result_views import Surface as Surface
@@ -30,18 +30,17 @@ from tissue_sim.tool_force import Matrix, PredictedForceOfNextStep, make_axial_s
 _OLD_MEMBERS = {"doubts": "warnings", "follow": "project_pose", "takes": "accepts_pose",
                 "realtime_rungs": "realtime_levels", "comparison": "error_estimation_rule", "sample": "field_sample",
                 "surface": "deformed_surface", "approach": "move_to_next_touch", "meet": "bind_points_on_path",
-                "creep": "step_with_damping", "follow_motion": "enable_inertia", "ahead": "predict_next_force",
+                "creep": "iterate_steps_with_damping", "follow_motion": "enable_inertia", "ahead": "predict_next_force",
                 "unchanged": "equilibria_since_contact_change", "relaxes": "is_time_dependent",
                 "identity": "mesh_digest", "height_above": "height_above_tissue",
                 "place_tool": "place_tool_at_first_touch", "stand_still": "stop_tissue_motion",
                 "error_estimate": "error_estimation_rule", "lift_off": "reset_to_first_touch",
                 "ask_for_stiffness": "enable_stiffness_output", "report": "get_recording_metadata",
-                "differentiate": "enable_force_derivatives"}
-__getattr__ = make_getattr_for_old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimationRule",
-                                                    "ErrorEstimate": "ErrorEstimationRule",
-                                                    "OwnStiffness": "StaticStiffnessRequest",
-                                                    "Derivatives": "ForceDerivatives",
-                                                    "SpatialDerivatives": "ForceVectorDerivatives"})
+                "step_with_damping": "iterate_steps_with_damping", "differentiate": "enable_force_derivatives"}
+__getattr__ = make_getattr_for_old_names(__name__, {
+    "Rung": "ResolutionLevel", "Comparison": "ErrorEstimationRule", "ErrorEstimate": "ErrorEstimationRule",
+    "OwnStiffness": "StaticStiffnessRequest", "Derivatives": "ForceDerivatives",
+    "SpatialDerivatives": "ForceVectorDerivatives"})
 
 
 class StepStatus(IntEnum):
@@ -101,7 +100,7 @@ class Step:
             respect to (position, rotation vector), 6 x 6, N/m, N, N m; None if it was not requested.
         violation: largest violation of a contact condition (penetration, or slip of points that must stick), m.
         slipping: number of surface points that slip against friction.
-        dissipated: energy dissipated by the artificial viscous damping of `Solver.step_with_damping`, J.
+        dissipated: energy dissipated by the artificial viscous damping of `Solver.iterate_steps_with_damping`, J.
         step_stiffness_matrix: the same derivative within an inertial step, which includes the inertia of the tissue;
             None: no other than `stiffness_matrix`.
         force_error: estimated error of the force, N; None if the solver has no estimate.
@@ -203,7 +202,7 @@ Neighbours = Sequence[tuple[Material, Material, float]]
 
 
 @with_old_names(**_OLD_MEMBERS)
-class Solver(FreeToolSolverBase, ABC):
+class Solver(ToolInAirInterface, ABC):
     """Solver of one boundary-value problem; it holds the state of the tissue.
 
     Attributes:
@@ -259,8 +258,9 @@ class Solver(FreeToolSolverBase, ABC):
             own_stiffness: whether an inertial step also computes the static stiffness; see `StaticStiffnessRequest`.
         """
 
-    def step_with_damping(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
-                          allowed: Callable[[], int] | None = None) -> Generator[Step]:
+    def iterate_steps_with_damping(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9,
+                                   max_iterations: int = 20, allowed: Callable[[], int] | None = None
+                                   ) -> Generator[Step]:
         """Find the equilibrium at a pose that `step` does not reach, with artificial viscous damping.
 
         Where an equilibrium is lost the tissue snaps through to another one. The damping is reduced to zero on the

@@ -8,15 +8,20 @@ functions of the finite elements all belong to the same formula.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.laws.derivation import load_or_derive_function, load_or_format_text
-from tissue_sim.public_names import LazyModule, with_old_names
+from tissue_sim.laws.kernel_energy import (
+    POLYNOMIAL_KERNEL_ENERGY,
+    POWERS,
+    KernelEnergy,
+    make_invariant_symbols,
+)
+from tissue_sim.public_names import LazyModule, rename_old_members_of_subclass, with_old_names
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -34,39 +39,13 @@ _MODES = {
 MODES = tuple(_MODES)
 
 
-@dataclass(frozen=True)
-class KernelEnergy:
-    """Symbolic energy from which the kernels of the finite elements are compiled.
-
-    Laws with the same `key` share one compiled kernel and differ in their coefficients only.
-
-    Attributes:
-        key: name of the compiled kernel.
-        family: ``"invariants"`` (energy of I1, I2) or ``"stretches"`` (energy of one stretch, summed over three).
-        variables: symbols of the family: (I1, I2) or (stretch,).
-        coefficients: symbols of the coefficients.
-        energy: the symbolic energy.
-    """
-
-    key: str
-    family: str
-    variables: tuple[sp.Symbol, ...]
-    coefficients: tuple[sp.Symbol, ...]
-    energy: sp.Expr
-
-    @property
-    def coefficient_count(self) -> int:
-        """Number of coefficients of the energy."""
-        return len(self.coefficients)
-
-    @property
-    def cache_key(self) -> tuple | None:
-        """Key of derived functions in the cache, see `load_or_derive_function`; None: not cached."""
-        return None
+#: Members that laws of plug-ins may still define by their old names: old name -> new name.
+_OLD_MEMBERS = {"as_array": "convert_parameters_to_array", "as_mapping": "convert_parameters_to_mapping",
+                "nominal_stress_derivatives": "nominal_stress_parameter_derivatives",
+                "describe_parameters_at_limit": "describe_limiting_cases"}
 
 
-@with_old_names(nominal_stress_derivatives="nominal_stress_parameter_derivatives",
-                as_array="convert_parameters_to_array", as_mapping="convert_parameters_to_mapping")
+@with_old_names(**_OLD_MEMBERS)
 class Law:
     """Strain-energy density W, Pa, of an incompressible solid, or the isochoric part of a nearly incompressible one.
 
@@ -77,6 +56,10 @@ class Law:
     name: str
     title: str
     units: Mapping[str, str]
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        rename_old_members_of_subclass(cls, _OLD_MEMBERS)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -141,7 +124,7 @@ class Law:
                 raise InputError(f"{name} is {value}, expected a finite number", field=f"parameters.{name}")
         return array
 
-    def describe_parameters_at_limit(self, values) -> list[str]:
+    def describe_limiting_cases(self, values) -> list[str]:
         """Return a sentence for each parameter at a limit, where the formula takes another form; none by default."""
         return []
 
@@ -289,7 +272,7 @@ class InvariantLaw(Law):
 
     def formula_expression(self) -> sp.Expr:
         """Return the symbolic energy W of I1, I2 and the parameters."""
-        return sp.sympify(self.energy(*_invariant_symbols(), *self.symbols))
+        return sp.sympify(self.energy(*make_invariant_symbols(), *self.symbols))
 
     def _derive_polynomial_coefficients_or_none(self):
         """Return symbols, and coefficients of (I1-3)^i (I2-3)^j as expressions of them; None for another formula."""
@@ -312,8 +295,8 @@ class InvariantLaw(Law):
     def kernel_energy(self) -> KernelEnergy:
         """Energy of the kernel; polynomials up to degree three share one kernel."""
         if self._polynomial_coefficient_function_or_none is not None:
-            return _POLYNOMIAL
-        return KernelEnergy(self.name, "invariants", _invariant_symbols(), self.symbols, self.formula_expression())
+            return POLYNOMIAL_KERNEL_ENERGY
+        return KernelEnergy(self.name, "invariants", make_invariant_symbols(), self.symbols, self.formula_expression())
 
     def kernel_coefficients(self, values) -> np.ndarray:
         """Return the coefficients of the kernel for the parameters, shape (coefficients,)."""
@@ -342,8 +325,7 @@ class StretchLaw(Law):
 
     def latex(self) -> str:
         """Return the formula of W and w in LaTeX."""
-        return (r"W = w(\lambda_1) + w(\lambda_2) + w(\lambda_3), \quad "
-                + super().latex().replace("W", "w", 1))
+        return r"W = w(\lambda_1) + w(\lambda_2) + w(\lambda_3), \quad " + super().latex().replace("W", "w", 1)
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
@@ -351,50 +333,3 @@ class StretchLaw(Law):
         stretch = sp.Symbol("stretch", positive=True)
         return KernelEnergy(self.name, "stretches", (stretch,), self.symbols,
                             sp.sympify(self.energy_of_stretch(stretch, *self.symbols)))
-
-
-#: Exponents (i, j) of the monomials (I1-3)^i (I2-3)^j in the kernel that polynomial laws share.
-POWERS = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
-
-
-def _invariant_symbols() -> tuple[sp.Symbol, ...]:
-    """Return the symbols I1 and I2."""
-    return tuple(sp.symbols("I1 I2", positive=True))
-
-
-class _PolynomialKernelEnergy(KernelEnergy):
-    """Energy of the kernel that polynomial laws share; the symbols are made on demand, since sympy imports slowly."""
-
-    def __init__(self):
-        object.__setattr__(self, "key", "polynomial")
-        object.__setattr__(self, "family", "invariants")
-
-    def __eq__(self, other):
-        return isinstance(other, _PolynomialKernelEnergy)
-
-    def __hash__(self):
-        return hash(self.key)
-
-    @cached_property
-    def variables(self) -> tuple[sp.Symbol, ...]:
-        return _invariant_symbols()
-
-    @cached_property
-    def coefficients(self) -> tuple[sp.Symbol, ...]:
-        return tuple(sp.Symbol(f"C{i}{j}", real=True) for i, j in POWERS)
-
-    @cached_property
-    def energy(self) -> sp.Expr:
-        I1, I2 = self.variables
-        return sum(c * (I1 - 3)**i * (I2 - 3)**j for c, (i, j) in zip(self.coefficients, POWERS, strict=True))
-
-    @property
-    def coefficient_count(self) -> int:
-        return len(POWERS)
-
-    @property
-    def cache_key(self) -> tuple | None:
-        return (self.key,)
-
-
-_POLYNOMIAL = _PolynomialKernelEnergy()

@@ -5,7 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from tissue_sim.laws.law import KernelEnergy, StretchLaw
+from tissue_sim.laws.kernel_energy import KernelEnergy
+from tissue_sim.laws.law import StretchLaw
 
 #: Largest number of terms.
 MAX_TERMS = 3
@@ -55,7 +56,7 @@ class Ogden(StretchLaw):
         exponents[small] = np.copysign(EXPONENTS.smallest, exponents[small])
         return array
 
-    def describe_parameters_at_limit(self, values) -> list[str]:
+    def describe_limiting_cases(self, values) -> list[str]:
         """Return one sentence for each exponent that is 0 within `SmallExponentSettings.limit`."""
         exponents = super().convert_parameters_to_array(values)[1::2]
         return [f"alpha{i} is at its limit 0, where the term is mu{i} (ln^2 l1 + ln^2 l2 + ln^2 l3)"

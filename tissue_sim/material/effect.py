@@ -24,11 +24,12 @@ __getattr__ = make_getattr_for_old_names(__name__, {"ReducedEffect": "ForceScali
 
 
 #: Old names of members that plug-ins define -> new names.
-_OLD_MEMBERS = {"ages": "is_time_dependent", "remembers": "is_history_dependent", "share": "compute_force_factor",
-                "shares": "compute_force_factors"}
+_OLD_MEMBERS = {"ages": "is_time_dependent", "remembers": "is_history_dependent"}
+#: The same for effects that scale the force.
+_OLD_MEMBERS_OF_SCALING = {"share": "compute_force_factor", "shares": "compute_force_factors"}
 
 
-@with_old_names(ages="is_time_dependent", remembers="is_history_dependent")
+@with_old_names(**_OLD_MEMBERS)
 class TissueEffect(ABC):
     """Effect of time, loading history or position on a tissue.
 
@@ -65,7 +66,7 @@ class ToolHistory:
     time: float = 0.0
 
 
-@with_old_names(share="compute_force_factor", shares="compute_force_factors")
+@with_old_names(**_OLD_MEMBERS_OF_SCALING)
 class ForceScalingEffect(TissueEffect):
     """Effect in reduced form: a factor on the force of the tool; displacements and stresses are not changed.
 
@@ -74,6 +75,10 @@ class ForceScalingEffect(TissueEffect):
     """
 
     under_plates: ClassVar[bool] = True
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        rename_old_members_of_subclass(cls, _OLD_MEMBERS_OF_SCALING)
 
     @abstractmethod
     def compute_force_factor(self, history: ToolHistory) -> float:
@@ -145,7 +150,7 @@ class CombinedForceFactor:
         self._effects = tuple(effects)
         self.history = ToolHistory(-inf, -inf)
 
-    def compute_factor(self, depth: float, dt: float = 0.0) -> float:
+    def compute_force_factor_at_depth(self, depth: float, dt: float = 0.0) -> float:
         """Return the factor on the force of the tool at a trial depth, m, reached dt s after the last recorded depth.
 
         The factor is the product over all effects in reduced form. The history is not changed.

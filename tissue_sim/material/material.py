@@ -159,7 +159,7 @@ class Material:
                              field="parameters")
         if self.density is not None and not (np.isfinite(self.density) and self.density > 0):
             raise InputError(f"must be positive and finite; got {self.density}.", field="density_kg_m3")
-        if self._drained_stiffness_fraction > 0:
+        if self._fraction_lost_by_drainage > 0:
             if self.viscoelastic is not None and len(self.viscoelastic.terms) == MOST_TERMS:
                 raise InputError(f"drainage is one of the at most {MOST_TERMS} relaxing terms of a material; give at "
                                  f"most {MOST_TERMS - 1} viscoelastic terms", field="poroelasticity")
@@ -219,7 +219,7 @@ class Material:
     def mu_long_term(self) -> float:
         """Initial shear modulus in very slow loading, Pa: all terms relaxed, pores drained; mu0 (1 - sum g - phi)."""
         relaxing = 0.0 if self.viscoelastic is None else self.viscoelastic.relaxing_fraction
-        return self.mu0 * (1.0 - relaxing - self._drained_stiffness_fraction)
+        return self.mu0 * (1.0 - relaxing - self._fraction_lost_by_drainage)
 
     @property
     def E0(self) -> float:
@@ -270,7 +270,7 @@ class Material:
         return Prony(terms) if terms else None
 
     @property
-    def _drained_stiffness_fraction(self) -> float:
+    def _fraction_lost_by_drainage(self) -> float:
         """Fraction of the instantaneous stiffness that is lost by drainage; 0 without poroelasticity."""
         return 0.0 if self.poroelasticity is None else self.poroelasticity.phi
 

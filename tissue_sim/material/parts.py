@@ -64,7 +64,7 @@ def find_parameter_path_and_declaration(path: str) -> tuple[str, Declaration]:
                      field=path)
 
 
-def find_region_name(path: str) -> str | None:
+def find_region_name_or_none(path: str) -> str | None:
     """Return the name of the mesh region whose parameter a path names; None for other paths."""
     found = _OF_REGION.fullmatch(path)
     return None if found is None else found[1]

@@ -12,7 +12,10 @@ from tissue_sim.mesh.axisymmetric import (
 )
 from tissue_sim.public_names import make_getattr_for_old_names
 
-__getattr__ = make_getattr_for_old_names(__name__, {"tip_mesh": "cylinder_mesh_refined_under_tip"})
+__getattr__ = make_getattr_for_old_names(__name__, {
+    "tip_mesh": "cylinder_mesh_refined_under_tip", "needle_mesh": "cylinder_mesh_refined_under_needle",
+    "graded_line": "divide_into_graded_intervals", "growing_line": "divide_into_growing_intervals",
+    "with_lines": "insert_interfaces_and_refine_layers"})
 
 __all__ = [
     "Mesh",

@@ -12,10 +12,14 @@ from tissue_sim.mesh.section import PlanarMesh, make_quarter_circle, make_rectan
 from tissue_sim.mesh.solid import (
     SolidMesh,
     add_face_and_free_node_sets,
-    compute_core_ring_radius_fractions,
+    compute_inner_ring_radius_fractions,
     create_block_mesh_from_boundaries,
     extrude_section_to_mesh,
 )
+from tissue_sim.public_names import make_getattr_for_old_names
+
+__getattr__ = make_getattr_for_old_names(__name__, {"block_under_plate": "create_block_mesh_under_plate",
+                                                    "block_under_tool": "create_block_mesh_under_tool"})
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,7 @@ def create_block_mesh_under_tool(length: float, width: float, height: float, gra
     half_widths = np.where(distances < _MESH.near * reach, distances, reach)
     low, high = centre - half_widths[:, 0], centre + half_widths[:, 1]
     section = PlanarMesh(grading.element.order)
-    section.add_disc(centre, radius, compute_core_ring_radius_fractions(grading, radius), grading.around)
+    section.add_disc(centre, radius, compute_inner_ring_radius_fractions(grading, radius), grading.around)
     outward = grading.divide_line(float(half_widths.max()) - radius)
     for quarter in range(4):
         section.add_elements_between_curves(make_quarter_circle(quarter, radius, centre),

@@ -12,7 +12,7 @@ from tissue_sim.mesh.section import Curve, PlanarMesh, make_quarter_circle
 from tissue_sim.mesh.solid import (
     SolidMesh,
     add_face_and_free_node_sets,
-    compute_core_ring_radius_fractions,
+    compute_inner_ring_radius_fractions,
     extrude_section_to_mesh,
 )
 
@@ -53,7 +53,7 @@ def create_half_ellipsoid_shell_mesh(semi_axes: tuple[float, float, float], thic
         raise InputError(f"the circle of radius {radius:g} m about ({centre[0]:g}, {centre[1]:g}) m must be inside the "
                          "rim of the shell", field="centre")
     section = PlanarMesh(grading.element.order)
-    section.add_disc(centre, radius, compute_core_ring_radius_fractions(grading, radius), grading.around,
+    section.add_disc(centre, radius, compute_inner_ring_radius_fractions(grading, radius), grading.around,
                      through=map_shell_surface_to_unit_disc)
     outward = grading.divide_line(0.25 * np.pi * (max(a, b) + c) - radius)
     for quarter in range(4):

@@ -62,7 +62,7 @@ class Hexahedron(SolidElement):
         return np.array([1, 5, 7, 3] if self.order == 2 else [], dtype=np.intp)
 
     @cached_property
-    def face_area_fractions(self) -> np.ndarray:
+    def face_area_fractions_by_node(self) -> np.ndarray:
         """Fraction of the area of a face that belongs to each of its nodes, shape (nodes of a face,).
 
         The fractions are weights of Simpson's rule (order 2) or of the trapezoidal rule (order 1).

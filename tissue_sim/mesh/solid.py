@@ -68,7 +68,7 @@ class SolidMesh:
         areas = np.zeros(len(self.nodes))
         for name in names:
             faces = self.faces[name]
-            np.add.at(areas, faces, self._compute_face_areas(faces)[:, None] * self.element.face_area_fractions)
+            np.add.at(areas, faces, self._compute_face_areas(faces)[:, None] * self.element.face_area_fractions_by_node)
         return areas
 
     def _compute_face_areas(self, faces: np.ndarray) -> np.ndarray:
@@ -177,13 +177,13 @@ def create_graded_cylinder_mesh(radius: float, height: float, grading: Grading) 
                           largest=0.3 * factor * grading.largest)
     outward, z = grading.divide_line(radius - face), -grading.divide_line(height)[::-1]
     return create_cylinder_mesh(radius, height, grading.element, around=grading.around,
-                                inward=compute_core_ring_radius_fractions(grading, face),
+                                inward=compute_inner_ring_radius_fractions(grading, face),
                                 outward=outward / outward[-1], z=grading.insert_interface_heights(z, height),
                                 face_radius=face,
                                 centre=grading.centre)
 
 
-def compute_core_ring_radius_fractions(grading: Grading, radius: float) -> np.ndarray:
+def compute_inner_ring_radius_fractions(grading: Grading, radius: float) -> np.ndarray:
     """Return the radii of the ring boundaries from the core to a circle, as fractions of its radius `radius`, m."""
     inward = grading.divide_line((1.0 - O_GRID.core) * radius)
     return 1.0 - inward[::-1] / radius

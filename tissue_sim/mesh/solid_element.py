@@ -59,7 +59,7 @@ class SolidElement(ABC):
 
     @property
     @abstractmethod
-    def face_area_fractions(self) -> np.ndarray:
+    def face_area_fractions_by_node(self) -> np.ndarray:
         """Fraction of the area of a face that belongs to each of its nodes, positive, shape (nodes of a face,)."""
 
     @property

@@ -77,7 +77,7 @@ class Tetrahedron(SolidElement):
         return np.arange(3, 6) if self.order == 2 else np.zeros(0, dtype=np.intp)
 
     @cached_property
-    def face_area_fractions(self) -> np.ndarray:
+    def face_area_fractions_by_node(self) -> np.ndarray:
         """Fraction of the area of a face that belongs to each of its nodes, shape (nodes of a face,).
 
         The fractions are integrals of the shape functions; they are positive, unlike those of a six-node triangle.

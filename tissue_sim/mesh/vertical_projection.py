@@ -30,7 +30,7 @@ class VerticalProjection:
         _, first, times = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
         self._rim = edges[first[times == 1]]
 
-    def compute_signed_distance_to_top_rim(self, x: float, y: float) -> float:
+    def compute_distance_inside_top_rim(self, x: float, y: float) -> float:
         """Return the horizontal distance from (x, y), m, to the rim of the top, m; negative outside of the top."""
         a, b = self._points[self._rim[:, 0], :2], self._points[self._rim[:, 1], :2]
         position, edge = np.array([x, y]), b - a

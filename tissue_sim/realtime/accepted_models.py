@@ -41,7 +41,7 @@ def require_no_tilt_or_partial_slip(experiment: Experiment) -> None:
                          "out, or use a coefficient of friction", field="slip")
 
 
-def require_tissue_moduli(material: Material) -> None:
+def require_moduli_in_range(material: Material) -> None:
     """Check that the moduli of a material are in the range of tissues and gels.
 
     Raises:

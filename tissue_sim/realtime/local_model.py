@@ -226,7 +226,7 @@ class LocalModelBlend:
         return self._make_tool_force(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
 
     def _switch_to_model(self, model: LocalModel):
-        """Use this model, and store the jump of the wrench at the last pose as the offset."""
+        """Use this linear model of the wrench, and store the jump of the wrench at the last pose as the offset."""
         self._model = model
         if self._pose is not None:
             self.offset = add_screws(self._wrench, scale_screw(-1.0, model.evaluate_wrench(self._pose)))

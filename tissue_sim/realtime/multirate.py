@@ -16,6 +16,7 @@ from tissue_sim.material.material import BULK_RATIOS, Material
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import MotionLimits
 from tissue_sim.pose import Pose, add_screws, compute_rigid_motion, scale_screw
+from tissue_sim.realtime.accepted_models import require_moduli_in_range
 from tissue_sim.realtime.bulk_link import BulkLink
 from tissue_sim.realtime.model_transition import ModelTransition
 from tissue_sim.realtime.multirate_settings import MULTIRATE
@@ -86,9 +87,7 @@ class MultiRateTissue(RealTimeTissue):
 
     def __init__(self, model: Model, link: BulkLink, *, resolution: str = "realtime", oldest: float = OLDEST,
                  waits: bool = False, limits: MotionLimits | None = None):
-        if not oldest > 0.0:
-            raise InputError(f"oldest must be positive; got {oldest:g} s. Use more than the period of the bulk, such "
-                             "as 1.", field="oldest")
+        self.require_valid_arguments(model, oldest)
         super().__init__(model, limits)
         self._link, self.resolution, self.oldest, self.waits = link, resolution, oldest, waits
         self._stepper: CondensedStepper | None = None
@@ -96,6 +95,14 @@ class MultiRateTissue(RealTimeTissue):
         self._holds = model.experiment.friction == "bonded"
         self._untouched = self._reduced.history
         self._reset_state()
+
+    @staticmethod
+    def require_valid_arguments(model: Model, oldest: float) -> None:
+        """Check these arguments of the constructor; raises its errors."""
+        if not oldest > 0.0:
+            raise InputError(f"oldest must be positive; got {oldest:g} s. Use more than the period of the bulk, such "
+                             "as 1.", field="oldest")
+        require_moduli_in_range(model.material)
 
     def _reset_state(self) -> None:
         """Set time, error, contact and model times to their values before the first step."""

@@ -172,7 +172,7 @@ class PathFollowingTissue(RealTimeTissue):
             pending.ticks[0] = replace(first, dt=(1.0 - until) * first.dt)
             pending.meets = not begins
         else:
-            pending.split_first_tick_at_touch(here, until)
+            pending.replace_first_tick_by_air_and_contact(here, until)
 
     def _move_to_next_touch(self) -> Pose:
         """Move a tool in the air to the pose at which it touches the tissue in the next tick; return this pose."""
@@ -294,7 +294,7 @@ class PathFollowingTissue(RealTimeTissue):
             elif creep is None and min(self._share, way / self._largest_part) < self._settings.damped_fraction:
                 self._share = max(self._settings.smallest_cut, min(self._share, way / self._largest_part))
                 self._creep = DampedPathState(target, dt, step)
-                self._creep.steps = solver.step_with_damping(
+                self._creep.steps = solver.iterate_steps_with_damping(
                     target, dt, tolerance=self.tolerance, max_iterations=self._settings.most_damped_solves,
                     allowed=self._creep.get_allowed_solves_until_yield)
             else:

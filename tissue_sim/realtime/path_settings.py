@@ -28,7 +28,7 @@ class PathSettings:
         near_residual: relative residual at or below which an extrapolation is near the equilibrium, 1.
         most_near_solves: largest number of linear solves of a part whose extrapolation is near the equilibrium.
         damped_fraction: fraction of the largest part below which a failed part is repeated with artificial damping
-            (`Solver.step_with_damping`), 1. A larger value starts the damping after fewer cuts.
+            (`Solver.iterate_steps_with_damping`), 1. A larger value starts the damping after fewer cuts.
         most_damped_solves: largest number of linear solves of a damped step.
         free_force: force over the largest force so far at or below which the tool may have lifted off, 1.
         reserved_after: number of times that a static stiffness is postponed before a linear solve is reserved for it. A

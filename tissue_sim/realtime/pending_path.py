@@ -27,7 +27,7 @@ class PathTick:
         pose: pose of the tool at the end of the tick.
         dt: duration, s.
         touches: whether the tool is in the air in this tick and touches the tissue in the next tick; see
-            `FreeToolSolverBase.bind_points_on_path`.
+            `ToolInAirInterface.bind_points_on_path`.
     """
 
     pose: Pose
@@ -40,7 +40,7 @@ class PendingPath:
 
     Attributes:
         ticks: ticks in the order of time.
-        meets: whether the tool touches the tissue in the next increment; see `FreeToolSolverBase.bind_points_on_path`.
+        meets: whether the tool touches the tissue in the next increment; see `ToolInAirInterface.bind_points_on_path`.
         lost: time for which an equilibrium is not that of the tool's own motion, since ticks that were not on one line
             were merged, s.
         gap: time for which an equilibrium depends on a part of the path that was left out, s; infinite while the tool
@@ -86,7 +86,7 @@ class PendingPath:
         else:
             self.meets = True
 
-    def split_first_tick_at_touch(self, start: Pose, fraction: float) -> None:
+    def replace_first_tick_by_air_and_contact(self, start: Pose, fraction: float) -> None:
         """Split the first tick at the touch of a returning tool into a tick in air and a tick in contact.
 
         Args:

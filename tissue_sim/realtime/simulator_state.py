@@ -96,7 +96,7 @@ class NewtonAttempt:
 
 @dataclass(slots=True)
 class DampedPathState:
-    """Unfinished path of `Solver.step_with_damping` to a pose, dt seconds later, and its last step."""
+    """Unfinished path of `Solver.iterate_steps_with_damping` to a pose, dt seconds later, and its last step."""
 
     pose: Pose
     dt: float

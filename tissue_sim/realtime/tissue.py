@@ -13,7 +13,7 @@ from tissue_sim.model import Model
 from tissue_sim.motion_limits import LimitError, MotionLimits, convert_to_pose
 from tissue_sim.parameters import with_values
 from tissue_sim.pose import Pose
-from tissue_sim.realtime.accepted_models import require_equal_layer_thicknesses, require_tissue_moduli
+from tissue_sim.realtime.accepted_models import require_equal_layer_thicknesses, require_moduli_in_range
 from tissue_sim.tool_force import ForceStatus, ToolForce, make_axial_stiffness_matrix, make_axial_wrench
 
 #: Force before the first step.
@@ -34,11 +34,11 @@ class RealTimeTissue(KernelOwner):
     """
 
     def __init__(self, model: Model, limits: MotionLimits | None):
-        require_tissue_moduli(model.material)
+        require_moduli_in_range(model.material)
         self.model, self.limits = model, limits or MotionLimits()
         self._guard = threading.RLock()
         self._answer = FORCE_BEFORE_FIRST_STEP
-        self._reduced = self._make_reduced_force_factor(model.material)
+        self._reduced = self._make_combined_force_factor(model.material)
 
     @property
     def _last_pose(self) -> Pose | None:
@@ -100,7 +100,7 @@ class RealTimeTissue(KernelOwner):
         """
         material = with_values(self.model.material, values)
         require_equal_layer_thicknesses(self.model.material, material)
-        require_tissue_moduli(material)
+        require_moduli_in_range(material)
         self._set_material(material)
 
     def _set_material(self, material: Material) -> None:
@@ -108,10 +108,10 @@ class RealTimeTissue(KernelOwner):
         self._send_material_to_solver(material)
         self.model = replace(self.model, material=material)
         history = self._reduced.history
-        self._reduced = self._make_reduced_force_factor(material)
+        self._reduced = self._make_combined_force_factor(material)
         self._reduced.history = history
 
-    def _make_reduced_force_factor(self, material: Material) -> CombinedForceFactor:
+    def _make_combined_force_factor(self, material: Material) -> CombinedForceFactor:
         """Return the factor of a material's effects in reduced form on the force of this experiment's tool."""
         return CombinedForceFactor(
             material.list_acting_force_scaling_effects(plate=self.model.experiment.tool.is_plate))

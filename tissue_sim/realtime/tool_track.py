@@ -43,7 +43,7 @@ class ToolTrack:
     """Pose of the tool between two steps, and whether it has touched.
 
     For a body of revolution the rotation about its own axis at the touch has no influence. It is removed from the poses
-    of solvers with `FreeToolSolverBase.ignores_twist`.
+    of solvers with `ToolInAirInterface.ignores_twist`.
 
     Attributes:
         touch: whether the tool has touched; see `TouchState`.

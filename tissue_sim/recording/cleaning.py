@@ -163,7 +163,7 @@ def _list_channel_saturations(recording: Recording, kept: np.ndarray, name: str,
     values = recording.channel(name) if values is None else values
     continuing = "motion" if other in MOTIONS else "load"
     found = []
-    for run in find_saturated_runs(values, recording.channel(other), _get_time_if_present(recording), rounding=rounding,
+    for run in find_saturated_runs(values, recording.channel(other), _get_time_if_varying(recording), rounding=rounding,
                                    is_free=is_free):
         level = float(values[run.first])
         samples = tuple((kept[run.first:run.last + 1] + 1).tolist())
@@ -215,7 +215,7 @@ def _compute_nominal_stress_rounding(recording: Recording, measure: StrainOrStre
                   + np.abs(measure.convert(stress, moved) - nominal)).max())
 
 
-def _get_time_if_present(recording: Recording) -> np.ndarray | None:
+def _get_time_if_varying(recording: Recording) -> np.ndarray | None:
     """Return the time of a recording, s, shape (n,); None without a channel ``time`` or if the time is constant."""
     return recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
 

@@ -12,7 +12,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.recording import Recording
 
 
-def complete_motion_from_speed(recording: Recording, speed: float, path: Path) -> Recording:
+def add_time_or_motion_from_speed(recording: Recording, speed: float, path: Path) -> Recording:
     """Return a recording of a test at constant speed with the missing time, s, or displacement, m, added.
 
     Args:

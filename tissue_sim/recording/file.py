@@ -20,7 +20,7 @@ from tissue_sim.decode import convert_to_json_types, read_json_value, require_va
 from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.files import open_input_file
-from tissue_sim.recording.constant_speed import complete_motion_from_speed
+from tissue_sim.recording.constant_speed import add_time_or_motion_from_speed
 from tissue_sim.recording.formats import FORMATS
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import get_si_factor_and_offset
@@ -103,7 +103,7 @@ def _add_time_and_metadata(recording: Recording, path: Path, speed: float | None
     """
     strained = not {"stretch", "shear strain"}.isdisjoint(recording.channels)
     if speed is not None and not (strained and "time" in recording):
-        recording = complete_motion_from_speed(recording, speed, path)
+        recording = add_time_or_motion_from_speed(recording, speed, path)
     _require_channels_of_kind(recording, kind, path)
     with open_input_file(path, "a recording") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()

@@ -201,7 +201,7 @@ class ChannelOutlierSearch:
             return float(low[0])
         return float(high[0]) if np.all(values > high + max(limits)) else None
 
-    def compute_change_across(self, first: int, last: int) -> float:
+    def compute_change_across_group(self, first: int, last: int) -> float:
         """Return the change across samples `first` to `last` (not included); at an end the step next to them."""
         before, after = first - 1, last
         if first == 0:

@@ -140,7 +140,7 @@ def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, C
     motion, load = channels["motion"], channels["load"]
     at_end = first == 0 or last == motion.values.size
     if not at_end:
-        step = abs(motion.compute_change_across(first, last))
+        step = abs(motion.compute_change_across_group(first, last))
         if name != "load":
             return False
         largest = motion.compute_largest_step_near_group(first, last)
@@ -178,7 +178,7 @@ def _does_load_follow_motion_step(group: tuple[int, ...], channels: Mapping[str,
         return False
     if abs(correlation) < settings.correlated:
         return True
-    direction = float(np.sign(motion.compute_change_across(first, last) * correlation))
+    direction = float(np.sign(motion.compute_change_across_group(first, last) * correlation))
     neighbours = direction * load[[first - 1, last]]
     return bool(np.all(direction * load[first:last] >= neighbours.min() - channels["load"].least[first]))
 

@@ -106,7 +106,7 @@ def find_saturated_runs(values: np.ndarray, other: np.ndarray, time: np.ndarray 
             continue
         for run in _group_extreme_samples_into_runs(np.flatnonzero(side * values >= side * extreme - rounding),
                                                     settings):
-            least = max(missing, digit * _compute_apparent_change_in_last_digits(run.count, settings))
+            least = max(missing, digit * _compute_change_missing_at_smooth_peak(run.count, settings))
             is_equal = is_free or _is_noisy_before_run(run, values, rounding, settings)
             if (is_equal and _does_other_channel_continue(run, other, travel)) or _is_expected_change_missing_in_run(
                     run, side * values, other, clock, least, travel, settings):
@@ -131,7 +131,7 @@ def _does_other_channel_continue(run: SaturatedRun, other: np.ndarray, travel: f
     return bool(abs(along[-1]) > travel and abs(along[-1]) >= 0.5 * float(np.ptp(along)))
 
 
-def _compute_apparent_change_in_last_digits(count: int, settings: SaturationSettings) -> float:
+def _compute_change_missing_at_smooth_peak(count: int, settings: SaturationSettings) -> float:
     """Return the apparent missing change of a channel with a smooth maximum, in its last digits.
 
     Around the maximum P - c x^2, with samples at the distance h, `count` samples within one digit d of P span

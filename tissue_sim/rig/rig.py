@@ -133,19 +133,20 @@ class Rig:
     @property
     def with_motion_effects_only(self) -> Rig:
         """Rig with the effects on the motion of the tool only."""
-        return self._select_effects_on_targets(_TOOL,
-                                               faults=[fault for fault in self.faults.values() if fault.moves_tool])
+        return self._make_rig_with_effects_on_targets(_TOOL,
+                                                      faults=[fault for fault in self.faults.values()
+                                                              if fault.moves_tool])
 
     @property
     def with_reading_effects_only(self) -> Rig:
         """Rig with the effects on the reading of forces only, without noise."""
-        return self._select_effects_on_targets(_READING,
-                                               faults=[fault for fault in self.faults.values() if fault.reads])
+        return self._make_rig_with_effects_on_targets(_READING,
+                                                      faults=[fault for fault in self.faults.values() if fault.reads])
 
     @property
     def without_sampling_effects(self) -> Rig:
         """Rig without noise, resolution and sampling rate."""
-        return self._select_effects_on_targets(_TOOL, _READING, faults=self.faults)
+        return self._make_rig_with_effects_on_targets(_TOOL, _READING, faults=self.faults)
 
     @property
     def needs_time(self) -> bool:
@@ -153,7 +154,7 @@ class Rig:
         return any((self.latency, self.rate_damping, self.sensor_drift, self.sampling_rate,
                     *(fault.needs_time for fault in self.faults.values())))
 
-    def _select_effects_on_targets(self, *targets: str, faults: Any) -> Rig:
+    def _make_rig_with_effects_on_targets(self, *targets: str, faults: Any) -> Rig:
         """Return a rig with only the effects on the given targets, and the given faults."""
         own = {entry.name: getattr(self, entry.name) for entry in fields(self)
                if entry.metadata.get(_ACTS_ON) in targets}

@@ -129,7 +129,7 @@ class MeshSpecimen(Specimen):
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
         """Return the distance of a position (x, y) from the edge of the top, in plan view, m; negative outside."""
-        return self._vertical_projection.compute_signed_distance_to_top_rim(x, y)
+        return self._vertical_projection.compute_distance_inside_top_rim(x, y)
 
     @property
     def outer_radius(self) -> float:

@@ -110,7 +110,8 @@ class Specimen(metaclass=_ShapeChoosingSpecimenMeta):
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
-        rename_old_members_of_subclass(cls, {"depth_at": "vertical_thickness"})
+        rename_old_members_of_subclass(cls, {"depth_at": "vertical_thickness", "digest": "digest_of_files",
+                                             "stated": "values_by_file_key"})
 
     def __post_init__(self):
         for name, what in list_field_declarations(type(self)).items():

@@ -155,15 +155,15 @@ def _make_import_options(arguments):
     if arguments.radius_mm is not None and arguments.area_mm2 is not None:
         raise InputError("cannot be combined with --radius-mm. Give one of them", field="--area-mm2")
     hints = InterpretationOverrides(_parse_channel_values(arguments.column, "--column"), units,
-                                        {channel: _parse_positive_scale_factor(text)
-                                         for channel, text in scales.items()},
-                                        {channel: int(sign) for channel, sign in signs.items()}, arguments.kind,
-                                        arguments.format,
-                                        _parse_one_or_several_sheets(arguments.sheet), arguments.delimiter,
-                                        arguments.skip_lines,
-                                        measures=_parse_channel_values(arguments.measure, "--measure"),
-                                        decimal=arguments.decimal,
-                                        curve=arguments.curve, one_material=arguments.one_material)
+                                    {channel: _parse_positive_scale_factor(text)
+                                     for channel, text in scales.items()},
+                                    {channel: int(sign) for channel, sign in signs.items()}, arguments.kind,
+                                    arguments.format,
+                                    _parse_one_or_several_sheets(arguments.sheet), arguments.delimiter,
+                                    arguments.skip_lines,
+                                    measures=_parse_channel_values(arguments.measure, "--measure"),
+                                    decimal=arguments.decimal,
+                                    curve=arguments.curve, one_material=arguments.one_material)
     specimen = _make_campaign_specimen_keys(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
     return ImportOptions(hints, specimen, test, laws, arguments.zero)

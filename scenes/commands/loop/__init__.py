@@ -174,7 +174,7 @@ def run(arguments) -> int:
                             real_time=not arguments.no_real_time)
     if reduced:
         fill_motion_ranges_from_box_or_refuse(arguments, reduced)
-    device = open_motion_or_haptic_device_from_flags(arguments, name, protocol,
+    device = make_motion_or_haptic_device_from_flags(arguments, name, protocol,
                                                      lifts=reduced is None or reduced.lifting == 0)
     device.set_approach(model.experiment.approach)
     rendering = make_force_rendering_from_flags(arguments, device.largest_force)
@@ -220,7 +220,7 @@ def fill_motion_ranges_from_box_or_refuse(arguments, reduced) -> None:
                              f"{asked:g}", field=f"--{name.replace('_', '-')}")
 
 
-def open_motion_or_haptic_device_from_flags(arguments, name: str, protocol, *, lifts: bool = True):
+def make_motion_or_haptic_device_from_flags(arguments, name: str, protocol, *, lifts: bool = True):
     """Open the motion or the haptic device that moves the tool.
 
     Args:

@@ -100,7 +100,7 @@ def _add_specimen_mesh_and_weight_flags(parser: InputErrorArgumentParser, needs:
     for key, (declaration, name, shapes) in specimen_sizes().items():
         size = DEFAULT_CYLINDER_SIZES.get(key)
         default = "" if size is None else f" (default of the cylinder: {size:g})"
-        specimen.add_argument(f"--{key.replace('_', '-')}", type=_make_flag_unit_size_parser(declaration), metavar="N",
+        specimen.add_argument(f"--{key.replace('_', '-')}", type=_make_size_flag_parser(declaration), metavar="N",
                               help=f"{name.replace('_', ' ')} of a specimen of shape {' or '.join(shapes)}{default}")
     specimen.add_argument("--mesh", type=Path, metavar="FILE",
                           help="mesh of a specimen of any shape: .msh, .vtu, .vtk or .inp file of tetrahedra or "
@@ -132,7 +132,7 @@ def _add_tool_and_interface_flags(parser: InputErrorArgumentParser, needs: str) 
                       help=f"{', '.join(list_shapes_without_file())}, or a file with the columns r and z of its "
                       "profile")
     for key, (declaration, name, shapes) in list_all_tool_sizes_by_key().items():
-        tool.add_argument(f"--{key.replace('_', '-')}", type=_make_flag_unit_size_parser(declaration), metavar="N",
+        tool.add_argument(f"--{key.replace('_', '-')}", type=_make_size_flag_parser(declaration), metavar="N",
                           help=f"{name.replace('_', ' ')} of a tool of shape {' or '.join(shapes)}")
     tool.add_argument("--friction", type=parse_contact_interface_or_friction, metavar="CONTACT",
                       help="contact at the face of the tool: bonded, stick (no slip, can lift off), frictionless or a "
@@ -295,7 +295,7 @@ def _parse_contact_law_name_and_keys(text: str) -> ContactLaw:
     return make_from_file_values(CONTACT_LAWS.find(name, "--contact-law"), content, f"--contact-law {name}")
 
 
-def _make_flag_unit_size_parser(declaration: Declaration):
+def _make_size_flag_parser(declaration: Declaration):
     """Return a function for argparse's ``type`` that checks a size of a specimen or a tool, in the unit of its flag."""
     low, high = (bound / declaration.factor for bound in declaration.bounds)
     if declaration.absent == 0:

@@ -29,7 +29,7 @@ class InputErrorArgumentParser(argparse.ArgumentParser):
         return (option for action in self._actions for option in action.option_strings)
 
 
-def describe_unavailable_feature(feature: str) -> str:
+def describe_not_yet_available_feature(feature: str) -> str:
     """Return the error message for a planned feature, named at the beginning of the sentence."""
     return f"{feature} is not available in this version. 'tissue-sim --help' lists the available commands"
 

@@ -166,7 +166,7 @@ class MaterialControls:
                 return
             notify_problem = make_browser_reply_function(event)
 
-            def count_answer_and_notify(problem: str | None) -> None:
+            def count_answer_and_show_refusal(problem: str | None) -> None:
                 """Count the executed or refused command; for a refused value show the problem and reset the slider."""
                 self._answered += 1
                 if problem is not None:
@@ -175,7 +175,7 @@ class MaterialControls:
 
             self._entered += 1
             entered = min(max(slider.value, slider.min), slider.max)
-            self._session.post("set_parameters", reply=count_answer_and_notify, values={name: entered / factor})
+            self._session.post("set_parameters", reply=count_answer_and_show_refusal, values={name: entered / factor})
 
         return post_slider_value
 

@@ -186,14 +186,14 @@ class MotionControls:
         """Post the command "aim", `Session.set_hand_target`, with its arguments; show each refusal once."""
         notify_problem = make_browser_reply_function(event)
 
-        def count_answer_and_notify(problem: str | None) -> None:
+        def count_answer_and_show_refusal(problem: str | None) -> None:
             self._answered += 1
             if problem is not None and problem != self._refusal:
                 notify_problem(problem)
             self._refusal = problem
 
         self._entered += 1
-        self._session.post("aim", reply=count_answer_and_notify, **position)
+        self._session.post("aim", reply=count_answer_and_show_refusal, **position)
 
     @staticmethod
     def _list_playable_motions(frame: SessionFrame) -> tuple[str, ...]:

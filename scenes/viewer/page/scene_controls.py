@@ -107,7 +107,7 @@ class SceneControls:
             return
         if tool.face_radius == 0 and self._interface.value == "bonded":
             assign_control_value(self._interface, "stick")
-        if tool.sharp_edge and self._interface.value in _SLIDING:
+        if tool.has_sharp_edge and self._interface.value in _SLIDING:
             for key, (declaration, name, _) in self._declared_sizes.items():
                 if name == "edge_radius":
                     assign_control_value(self._sizes[key], _SLIDING_DEFAULTS.edge_radius / declaration.factor)

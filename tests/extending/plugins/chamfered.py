@@ -33,7 +33,7 @@ class Chamfered(Tool):
         return self.radius - self.chamfer
 
     @property
-    def sharp_edge(self) -> bool:
+    def has_sharp_edge(self) -> bool:
         return True
 
     def contact_radius(self, depth: float, specimen_radius: float = math.inf) -> float:

@@ -257,7 +257,7 @@ def test_endless_homing_raises_and_stops(clock, monkeypatch):
 
 def test_a_halt_from_another_thread_stops_a_move_during_transmission(emulator, clock, monkeypatch):
     stage = homed(emulator, clock)
-    set_number = stage._send_and_require_acceptance
+    set_number = stage._send_and_verify_variable
 
     def halted_meanwhile(*arguments):
         set_number(*arguments)
@@ -265,7 +265,7 @@ def test_a_halt_from_another_thread_stops_a_move_during_transmission(emulator, c
         thread.start()
         thread.join()
 
-    monkeypatch.setattr(stage, "_send_and_require_acceptance", halted_meanwhile)
+    monkeypatch.setattr(stage, "_send_and_verify_variable", halted_meanwhile)
     stage.move(0.008, 0.004)
     clock.now += 1.0
     assert stage.position().position == pytest.approx(0.0, abs=2e-6)

@@ -76,7 +76,7 @@ def test_a_field_of_zeros_gets_levels_from_0_to_1():
 
 @pytest.mark.parametrize("ends", [(np.nan, 1.0), (0.0, np.inf), (2.0, 1.0)])
 def test_an_invalid_range_is_refused(ends):
-    with pytest.raises(ts.InputError, match="must have a finite range"):
+    with pytest.raises(ts.InputError, match="must have finite bounds"):
         choose_band_levels(*ends)
     with pytest.raises(ts.InputError, match="at least 2"):
         choose_band_levels(0.0, 1.0, 1)

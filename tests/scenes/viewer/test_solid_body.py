@@ -80,7 +80,7 @@ def check_remaining_body(mesh, body, wedge, left):
             values = linear(surface.vertices.astype(float))
             assert low - 1e-5 <= values.min() and values.max() <= high + 1e-5
             middles = wedge.transform_scene_to_tool(surface.vertices.astype(float)[surface.faces].mean(axis=1))
-            heights = [each for each, _ in wedge.compute_height_and_distance_per_face(middles)]
+            heights = [each for each, _ in wedge.compute_height_and_edge_distance_per_face(middles)]
             assert wedge.opening.removes_nothing or (np.min(heights, axis=0) < 1e-8).all()
 
 

@@ -142,12 +142,12 @@ def test_newest_branches_of_two_cycles():
 def test_an_unloading_must_exceed_the_hysteresis():
     for back, branches in ((0.8 * MOTION_SETTINGS.hysteresis, 1), (1.6 * MOTION_SETTINGS.hysteresis, 3)):
         trace = fed(played([(0, 0), (2, 5e-3), (2.1, 5e-3 - back), (4, 9e-3)], 4))
-        assert len(trace._list_branch_directions_and_limits()) == branches
+        assert len(trace._list_branch_directions_and_indices()) == branches
 
 
 def test_tremor_of_a_hand_is_no_reversal():
     trace = fed(played(CYCLE, 14, noise=0.45 * MOTION_SETTINGS.hysteresis))
-    assert [direction for direction, *_ in trace._list_branch_directions_and_limits()] == [1, -1]
+    assert [direction for direction, *_ in trace._list_branch_directions_and_indices()] == [1, -1]
 
 
 def test_a_short_reversal_replaces_only_its_part_of_the_curve():
@@ -264,5 +264,5 @@ def test_reversals_are_counted_despite_noise(ways, seed):
     depth = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(corners)])
     depth += 0.4 * MOTION_SETTINGS.hysteresis * np.random.default_rng(seed).uniform(-1, 1, depth.size)
     trace = fed(ticks(np.arange(depth.size) * 0.2, depth), 1000)
-    assert [direction for direction, *_ in trace._list_branch_directions_and_limits()] \
+    assert [direction for direction, *_ in trace._list_branch_directions_and_indices()] \
         == np.resize([1, -1], len(ways)).tolist()

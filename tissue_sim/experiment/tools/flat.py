@@ -37,7 +37,7 @@ class Flat(Tool):
         return self.radius - self.edge_radius
 
     @property
-    def sharp_edge(self) -> bool:
+    def has_sharp_edge(self) -> bool:
         """Whether the edge between face and shaft has no rounding."""
         return self.edge_radius == 0
 

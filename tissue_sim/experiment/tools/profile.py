@@ -63,10 +63,10 @@ class ProfileTool(Tool):
             raise InputError(f"the profile's radius is {widest:g} m; leave the radius out", field="tool.radius")
         object.__setattr__(self, "radius", widest)
         if not self.edge_radius:
-            self._set_largest_fitting_rounding()
+            self._set_default_rounding_halved_to_fit()
         self.require_valid_radius_and_roundings("edge_radius")
 
-    def _set_largest_fitting_rounding(self) -> None:
+    def _set_default_rounding_halved_to_fit(self) -> None:
         """Set `edge_radius` to the default rounding, halved until the rounding fits the outline."""
         for halvings in range(ROUNDING.most_halvings):
             object.__setattr__(self, "edge_radius", ROUNDING.fraction * self._largest_outline_radius / 2**halvings)

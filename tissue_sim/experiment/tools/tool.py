@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from tissue_sim.errors import InputError, require_positive_length
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.parameters import Declaration, list_field_declarations
-from tissue_sim.public_names import with_old_names
+from tissue_sim.public_names import rename_old_members_of_subclass, with_old_names
 from tissue_sim.registry import Registry
 
 
@@ -42,7 +42,7 @@ class _MakeToolByShapeNameMeta(type):
         return kind(**sizes)
 
 
-@with_old_names(require_sizes="require_valid_radius_and_roundings")
+@with_old_names(require_sizes="require_valid_radius_and_roundings", sharp_edge="has_sharp_edge")
 class Tool(metaclass=_MakeToolByShapeNameMeta):
     """A rigid body that is moved into the specimen.
 
@@ -70,6 +70,10 @@ class Tool(metaclass=_MakeToolByShapeNameMeta):
     edge_radius: float = 0.0
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        rename_old_members_of_subclass(cls, {"sharp_edge": "has_sharp_edge"})
+
     @property
     def shape(self) -> str:
         """Name of the shape."""
@@ -90,7 +94,7 @@ class Tool(metaclass=_MakeToolByShapeNameMeta):
         return 0.0
 
     @property
-    def sharp_edge(self) -> bool:
+    def has_sharp_edge(self) -> bool:
         """Whether a flat face ends in an edge without rounding. Tissue cannot slide around such an edge."""
         return False
 

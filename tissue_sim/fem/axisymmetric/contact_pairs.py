@@ -107,7 +107,7 @@ def _make_needle_pairs(experiment: Experiment, mesh: Mesh) -> list[ContactPair]:
         return [ContactPair(profile, free, friction, first_line=1)]
     # The nodes under a sharp face without friction slide in its plane; its edge has no tangent. Tissue next to a sharp
     # edge cannot come under the face.
-    tied, is_plane = friction[0] == STICK, tool.sharp_edge and friction[0] == 0.0
+    tied, is_plane = friction[0] == STICK, tool.has_sharp_edge and friction[0] == 0.0
     first = 0 if tool.edge_radius else 1
     return [ContactPair(Plate().profile if is_plane else profile, face, friction, tied=tied,
                         between_nodes=not (tied or is_plane)),

@@ -100,13 +100,14 @@ class EquilibriumEquations:
         self.counts = np.zeros(len(newton.StepIntegerIndex), dtype=np.int32)
         self.counts[[newton.StepIntegerIndex.PASSES, newton.StepIntegerIndex.FREE, newton.StepIntegerIndex.CONTACTS,
                      newton.StepIntegerIndex.BATCHES]] = 1, self.free, self.surface.count, self.batches.batches
-        self._tissue_table = TISSUE_ARRAYS.make_table(self._collect_tissue_arrays_by_name())
+        self._tissue_table = TISSUE_ARRAYS.make_offset_table(self._collect_tissue_arrays_by_name())
         #: Tables of the arrays, by the names of the arguments of the kernels.
         self.tables = {
-            "element_table": ELEMENT_ARRAYS.make_table(self.batches.collect_arrays_by_name()),
+            "element_table": ELEMENT_ARRAYS.make_offset_table(self.batches.collect_arrays_by_name()),
             "tissue_table": self._tissue_table,
-            "surface_table": SURFACE_ARRAYS.make_table({**vars(self.surface), "law_settings": self._law_settings}),
-            "state_table": STATE_ARRAYS.make_table(self._collect_state_arrays_by_name()),
+            "surface_table": SURFACE_ARRAYS.make_offset_table({**vars(self.surface),
+                                                               "law_settings": self._law_settings}),
+            "state_table": STATE_ARRAYS.make_offset_table(self._collect_state_arrays_by_name()),
             "band_table": self._band_table}
         self.set_material(material)
         if start is not None:
@@ -207,10 +208,10 @@ class EquilibriumEquations:
         """Whether the tissue has relaxation, softening or point effects, so that the kernel stores stresses."""
         return self.memory.works or bool(self.effects.formulas)
 
-    def prepare_step(self, dt: float) -> None:
-        """Set the duration dt (s) of the next step in the memory and the effects; see `MaterialMemory.prepare_step`."""
-        self.memory.prepare_step(dt)
-        self.effects.prepare_step(dt)
+    def set_step_duration(self, dt: float) -> None:
+        """Set the duration dt (s) of the next step in the memory and the effects."""
+        self.memory.set_step_duration(dt)
+        self.effects.set_step_duration(dt)
 
     def set_extrapolation_weights(self, weights: list[float]) -> None:
         """Set the weights of the stored states in the initial state of the next step.
@@ -326,7 +327,7 @@ class EquilibriumEquations:
             Array of shape (half_band + 1, free).
         """
         self.set_extrapolation_weights([1.0, 0.0, 0.0])
-        self.prepare_step(0.0)
+        self.set_step_duration(0.0)
         # With a negative tolerance and no iteration the matrix stays as assembled.
         self.solve_equilibrium(self.state.depths[0], -1.0, 0)
         return band.unpack_blocks_to_lapack_band(self.entries, self.free, self.half_band)

@@ -301,9 +301,9 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                         fill_unused_diagonal(band_table, free)
                         if ti.static(slips):
                             if counts[StepIntegerIndex.UNSYMMETRIC] == 1:
-                                definite = lu.factorise_band(band_table, begin, counts[StepIntegerIndex.SKEWED])
+                                definite = lu.try_factorising_band(band_table, begin, counts[StepIntegerIndex.SKEWED])
                         if counts[StepIntegerIndex.UNSYMMETRIC] == 0:
-                            definite = cholesky.factorise_band(band_table, begin, rows)
+                            definite = cholesky.try_factorising_band(band_table, begin, rows)
                         counts[StepIntegerIndex.FACTORISED] = definite
                         begin = rows if definite == 1 else 0
                     if definite == 1:

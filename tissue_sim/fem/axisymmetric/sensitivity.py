@@ -84,9 +84,9 @@ class MaterialSensitivity:
             "point_rates": self._point_rates, "force_rates": self.force,
             "motion": allocate_array((equations.equation.size + equations.residual.size,)),
             "forces": allocate_array((m, equations.residual.size)), "dx": allocate_array((m, equations.equation.size))}
-        arguments = {"which": self._which, "rate_table": RATE_ARRAYS.make_table(arrays),
+        arguments = {"which": self._which, "rate_table": RATE_ARRAYS.make_offset_table(arrays),
                      **equations.collect_shared_kernel_arrays_by_name()}
-        self._differentiate_forces_by_one_parameter, self._differentiate_state = (
+        self._factorise_and_differentiate_forces, self._differentiate_state = (
             BoundKernel.bind_by_name(kernel, arguments) for kernel in kernels)
 
     def _differentiate_material_inputs(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
@@ -191,7 +191,7 @@ class MaterialSensitivity:
 
     def _run_kernels(self) -> None:
         """Run both kernels: force derivatives at fixed displacements, then derivatives of the state."""
-        self._differentiate_forces_by_one_parameter()
+        self._factorise_and_differentiate_forces()
         self._differentiate_state()
 
     def _differentiate_with_factorisation(self) -> None:

@@ -133,9 +133,9 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
         good = 1
         if ti.static(slips):
             if counts[StepIntegerIndex.UNSYMMETRIC] == 1:
-                good = lu.factorise_band(band_table, 0, counts[StepIntegerIndex.SKEWED])
+                good = lu.try_factorising_band(band_table, 0, counts[StepIntegerIndex.SKEWED])
         if counts[StepIntegerIndex.UNSYMMETRIC] == 0:
-            good = cholesky.factorise_band(band_table, 0, band_table[BandTableIndex.ROWS])
+            good = cholesky.try_factorising_band(band_table, 0, band_table[BandTableIndex.ROWS])
         return good
 
     @ti.func

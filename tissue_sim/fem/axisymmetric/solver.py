@@ -166,7 +166,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
                                                                               predictor_order) if by_time
                                                 else compute_extrapolation_weights(state.depths, depth,
                                                                                    predictor_order))
-        equations.prepare_step(dt)
+        equations.set_step_duration(dt)
         equations.settings[newton.StepSettingIndex.INERTIA] = rate
         self._iterated *= resumes
         equations.solve_equilibrium(depth, tolerance, max_iterations,
@@ -192,9 +192,10 @@ class AxisymmetricSolver(KernelOwner, Solver):
             state.commit_step(depth, dt if inertial else 0.0, watched=asked)
         return result
 
-    def step_with_damping(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9,
-                          max_iterations: int = 20, allowed: Callable[[], int] | None = None) -> Generator[Step]:
-        """Step to a depth (m), or to the depth of a pose, with decreasing damping; see `Solver.step_with_damping`."""
+    def iterate_steps_with_damping(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9,
+                                   max_iterations: int = 20, allowed: Callable[[], int] | None = None
+                                   ) -> Generator[Step]:
+        """Step to a depth (m), or to the depth of a pose, with decreasing damping."""
         return iterate_damped_steps(self, get_depth_of_pose_or_number(pose), dt, tolerance, max_iterations, allowed)
 
     def enable_inertia(self, density: float) -> bool:
@@ -256,11 +257,11 @@ class AxisymmetricSolver(KernelOwner, Solver):
 
     @property
     def is_time_dependent(self) -> bool:
-        """Whether the tissue has relaxation, softening or point effects; see `FreeToolSolverBase.is_time_dependent`."""
+        """Whether the tissue has relaxation, softening or point effects; see `ToolInAirInterface.is_time_dependent`."""
         return self.equations.has_material_history
 
     def clearance(self, pose: Pose) -> float | None:
-        """Return the distance of the tool from the tissue, m; see `FreeToolSolverBase.clearance`.
+        """Return the distance of the tool from the tissue, m; see `ToolInAirInterface.clearance`.
 
         None for a tool that touches the tissue or is bonded to it, and with contact laws.
         """
@@ -275,13 +276,13 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return float(surface.signed_gaps(positions)[own].min())
 
     def move_in_air(self, pose: Pose) -> None:
-        """Set the depth of a tool in the air without solving a step; see `FreeToolSolverBase.move_in_air`."""
+        """Set the depth of a tool in the air without solving a step; see `ToolInAirInterface.move_in_air`."""
         self.committed.restart_depth_history_at(pose.depth)
 
     def move_to_next_touch(self, pose: Pose) -> bool:
         """Move a lifted tool to its next touch; return whether this touch is like a first touch.
 
-        See `FreeToolSolverBase.move_to_next_touch`.
+        See `ToolInAirInterface.move_to_next_touch`.
         """
         tolerance = AT_REST * float(self.equations.settings[newton.StepSettingIndex.CONTACT_TOLERANCE])
         begins = not self.is_time_dependent \
@@ -295,7 +296,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def bind_points_on_path(self, pose: Pose) -> None:
         """Bind the points with friction that touch in the first half of an increment.
 
-        See `FreeToolSolverBase.bind_points_on_path`.
+        See `ToolInAirInterface.bind_points_on_path`.
         """
         committed = self.committed
         if committed.motion is not None:
@@ -305,7 +306,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
                                               committed.depths[0] - self.datum, pose.depth - committed.depths[0])
 
     def stop_tissue_motion(self) -> None:
-        """Set the velocity of the tissue to zero; see `FreeToolSolverBase.stop_tissue_motion`."""
+        """Set the velocity of the tissue to zero; see `ToolInAirInterface.stop_tissue_motion`."""
         if self.committed.motion is not None:
             self.committed.motion.reset_velocity()
 

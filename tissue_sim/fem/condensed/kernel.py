@@ -99,7 +99,7 @@ def make_contact_iteration_kernel():
         settings[KernelSetting.PREDICTED] = 0.0
 
     @ti.func
-    def compute_displacements_of_all_nodes(n, many, settings: ti.template(), nodes: ti.template()):
+    def compute_displacements_of_leading_nodes(n, many, settings: ti.template(), nodes: ti.template()):
         """Compute the displacements u of all nodes under the contact forces and the motion of the tool.
 
         The sum uses rows of the symmetric compliance, so that the compiler vectorises the loops.
@@ -271,7 +271,7 @@ def make_contact_iteration_kernel():
             all_nodes = settings[KernelSetting.NEAR_COUNT] == 0.0
             if not all_nodes:
                 n = ti.cast(settings[KernelSetting.NEAR_COUNT], ti.i32)
-            compute_displacements_of_all_nodes(n, many, settings, nodes)
+            compute_displacements_of_leading_nodes(n, many, settings, nodes)
             for i in range(n):
                 evaluate_node_contact(i, nodes.lists[i, NodeListColumn.NODE], settings, results, nodes)
             count, near = 0, 1

@@ -34,7 +34,7 @@ from tissue_sim.fem.condensed.tables import (
 )
 from tissue_sim.fem.condensed.wrench_kernel import (
     ANSWER_SIZE,
-    WrenchKernelArrayIndex,
+    WrenchKernelEntryIndex,
     make_bond_commit_and_wrench_kernel,
 )
 from tissue_sim.fem.contact.settings import ContactBondState
@@ -128,7 +128,7 @@ class CondensedStepper:
             "rows": self._compliance.reshape(-1, LANES), "u": allocate_array((width,)), "local": local,
             "columns": self._columns, "matrix": self._matrix, "right": self._right}
         self._sum = np.zeros(ANSWER_SIZE)
-        table = CONTACT_ARRAYS.make_table(arrays)
+        table = CONTACT_ARRAYS.make_offset_table(arrays)
         arrays |= {"settings": self._settings, "results": self._results, "answer": self._sum, "table": table}
         with LOCK:
             self._kernel = BoundKernel.bind_by_name(make_contact_iteration_kernel(), arrays)
@@ -214,14 +214,14 @@ class CondensedStepper:
             self._settings[KernelSetting.COUNT] = n
             smallest_compliance = float(np.abs(np.diag(model.compliance)).min(initial=math.inf))
             self._stiffest = _SETTINGS.max_stiffness_factor / smallest_compliance
-            self._sum[WrenchKernelArrayIndex.HELD_STIFFNESS:WrenchKernelArrayIndex.HELD_STIFFNESS
+            self._sum[WrenchKernelEntryIndex.HELD_STIFFNESS:WrenchKernelEntryIndex.HELD_STIFFNESS
                       + 36] = model.stiffness.ravel()
             self._discard_equations()
             if not dropped[predicted].any():
                 # The force derivatives of the last model are a better predictor than constant forces.
                 self._predicted_count = len(predicted)
                 self._active[:self._predicted_count] = rows[predicted]
-        self._sum[WrenchKernelArrayIndex.HELD_WRENCH:WrenchKernelArrayIndex.HELD_WRENCH + 6] = model.wrench
+        self._sum[WrenchKernelEntryIndex.HELD_WRENCH:WrenchKernelEntryIndex.HELD_WRENCH + 6] = model.wrench
         self._free_displacement[:n], self._evaluation_pose = model.free_displacement, None
         self._settings[KernelSetting.MODULUS] = model.modulus
         self.model = model
@@ -255,7 +255,7 @@ class CondensedStepper:
                 increments.advance()
                 if increments.is_complete:
                     return step
-            elif not increments.halve_if_above_smallest():
+            elif not increments.halve_and_check_size():
                 return step
 
     def _solve_increment_to_result(self, pose: Pose, exact: bool) -> ContactStepResult:
@@ -265,7 +265,7 @@ class CondensedStepper:
         assert self.model is not None
         settings, results = self._settings, self._results
         displacement = compute_rigid_motion(self.model.pose, pose)
-        self._write_pose_settings(pose, displacement)
+        self._write_pose_and_displacement_settings(pose, displacement)
         carried, states = self._carried.copy(), self._states.copy()
         if self._predicted_count and self._pose is not None:
             settings[KernelSetting.PREDICTED] = self._predicted_count
@@ -304,11 +304,11 @@ class CondensedStepper:
             elif done and k and not usable and 3 * self._predicted_count != k:
                 settings[KernelSetting.REBUILDS] = 1.0
             elif done:
-                solution = self._solve_factored_equations_or_zero(k) if k and usable else None
+                solution = self._solve_factored_or_zero_if_singular(k) if k and usable else None
                 converged = True
                 break
             elif usable and (decided or (exact and settles)):
-                chosen, step = self._active[:k // 3], self._solve_factored_equations_or_zero(k)[:, 0]
+                chosen, step = self._active[:k // 3], self._solve_factored_or_zero_if_singular(k)[:, 0]
                 self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
                 decided = False
                 settings[KernelSetting.CHANGEABLE], settings[KernelSetting.REBUILDS] = 0.0 if settles else 1.0, 1.0
@@ -327,7 +327,7 @@ class CondensedStepper:
         return replace(self._last, converged=False, iterations=iterations,
                        distance=self.compute_max_contact_point_travel(displacement), residual=change)
 
-    def _solve_factored_equations_or_zero(self, k: int) -> np.ndarray:
+    def _solve_factored_or_zero_if_singular(self, k: int) -> np.ndarray:
         """Return the solution of the last linear equations, shape (k, `RIGHT_HAND_SIDES`).
 
         The solution is zero if the equations are close to singular, which happens when all nodes are about to slip.
@@ -349,7 +349,7 @@ class CondensedStepper:
         if self.compute_max_contact_point_travel(compute_rigid_motion(model.pose, pose)) <= model.reach:
             return False
         # Only nodes within the largest radius of the tool can be touched; distant nodes have small displacements.
-        self._write_pose_settings(pose, compute_rigid_motion(model.pose, pose))
+        self._write_pose_and_displacement_settings(pose, compute_rigid_motion(model.pose, pose))
         origin = self._settings[KernelSetting.ORIGIN:KernelSetting.ORIGIN + 3]
         rotation = self._settings[KernelSetting.ROTATION:KernelSetting.ROTATION + 9].reshape(3, 3)
         at = (self._others - origin) @ rotation
@@ -363,7 +363,7 @@ class CondensedStepper:
         """
         return math.hypot(*displacement[:3]) + self.surface.radius * math.hypot(*displacement[3:])
 
-    def _write_pose_settings(self, pose: Pose, displacement: Screw) -> None:
+    def _write_pose_and_displacement_settings(self, pose: Pose, displacement: Screw) -> None:
         """Write the pose of the tool, and its motion from the pose of the model, to the settings of the kernel."""
         settings, (w, x, y, z) = self._settings, pose.orientation
         settings[KernelSetting.ROTATION:KernelSetting.ROTATION + 9] = (
@@ -379,15 +379,15 @@ class CondensedStepper:
                                           slipping: int) -> ContactStepResult:
         """Commit the bonds of a converged increment, and return its wrench and stiffness."""
         count = self._predicted_count
-        self._sum[WrenchKernelArrayIndex.COUNT] = count
+        self._sum[WrenchKernelEntryIndex.COUNT] = count
         with LOCK:
             self._wrench_kernel()
         answer = self._sum.tolist()
-        x, y, z, u, v, w = answer[WrenchKernelArrayIndex.WRENCH:WrenchKernelArrayIndex.WRENCH + 6]
+        x, y, z, u, v, w = answer[WrenchKernelEntryIndex.WRENCH:WrenchKernelEntryIndex.WRENCH + 6]
         if count and not self._columns[:3 * count].any():
             stiffness = self._last.stiffness_matrix  # the linear equations were close to singular
         else:
             stiffness = cast("Matrix", tuple(tuple(-rate for rate in answer[row:row + 6])
-                                             for row in range(WrenchKernelArrayIndex.RATES, ANSWER_SIZE, 6)))
+                                             for row in range(WrenchKernelEntryIndex.RATES, ANSWER_SIZE, 6)))
         return ContactStepResult(True, iterations, (x, y, z, u, v, w), stiffness,
                                  self.compute_max_contact_point_travel(displacement), change, count, slipping)

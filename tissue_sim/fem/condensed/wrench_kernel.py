@@ -14,7 +14,7 @@ from tissue_sim.fem.contact.settings import ContactBondState
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 
-class WrenchKernelArrayIndex(IntEnum):
+class WrenchKernelEntryIndex(IntEnum):
     """Indices of `answer`: inputs and outputs of the kernel that sums the forces.
 
     Attributes:
@@ -33,7 +33,7 @@ class WrenchKernelArrayIndex(IntEnum):
 
 
 #: Size of `answer`.
-ANSWER_SIZE = WrenchKernelArrayIndex.RATES + 36
+ANSWER_SIZE = WrenchKernelEntryIndex.RATES + 36
 
 
 @cache
@@ -62,14 +62,14 @@ def make_bond_commit_and_wrench_kernel():
         ti.loop_config(serialize=True)
         for _ in range(1):
             commit_node_bonds(states, carried)
-            count = ti.cast(answer[WrenchKernelArrayIndex.COUNT], ti.i32)
+            count = ti.cast(answer[WrenchKernelEntryIndex.COUNT], ti.i32)
             for a in range(6):
-                value = answer[WrenchKernelArrayIndex.HELD_WRENCH + a]
+                value = answer[WrenchKernelEntryIndex.HELD_WRENCH + a]
                 for c in range(6):
-                    held = answer[WrenchKernelArrayIndex.HELD_STIFFNESS + 6 * a + c]
+                    held = answer[WrenchKernelEntryIndex.HELD_STIFFNESS + 6 * a + c]
                     value = value - held * settings[KernelSetting.MOTION + c]
-                    answer[WrenchKernelArrayIndex.RATES + 6 * a + c] = -held
-                answer[WrenchKernelArrayIndex.WRENCH + a] = value
+                    answer[WrenchKernelEntryIndex.RATES + 6 * a + c] = -held
+                answer[WrenchKernelEntryIndex.WRENCH + a] = value
             total = ti.Vector.zero(ti.f64, 3)
             for p in range(count):
                 i = lists[p, NodeListColumn.ACTIVE]
@@ -79,26 +79,26 @@ def make_bond_commit_and_wrench_kernel():
                 total = total + f
                 torque = arm.cross(f)
                 for a in ti.static(range(3)):
-                    answer[WrenchKernelArrayIndex.WRENCH + a] = answer[WrenchKernelArrayIndex.WRENCH + a] + f[a]
-                    answer[WrenchKernelArrayIndex.WRENCH + 3 + a] = answer[WrenchKernelArrayIndex.WRENCH + 3
+                    answer[WrenchKernelEntryIndex.WRENCH + a] = answer[WrenchKernelEntryIndex.WRENCH + a] + f[a]
+                    answer[WrenchKernelEntryIndex.WRENCH + 3 + a] = answer[WrenchKernelEntryIndex.WRENCH + 3
                                                                            + a] + torque[a]
                 for c in range(6):
                     way = ti.Vector([tool_coupling[3 * i + a, c] for a in ti.static(range(3))])
                     change = ti.Vector([columns[3 * p + a, c] for a in ti.static(range(3))])
                     # Part of the force loads the tissue that is bonded to the tool: - G^T f.
-                    answer[WrenchKernelArrayIndex.WRENCH + c] = answer[WrenchKernelArrayIndex.WRENCH + c] - f.dot(way)
+                    answer[WrenchKernelEntryIndex.WRENCH + c] = answer[WrenchKernelEntryIndex.WRENCH + c] - f.dot(way)
                     turned = arm.cross(change) + way.cross(f)
                     for a in ti.static(range(3)):
-                        answer[WrenchKernelArrayIndex.RATES + 6 * a + c] = (
-                            answer[WrenchKernelArrayIndex.RATES + 6 * a + c] + change[a])
-                        answer[WrenchKernelArrayIndex.RATES + 18 + 6 * a + c] = (
-                            answer[WrenchKernelArrayIndex.RATES + 18 + 6 * a + c] + turned[a])
+                        answer[WrenchKernelEntryIndex.RATES + 6 * a + c] = (
+                            answer[WrenchKernelEntryIndex.RATES + 6 * a + c] + change[a])
+                        answer[WrenchKernelEntryIndex.RATES + 18 + 6 * a + c] = (
+                            answer[WrenchKernelEntryIndex.RATES + 18 + 6 * a + c] + turned[a])
                     for b in range(6):
                         value = 0.0
                         for a in ti.static(range(3)):
                             value = value + tool_coupling[3 * i + a, b] * columns[3 * p + a, c]
-                        answer[WrenchKernelArrayIndex.RATES + 6 * b + c] = (
-                            answer[WrenchKernelArrayIndex.RATES + 6 * b + c] - value)
+                        answer[WrenchKernelEntryIndex.RATES + 6 * b + c] = (
+                            answer[WrenchKernelEntryIndex.RATES + 6 * b + c] - value)
             # The arms of the torque change with the displacements of the nodes and with the motion of the tool.
             for q in range(3 * count):
                 turned, at = ti.Vector.zero(ti.f64, 3), 3 * lists[q // 3, NodeListColumn.ACTIVE] + q % 3
@@ -109,13 +109,13 @@ def make_bond_commit_and_wrench_kernel():
                     turned = turned + ti.Vector([compliance[at, 3 * i + a] for a in ti.static(range(3))]).cross(f)
                 for c in range(6):
                     for a in ti.static(range(3)):
-                        at_rate = WrenchKernelArrayIndex.RATES + 18 + 6 * a + c
+                        at_rate = WrenchKernelEntryIndex.RATES + 18 + 6 * a + c
                         answer[at_rate] = answer[at_rate] - turned[a] * columns[q, c]
             for c in ti.static(range(3)):
                 unit = ti.Vector([1.0 if a == c else 0.0 for a in ti.static(range(3))])
                 turned = unit.cross(total)
                 for a in ti.static(range(3)):
-                    answer[WrenchKernelArrayIndex.RATES + 18 + 6 * a + c] = (
-                        answer[WrenchKernelArrayIndex.RATES + 18 + 6 * a + c] - turned[a])
+                    answer[WrenchKernelEntryIndex.RATES + 18 + 6 * a + c] = (
+                        answer[WrenchKernelEntryIndex.RATES + 18 + 6 * a + c] - turned[a])
 
     return commit_bonds_and_compute_wrench

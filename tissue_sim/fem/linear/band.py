@@ -49,16 +49,17 @@ class BandSolverFunctions(NamedTuple):
     """Taichi functions of a direct solver for band matrices, for use inside kernels.
 
     Attributes:
-        factorise_band: ``factorise_band(table, begin, skewed) -> int`` writes the factors of the matrix, and the
-            reciprocals of their diagonal. `table` has the entries of `BandTableIndex`. It returns 1, or 0 if the
-            factorisation fails. The factors of block rows before `begin` are kept. Entries with a row or column before
-            block row `skewed` are symmetric, and their upper half is not read. A symmetric solver reads no upper half.
+        try_factorising_band: ``try_factorising_band(table, begin, skewed) -> int`` writes the factors of the matrix,
+            and the reciprocals of their diagonal. `table` has the entries of `BandTableIndex`. It returns 1, or 0 if
+            the factorisation fails. The factors of block rows before `begin` are kept. Entries with a row or column
+            before block row `skewed` are symmetric, and their upper half is not read. A symmetric solver reads no upper
+            half.
         solve_band: ``solve_band(table)`` overwrites the right-hand side, ROWS vectors, with the solution.
 
     Source: the pair init and compute of lineax (Rader, Lyons and Kidger, 2023, arXiv:2311.17283).
     """
 
-    factorise_band: object
+    try_factorising_band: object
     solve_band: object
 
 

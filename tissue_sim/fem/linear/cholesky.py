@@ -15,7 +15,7 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 @cache
 def make_cholesky_functions() -> BandSolverFunctions:
-    """Return the Taichi functions of L L^T; `factorise_band` fails if the matrix is not positive definite."""
+    """Return the Taichi functions of L L^T; `try_factorising_band` fails if the matrix is not positive definite."""
     ti = get_initialised_taichi()
     vectors = get_address_origin().field
     locate_block = make_locate_block_function()
@@ -24,7 +24,7 @@ def make_cholesky_functions() -> BandSolverFunctions:
     unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
 
     @ti.func
-    def factorise_band(table: ti.template(), begin, _skewed):
+    def try_factorising_band(table: ti.template(), begin, _skewed):
         """Write the Cholesky factor of the matrix; return 1, or 0 if the matrix is not positive definite."""
         ok = 1
         rows, width, matrix = table[BandTableIndex.ROWS], table[BandTableIndex.WIDTH], table[BandTableIndex.MATRIX]
@@ -91,4 +91,4 @@ def make_cholesky_functions() -> BandSolverFunctions:
                 v += unit[c] * (value - v[c])
             vectors[x + I] = v
 
-    return BandSolverFunctions(factorise_band, solve_band)
+    return BandSolverFunctions(try_factorising_band, solve_band)

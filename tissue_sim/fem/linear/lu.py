@@ -20,7 +20,7 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 @cache
 def make_lu_functions() -> BandSolverFunctions:
-    """Return the Taichi functions of L U (unit diagonal of L); `factorise_band` fails if a pivot is too small."""
+    """Return the Taichi functions of L U (unit diagonal of L); `try_factorising_band` fails if a pivot is too small."""
     ti = get_initialised_taichi()
     vectors = get_address_origin().field
     locate_block = make_locate_block_function()
@@ -29,7 +29,7 @@ def make_lu_functions() -> BandSolverFunctions:
     unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
 
     @ti.func
-    def factorise_band(table: ti.template(), begin, skewed):
+    def try_factorising_band(table: ti.template(), begin, skewed):
         """Write the LU factors of the matrix; return 1, or 0 if a pivot is too small."""
         ok = 1
         rows, width, matrix = table[BandTableIndex.ROWS], table[BandTableIndex.WIDTH], table[BandTableIndex.MATRIX]
@@ -105,4 +105,4 @@ def make_lu_functions() -> BandSolverFunctions:
                 v += unit[c] * (value - v[c])
             vectors[x + I] = v
 
-    return BandSolverFunctions(factorise_band, solve_band)
+    return BandSolverFunctions(try_factorising_band, solve_band)

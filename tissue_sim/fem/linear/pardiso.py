@@ -108,7 +108,7 @@ class PardisoPatternFactor:
                 1, 2, 13 if exchanges else 8, exchanges, exchanges, 1, int(single))
         self._analysed = False
 
-    def factorise_and_get_schur_or_none(self, matrix: Any) -> np.ndarray | None:
+    def factorise_and_get_schur_if_interface(self, matrix: Any) -> np.ndarray | None:
         """Factorise a matrix with the pattern of this object, and keep the factor for `solve`.
 
         Returns:

@@ -50,7 +50,7 @@ class SinglePrecisionFactor:
                             symmetric: bool) -> SinglePrecisionFactor | None:
         """Return the factor; None if single precision is too inaccurate, or a symmetric matrix may be indefinite."""
         try:
-            pattern.factorise_and_get_schur_or_none(matrix)
+            pattern.factorise_and_get_schur_if_interface(matrix)
         except PardisoError:
             return None
         if pattern.has_perturbed_pivots:
@@ -69,7 +69,7 @@ class SinglePrecisionFactor:
                 return answer.reshape(right.shape)
             kind = MatrixType.SYMMETRIC if self._symmetric else MatrixType.UNSYMMETRIC
             self._exact = PardisoPatternFactor(self._matrix, kind)
-            self._exact.factorise_and_get_schur_or_none(self._matrix)
+            self._exact.factorise_and_get_schur_if_interface(self._matrix)
         return self._exact.solve(right)
 
     def _solve_iteratively_or_none(self, right: np.ndarray, tolerance: float, max_iterations: int) -> np.ndarray | None:

@@ -207,7 +207,7 @@ class _PardisoFactor:
     def make_factor_or_none(cls, pattern: PardisoPatternFactor, matrix: Any, symmetric: bool) -> _PardisoFactor | None:
         """Return the factor of a matrix; None if the matrix is singular."""
         try:
-            pattern.factorise_and_get_schur_or_none(matrix)
+            pattern.factorise_and_get_schur_if_interface(matrix)
         except PardisoError:
             return None
         if pattern.has_perturbed_pivots and not symmetric:
@@ -232,7 +232,7 @@ class _CondensedPardisoFactor:
         from scipy.linalg import lapack
 
         try:
-            schur = pattern.factorise_and_get_schur_or_none(matrix)
+            schur = pattern.factorise_and_get_schur_if_interface(matrix)
         except PardisoError:
             return None
         assert schur is not None

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissue_sim.fem.reduced.compliance import MissingComplianceErrorEstimator, compute_contact_node_compliance_table
+from tissue_sim.fem.reduced.compliance import MissingComplianceErrorEstimator, reset_and_compute_compliance_table
 from tissue_sim.fem.reduced.compliance_table import calibrate_accepted_missing_forces
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.path_steps import simulate_reduced_path
@@ -38,7 +38,7 @@ def with_calibrated_compliance_table(reduced: ReducedModel, solver: SolidSolver,
     if reduced.lifting:
         return reduced
     nodes = np.sort(solver.contact.nodes[solver.contact.moves])
-    table = compute_contact_node_compliance_table(reduced, solver, nodes)
+    table = reset_and_compute_compliance_table(reduced, solver, nodes)
     small = ReducedSolver(replace(reduced, compliance=table), reduced.model.material)
     missing_force = MissingComplianceErrorEstimator(table, small.contact)
     forces, missing, errors = [], [], []

@@ -82,8 +82,8 @@ def make_missing_compliance_estimator_or_none(reduced: ReducedModel,
                                            contact)
 
 
-def compute_contact_node_compliance_table(reduced: ReducedModel, solver: SolidSolver,
-                                          nodes: np.ndarray) -> ContactNodeComplianceTable:
+def reset_and_compute_compliance_table(reduced: ReducedModel, solver: SolidSolver,
+                                       nodes: np.ndarray) -> ContactNodeComplianceTable:
     """Compute the compliance table of the contact nodes, in which all of the missing force counts as error.
 
     Args:
@@ -123,4 +123,4 @@ def compute_compliance_table_of_old_model(reduced: ReducedModel) -> ContactNodeC
     from tissue_sim.fem.solid.discretisation import make_solver
 
     solver = make_solver(reduced.model, mesh=reduced.mesh)
-    return compute_contact_node_compliance_table(reduced, solver, np.sort(solver.contact.nodes[solver.contact.moves]))
+    return reset_and_compute_compliance_table(reduced, solver, np.sort(solver.contact.nodes[solver.contact.moves]))

@@ -99,7 +99,7 @@ class PenaltyContact:
             "twists": self._twists}
         with LOCK:
             self._press = BoundKernel(make_penalty_contact_kernel(), {
-                "settings": self._settings, "report": self._report, "table": LAYER_ARRAYS.make_table(arrays)})
+                "settings": self._settings, "report": self._report, "table": LAYER_ARRAYS.make_offset_table(arrays)})
 
     def set_penalty_and_get_smallest_modulus(self, moduli: np.ndarray) -> float:
         """Set the penalty stiffness of the contact nodes from the shear moduli at all nodes, Pa, shape (nodes,).

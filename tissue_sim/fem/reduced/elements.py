@@ -140,11 +140,11 @@ class SampledElements:
         """Arrays of the material history of the last committed step; writing earlier values restores that step."""
         return tuple(array for region in self._regions for array in region.memory.state_arrays)
 
-    def prepare_step(self, dt: float) -> None:
-        """Prepare the material history for a step of `dt` seconds; see `MaterialMemory.prepare_step`."""
+    def set_step_duration(self, dt: float) -> None:
+        """Prepare the material history for a step of `dt` seconds; see `MaterialMemory.set_step_duration`."""
         self._now = self._time + dt
         for region in self._regions:
-            region.memory.prepare_step(dt)
+            region.memory.set_step_duration(dt)
 
     def commit_step(self) -> None:
         """Make time and material history of a converged step the committed ones."""
@@ -247,7 +247,7 @@ class SampledElements:
         if not self._at_rest.any():
             return
         self.pressures[:], self._weight_forces[:] = self.rest_pressures, 0.0
-        self.prepare_step(np.inf)
+        self.set_step_duration(np.inf)
         self._now = self._time
         self.evaluate_forces_and_stiffness(np.zeros(self.modes), False, 0)
         self._weight_forces[:] = self._forces

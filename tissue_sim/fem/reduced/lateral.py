@@ -37,7 +37,7 @@ def calibrate_lateral_error_to_force_ratio(reduced: ReducedModel, solver: SolidS
         solver: full-order solver.
         paths: poses of the tool on paths with a reversal of the lateral motion.
         materials: materials that are used in turn.
-        memory: material history at rest, see `copy_history_at_rest_under_self_weight`.
+        memory: material history at rest, see `get_rest_history_under_self_weight`.
 
     Returns:
         The factor; 0 for a bonded tool, without friction, and without a lateral force.

@@ -42,7 +42,7 @@ class ReducedSolverBase(KernelOwner, Solver):
     amplitudes: np.ndarray
     _placement: FirstTouchHeightAndSolverMaker
 
-    def _set_first_touch_placement(self, bodies: list[RigidBody]) -> None:
+    def _set_up_touch_height_finder(self, bodies: list[RigidBody]) -> None:
         """Set `_placement`, which computes the height of first contact of the tool, a list of rigid bodies."""
         reduced = self.reduced
         mesh, places, specimen = reduced.mesh, reduced.rest_positions, reduced.model.experiment.specimen
@@ -52,19 +52,19 @@ class ReducedSolverBase(KernelOwner, Solver):
             remake=None)
 
     def mesh_digest(self) -> str:
-        """See `FreeToolSolverBase.mesh_digest`. The digest includes mesh, modes and sampled elements."""
+        """See `ToolInAirInterface.mesh_digest`. The digest includes mesh, modes and sampled elements."""
         reduced = self.reduced
         return digest_arrays(reduced.mesh.nodes, reduced.mesh.connectivity, reduced.basis, reduced.elements)
 
     def height_above_tissue(self, pose: Pose) -> float:
         """Return the distance that the tool must go down until it touches the undeformed tissue, m.
 
-        See `FreeToolSolverBase.height_above_tissue`.
+        See `ToolInAirInterface.height_above_tissue`.
         """
         return self._placement.height_above_tissue(pose)
 
     def place_tool_at_first_touch(self, pose: Pose) -> bool:
-        """See `FreeToolSolverBase.place_tool_at_first_touch`.
+        """See `ToolInAirInterface.place_tool_at_first_touch`.
 
         The modes of a bonded tool belong to one pose of first contact; other poses are refused. A tool that can lift
         off may touch anywhere in the box of poses.
@@ -107,6 +107,6 @@ class ReducedSolverBase(KernelOwner, Solver):
         return True
 
     def move_in_air(self, pose: Pose) -> None:
-        """See `FreeToolSolverBase.move_in_air`."""
+        """See `ToolInAirInterface.move_in_air`."""
         self._pose = pose
         self._prediction.reset_predictions()

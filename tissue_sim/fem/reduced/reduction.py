@@ -91,7 +91,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     require_reducible(model)
     mesh = training.build_training_mesh(model, box, resolution)
     solver = training.make_full_order_solver(model, mesh)
-    memory = training.copy_history_at_rest_under_self_weight(solver)
+    memory = training.get_rest_history_under_self_weight(solver)
     if also and experiment.specimen.specific_weight:
         raise InputError("must be empty for a solid with self-weight, which has one material only. Leave the further "
                          "materials or gravity out", field="also")

@@ -73,7 +73,7 @@ class LinearResponse:
         return known
 
     def _estimate_missing_mode_error(self, factors: ErrorFactors, force: np.ndarray) -> float:
-        """Return the error of the force on the tool by missing modes, N, see `estimate_force_error`."""
+        """Return the error of the force on the tool by missing modes, N, see `estimate_total_force_error_or_none`."""
         free, held = self._free, self._free.start
         tangent = self._tangent
         # The residual of the unknown modes is an iteration error; only the residual of the error modes counts.

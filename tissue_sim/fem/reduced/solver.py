@@ -23,7 +23,7 @@ from tissue_sim.fem.solid.discretisation import make_tool_bodies_and_datum
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.state import SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
-from tissue_sim.fem.solid.tissue import node_shear_moduli
+from tissue_sim.fem.solid.tissue import compute_node_shear_moduli
 from tissue_sim.fem.solver import Fields, StaticStiffnessRequest, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -57,7 +57,7 @@ class ReducedSolver(ReducedSolverBase):
         self._start = self._pose = self._landed = experiment.tool_pose(0.0)
         bonded = mesh.sets["face"] if reduced.lifting else np.zeros(0, dtype=np.intp)
         bodies, self.datum = make_tool_bodies_and_datum(experiment, mesh, bonded, reduced.rest_positions)
-        self._set_first_touch_placement(bodies)
+        self._set_up_touch_height_finder(bodies)
         self.elements = SampledElements(
             mesh, reduced.basis, reduced.elements, reduced.shares, groups=SETTINGS.stiffness_groups, rest=reduced.rest,
             layers=reduced.element_layers, contact_radius=self._reach)
@@ -86,7 +86,7 @@ class ReducedSolver(ReducedSolverBase):
         self.material = material
         for pressures in (self._committed[1], self.elements.pressures):
             pressures *= stiffer
-        moduli = node_shear_moduli(material, self.mesh, self.reduced.element_layers)
+        moduli = compute_node_shear_moduli(material, self.mesh, self.reduced.element_layers)
         least = self.contact.set_penalty_and_get_smallest_modulus(moduli)
         self._prediction.clear_corrections()
         self._floor, self._largest_force = 1e-3 * least * self._reach**2, 0.0
@@ -117,7 +117,7 @@ class ReducedSolver(ReducedSolverBase):
             self.amplitudes[:], elements.pressures[:] = 0.0, elements.rest_pressures
             if not elements.has_history:
                 return self._set_to_rest_and_make_air_step(pose)
-        elements.prepare_step(dt)
+        elements.set_step_duration(dt)
         held, free = self._lifting, self._free
         # The initial guess is the linear response with unchanged contact, or the end of the last step.
         predicts = predictor_order and inside and not resumes

@@ -75,7 +75,7 @@ def find_symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:
         axis = np.array(start.rotation_matrix)[:, 2]
         if np.abs(matrix @ axis - axis).max() > _TOLERANCE:
             continue
-        nodes = _find_node_images(solver.mesh, matrix, np.array([*start.position[:2], 0.0]))
+        nodes = _find_node_images_or_none(solver.mesh, matrix, np.array([*start.position[:2], 0.0]))
         if nodes is None or not _maps_mesh_onto_itself(solver.mesh, nodes):
             continue
         # A support along an axis must have an image that is a support along the image of the axis.
@@ -118,7 +118,7 @@ def _make_square_symmetries() -> list[np.ndarray]:
     return matrices
 
 
-def _find_node_images(mesh: SolidMesh, matrix: np.ndarray, centre: np.ndarray) -> np.ndarray | None:
+def _find_node_images_or_none(mesh: SolidMesh, matrix: np.ndarray, centre: np.ndarray) -> np.ndarray | None:
     """Return the number of the image of each node, shape (nodes,); None if an image is not a node."""
     from scipy.spatial import cKDTree
 

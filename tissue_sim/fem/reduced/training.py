@@ -44,7 +44,7 @@ def make_full_order_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
     return make_solver(model, mesh=mesh)
 
 
-def copy_history_at_rest_under_self_weight(solver: SolidSolver) -> tuple[np.ndarray, ...]:
+def get_rest_history_under_self_weight(solver: SolidSolver) -> tuple[np.ndarray, ...]:
     """Return copies of the material history at rest under self-weight; empty without self-weight."""
     return tuple(array.copy() for array in solver.tissue.state_arrays) if solver.tissue.specific_weight else ()
 
@@ -56,7 +56,7 @@ def simulate_snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Se
     Args:
         solver: full-order solver.
         poses: poses of the tool.
-        memory: material history at rest, see `copy_history_at_rest_under_self_weight`.
+        memory: material history at rest, see `get_rest_history_under_self_weight`.
         tolerance: relative residual of a step.
 
     Raises:
@@ -227,14 +227,15 @@ def choose_sampled_elements(solver: SolidSolver, basis: np.ndarray, lifting: int
         len(mesh.connectivity), -1, basis.shape[1])
     lifted, rest = basis[:, :lifting], basis[:, lifting : basis.shape[1] - watched]
     # The forces at rest balance the self-weight and are not sampled.
-    borne = (elastic.element_forces_at_displacement(solver, 0.0 * solver.x, bulk_ratio)
+    borne = (elastic.compute_element_forces_at_displacement(solver, 0.0 * solver.x, bulk_ratio)
              if solver.tissue.specific_weight else 0.0)
     contributions, before = [], solver.material
     for state, pose, force, material in looked_at:
         if material is not solver.material:
             solver.set_material(material)
         moved = lifted @ elastic.compute_tool_displacement_and_matrix_change(solver, pose)[:lifting]
-        on_nodes = elastic.element_forces_at_displacement(solver, moved + rest @ (rest.T @ (state - moved)), bulk_ratio)
+        on_nodes = elastic.compute_element_forces_at_displacement(solver, moved + rest @ (rest.T @ (state - moved)),
+                                                                  bulk_ratio)
         contributions.append(np.einsum("eir,ei->re", rows, on_nodes - borne) / force)
     solver.set_material(before)
     weights = compute_sparse_weights(np.concatenate(contributions), tolerance, progress=progress)

@@ -33,7 +33,7 @@ def verify_and_get_report_and_factors(reduced: ReducedModel, solver: SolidSolver
         strokes: poses of each test path.
         progress: called with the number of finished paths and the number of all paths.
         materials: materials that are used in turn; none: the present material.
-        memory: material history at rest, see `copy_history_at_rest_under_self_weight`.
+        memory: material history at rest, see `get_rest_history_under_self_weight`.
 
     Returns:
         The report and the first two error factors of `ReducedModel`. The report contains ``force_rms_error`` and

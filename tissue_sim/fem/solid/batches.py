@@ -155,7 +155,7 @@ class ElementBatches:
         direct = compute_block_entry_indices(places, connectivity[:, c], i, k)
         # A diagonal block has no mirror image.
         across = np.where((c == a)[:, None], unused, compute_block_entry_indices(mirrored, connectivity[:, a], k, i))
-        self._places, self._mirrored = (self._arrange_pairs_in_lanes(each.reshape(len(connectivity), -1), unused)
+        self._places, self._mirrored = (self._arrange_indices_in_lanes(each.reshape(len(connectivity), -1), unused)
                                         for each in (direct, across))
         self._stiffness = allocate_array((9 * c.size, LANES))
         self._data = np.zeros(unused + 1)
@@ -165,7 +165,7 @@ class ElementBatches:
         self.matrix = sparse.csc_array((self._data[:-1], indices.astype(np.int32), np.concatenate(
             [[0], np.cumsum(lengths)])), shape=(3 * nodes, 3 * nodes))
 
-    def _arrange_pairs_in_lanes(self, places: np.ndarray, unused: int) -> np.ndarray:
+    def _arrange_indices_in_lanes(self, places: np.ndarray, unused: int) -> np.ndarray:
         """Rearrange data indices, shape (elements, entries), to lanes; unused lanes get the index `unused`."""
         lanes = np.where(self._real[..., None], places[self._elements], unused)
         return copy_to_addressable_array(np.moveaxis(lanes, 1, -1).reshape(-1, LANES).astype(np.int32))

@@ -300,7 +300,7 @@ class ContactNodes:
         """Copy `rates` without those of the laws to `known_rates`, because the factorised matrix contains them."""
         self.known_rates[:] = self.rates - self.law_rates
 
-    def update_linearised_forces(self, motion: np.ndarray) -> None:
+    def update_forces_linearly(self, motion: np.ndarray) -> None:
         """Add the linearised change after a linear solution to `forces`.
 
         Args:

@@ -331,7 +331,7 @@ def _make_resting_bodies(experiment: Experiment, mesh: SolidMesh) -> list[RigidB
     bottom = float(mesh.nodes[:, 2].min())
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
     mu = _get_friction_coefficient_or_stick_code(experiment.resolved_base_interface)
-    side = _select_side_nodes(mesh)
+    side = _select_side_nodes_off_base_and_top(mesh)
     bodies = [RigidBody(plane, side[mesh.nodes[side, 2] < 0.5 * bottom], (mu, mu), moves=False)]
     if experiment.resolved_base_interface not in _FIXED:
         bodies.insert(0, RigidBody(plane, mesh.sets["base"], (mu, mu), moves=False, tied=mu == STICK, stays=True))
@@ -343,13 +343,13 @@ def _make_moving_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndar
     tool, mu = experiment.tool, _get_friction_coefficient_or_stick_code(experiment.friction)
     free = np.setdiff1d(mesh.sets["top"], bonded)
     if tool.is_plate:
-        side = _select_side_nodes(mesh)
+        side = _select_side_nodes_off_base_and_top(mesh)
         high = side[mesh.nodes[side, 2] >= 0.5 * float(mesh.nodes[:, 2].min())]
         return [RigidBody(tool.profile, np.concatenate([free, high]), (mu, mu))]
     wall = _get_friction_coefficient_or_stick_code(experiment.friction_wall)
     if tool.face_radius == 0:
         return [RigidBody(tool.profile, free, (mu, wall))]
-    if tool.sharp_edge and mu == 0.0:
+    if tool.has_sharp_edge and mu == 0.0:
         raise InputError("must be positive for a solid without friction. Give the tool an edge radius, or use the "
                          'solver "axisymmetric"', field="tool.edge_radius")
     upright = not any(start.orientation[1:3])
@@ -395,6 +395,6 @@ def _compute_law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
     return areas
 
 
-def _select_side_nodes(mesh: SolidMesh) -> np.ndarray:
+def _select_side_nodes_off_base_and_top(mesh: SolidMesh) -> np.ndarray:
     """Return the indices of the nodes of the side that belong neither to the base nor to the top."""
     return np.setdiff1d(mesh.sets["side"], np.concatenate([mesh.sets["base"], mesh.sets["top"]]))

@@ -54,7 +54,8 @@ def reset_and_solve_linear_response(solver: SolidSolver, motions: np.ndarray) ->
     return answer
 
 
-def element_forces_at_displacement(solver: SolidSolver, displacement: np.ndarray, bulk_ratio: float) -> np.ndarray:
+def compute_element_forces_at_displacement(solver: SolidSolver, displacement: np.ndarray,
+                                           bulk_ratio: float) -> np.ndarray:
     """Return the nodal forces of each element, N, at a displacement from the resting state, m, shape (freedoms,).
 
     The state of the solver is kept. See `Tissue.compute_element_forces_limiting_bulk`.

@@ -14,7 +14,7 @@ from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.solid import energy as point
 from tissue_sim.fem.taichi.array_tables import LANE_INTEGERS, LANE_REALS, ArrayLayout
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.shared_fields import LANES, ScratchElementSizeLimit, get_shared_scratch_field
+from tissue_sim.fem.taichi.shared_fields import LANES, CountsInLargestElement, get_shared_scratch_field
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
@@ -40,7 +40,7 @@ class AssemblySettingColumn(IntEnum):
 
 
 #: Size of the largest element.
-_LARGEST = ScratchElementSizeLimit(nodes=27, points=27, modes=4)
+_LARGEST = CountsInLargestElement(nodes=27, points=27, modes=4)
 #: Sections of the scratch field for one batch, with their sizes: displacements and forces of the nodes, pressure
 #: amplitudes, residuals of the pressure equations, derivatives of the volume, tangents at the points; for one node the
 #: derivatives of the stress at one point, and the stiffness with all other nodes.
@@ -73,7 +73,7 @@ def make_element_kernel_functions(element_name: str, energy: KernelEnergy) -> El
     s = get_shared_scratch_field(LANES, SCRATCH)
     compute_stress_and_tangent = point.make_stress_function(energy)
     inverse_cube_root, compute_cofactor = make_inverse_cube_root_function(), point.make_cofactor_function()
-    apply_softening, apply_relaxation = make_softening_function(9), point.make_relax_function()
+    apply_softening, apply_relaxation = make_softening_function(9), point.make_relaxation_function()
     vec = ti.types.vector(LANES, ti.f64)
     U, FORCE, PRESSURE, GAP = (_AT[name] for name in ("U", "FORCE", "PRESSURE", "GAP"))
     V, A, RATE, PAIRS = (_AT[name] for name in ("V", "A", "RATE", "PAIRS"))

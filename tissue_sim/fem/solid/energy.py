@@ -98,8 +98,8 @@ def make_cofactor_function():
 
 
 @cache
-def make_relax_function():
-    """Return the Taichi function ``compute_relaxed_stress_and_tangent(F, cof, J, instant, h, P, A) -> (S, P, A)``."""
+def make_relaxation_function():
+    """Return the Taichi function ``apply_relaxation(F, cof, J, instant, h, P, A) -> (S, P, A)``."""
     ti = get_initialised_taichi()
 
     @ti.func

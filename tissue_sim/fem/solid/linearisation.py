@@ -55,7 +55,7 @@ class _NewtonIncrementContributions:
     pushed: np.ndarray
     carried: np.ndarray
 
-    def reduces_next_step(self, settles: np.ndarray, share: float, rounding: float) -> bool:
+    def is_next_step_shorter(self, settles: np.ndarray, share: float, rounding: float) -> bool:
         """Whether the next Newton step after a damped step is shorter (restricted monotonicity test).
 
         Source: Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 3.3.
@@ -161,12 +161,12 @@ class SolidLineariser:
         if state.model != self._number:
             return None
         due = self._coming is None or self._coming.is_done
-        if due and self._adopt_finished_tangent(state, state.pose, ahead):
+        if due and self._try_adopting_finished_tangent(state, state.pose, ahead):
             self._store_contact_free_increment()
         before, here = tuple(array.copy() for array in solver._arrays_of_iterate), solver.pose
         step = self._add_and_get_newton_increment(state)
         after = tuple(array.copy() for array in solver._arrays_of_iterate)
-        solver.tissue.prepare_step(max(0.0, state.time - self._time))
+        solver.tissue.set_step_duration(max(0.0, state.time - self._time))
         settles, old = self._settles, self._stale
         for share in _SETTINGS.old_fractions if old else _SETTINGS.fractions:
             for array, one, other in zip(solver._arrays_of_iterate, before, after, strict=True):
@@ -177,11 +177,11 @@ class SolidLineariser:
             if old:
                 self._store_contact_free_increment()
                 measured = self._select_rows_for_norm(self._settles)
-                if not step.reduces_next_step(measured, share, _SETTINGS.rounding * self._displacement_norm):
+                if not step.is_next_step_shorter(measured, share, _SETTINGS.rounding * self._displacement_norm):
                     continue
             begun = self._start_condensation_or_none(state, pose, ahead, self.executor) if due else None
             if begun is not None and begun.is_done:
-                if not self._adopt_finished_tangent(state, pose, ahead):
+                if not self._try_adopting_finished_tangent(state, pose, ahead):
                     continue  # without parallel factorisation an iterate with a singular tangent is not accepted
                 self._stale = False
             if not (old and self._stale):
@@ -203,7 +203,7 @@ class SolidLineariser:
         solver.restore(self._untouched)
         for array, rest in zip(solver._committed, solver._rest, strict=True):
             array[:] = rest
-        solver.tissue.prepare_step(0.0)
+        solver.tissue.set_step_duration(0.0)
         solver._restore_committed_state()
 
     def _linearise_from_committed_or_none(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedBulk | None:
@@ -215,7 +215,7 @@ class SolidLineariser:
             if not self._assemble_and_check_volume_ratios(True):
                 continue
             self._start_condensation_or_none(state, pose, ahead, run_now_and_get_completion_check)
-            if self._adopt_finished_tangent(state, pose, ahead):
+            if self._try_adopting_finished_tangent(state, pose, ahead):
                 self._stale = False
                 self._store_contact_free_increment()
                 self._store_relative_residual(state)
@@ -310,7 +310,7 @@ class SolidLineariser:
         self._coming = spare
         return spare
 
-    def _adopt_finished_tangent(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> bool:
+    def _try_adopting_finished_tangent(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> bool:
         """Use the tangent whose condensation has ended; return False if there is none or it is singular."""
         coming, self._coming = self._coming, None
         if coming is None or coming.factor is None:

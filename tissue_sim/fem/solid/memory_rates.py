@@ -63,7 +63,7 @@ class HistoryDerivatives:
         return self._before, self._internal, self._largest
 
     def compute_inherited_derivatives(self) -> None:
-        """Set `inherited` for a step, after `MaterialMemory.prepare_step`."""
+        """Set `inherited` for a step, after `MaterialMemory.set_step_duration`."""
         memory = self.memory
         if not len(memory.internal):
             return
@@ -111,7 +111,7 @@ class HistoryDerivatives:
         return [(memory.past, self._past_rates[k]), (memory.inherited, self.inherited[k]),
                 (memory.largest, self._largest[k])]
 
-    def commit_derivatives_by_parameter(self, k: int, stress: np.ndarray, energy: np.ndarray) -> None:
+    def commit_derivatives_for_parameter(self, k: int, stress: np.ndarray, energy: np.ndarray) -> None:
         """Update the derivatives of the history with respect to parameter k when a step is committed.
 
         Args:

@@ -69,7 +69,7 @@ class SolidSolverBase(KernelOwner, Solver):
     def height_above_tissue(self, pose: Pose) -> float:
         """Return the distance that the tool must go down until it touches the undeformed tissue, m.
 
-        See `FreeToolSolverBase.height_above_tissue`.
+        See `ToolInAirInterface.height_above_tissue`.
         """
         return pose.position[2] if self.placement is None else self.placement.height_above_tissue(pose)
 
@@ -115,11 +115,11 @@ class SolidSolverBase(KernelOwner, Solver):
 
     @property
     def is_time_dependent(self) -> bool:
-        """See `FreeToolSolverBase.is_time_dependent`."""
+        """See `ToolInAirInterface.is_time_dependent`."""
         return self.tissue.has_history
 
     def stop_tissue_motion(self) -> None:
-        """See `FreeToolSolverBase.stop_tissue_motion`."""
+        """See `ToolInAirInterface.stop_tissue_motion`."""
         if self._mass is not None:
             self._mass.motion.reset_velocity()
 
@@ -131,9 +131,9 @@ class SolidSolverBase(KernelOwner, Solver):
     def move_to_next_touch(self, pose: Pose) -> bool:
         """Move a lifted tool to its next touch; return whether the touch begins as a first touch.
 
-        See `FreeToolSolverBase.move_to_next_touch`.
+        See `ToolInAirInterface.move_to_next_touch`.
         """
-        begins = (self.placement is not None and not self.is_time_dependent and self._has_untouched_displacements
+        begins = (self.placement is not None and not self.is_time_dependent and self._has_tissue_returned_to_rest
                   and self.place_tool_at_first_touch(shift_pose_along_z(pose, -self.height_above_tissue(pose))))
         if begins:
             self.reset_to_first_touch()
@@ -142,12 +142,12 @@ class SolidSolverBase(KernelOwner, Solver):
         return begins
 
     @property
-    def _has_untouched_displacements(self) -> bool:
+    def _has_tissue_returned_to_rest(self) -> bool:
         """Whether the tissue has returned to its state before the first touch."""
         return float(np.abs(self._committed[0] - self._rest[0]).max()) <= AT_REST * self._tolerance
 
     def move_in_air(self, pose: Pose) -> None:
-        """See `FreeToolSolverBase.move_in_air`."""
+        """See `ToolInAirInterface.move_in_air`."""
         self._pose = pose
 
 
@@ -182,7 +182,7 @@ class FirstTouchHeightAndSolverMaker:
     def height_above_tissue(self, pose: Pose) -> float:
         """Return the distance that the tool must go down until it touches the undeformed tissue, m.
 
-        See `FreeToolSolverBase.height_above_tissue`.
+        See `ToolInAirInterface.height_above_tissue`.
         """
         x, y, z = pose.position
         _, a, b, _ = pose.orientation

@@ -67,7 +67,7 @@ class SolidPointEffects:
             self._found, self._makes = self.states.copy(), makes
         self._effects = points
 
-    def prepare_step(self, dt: float) -> None:
+    def set_step_duration(self, dt: float) -> None:
         """Set the duration dt of the next step, s."""
         self._dt = min(dt, LONGEST)
 

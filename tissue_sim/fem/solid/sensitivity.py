@@ -262,7 +262,7 @@ class SolidSensitivity:
             for k in range(motion.shape[1] if memory.works else 0):
                 directions = [*self._get_mesh_input_and_derivative_pairs(k),
                               *self._get_material_input_and_derivative_pairs(k, number), (self._parts.x, motion[:, k])]
-                each.commit_derivatives_by_parameter(k, *self._differentiate_assembly_along_direction(
+                each.commit_derivatives_for_parameter(k, *self._differentiate_assembly_along_direction(
                     k, [number], directions, [memory.stresses, memory.energies]))
 
     def _get_material_input_and_derivative_pairs(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:

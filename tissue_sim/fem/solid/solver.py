@@ -126,7 +126,7 @@ class SolidSolver(SolidSolverBase):
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
              own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:
         """Move the tool to a pose and solve for equilibrium; see `Solver.step`. The motion is solved linearly first."""
-        self.tissue.prepare_step(dt)
+        self.tissue.set_step_duration(dt)
         if self._mass is not None:
             self._mass.prepare_step(self._committed[0], dt, inertial)
         frame = ToolFrame(pose, self.datum)
@@ -241,11 +241,11 @@ class SolidSolver(SolidSolverBase):
             motion = tangent.solve_increment(residual, way if pending else None, apart)
             x += motion
             self.tissue.update_pressures(motion)
-            contact.update_linearised_forces(motion.reshape(-1, 3)[contact.nodes] + apart)
+            contact.update_forces_linearly(motion.reshape(-1, 3)[contact.nodes] + apart)
             self._here = frame
             iterations += 1
             halvings = NEWTON.max_halvings if pending else 0  # the motion of the tool is not bisected here
-            tangent.record_residual_before_solution(ratio, far=pending)
+            tangent.record_residual_and_set_stale(ratio, far=pending)
             pending = False
             changeable = ALL_POINTS if iterations < NEWTON.all_points_iterations else iterations
             bending = 1.0 if ratio < 0.1 else 0.0

@@ -89,7 +89,7 @@ class ReusableTangentFactor:
         motion[self._free] = -self.factor.solve(right[self._free])
         return motion
 
-    def record_residual_before_solution(self, ratio: float, far: bool) -> None:
+    def record_residual_and_set_stale(self, ratio: float, far: bool) -> None:
         """Record the relative residual before a linear solution; `can_reuse_factor` compares the next residual with it.
 
         Args:

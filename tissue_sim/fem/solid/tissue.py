@@ -85,8 +85,8 @@ class RegionElements:
         self.kernel = BoundKernel(kernel, {
             "settings": self.settings, "least": self.least,
             "batches": np.array([len(elements["moduli"])], dtype=np.int32), **arguments,
-            "element_table": ELEMENT_ARRAYS.make_table(elements),
-            "material_table": MATERIAL_ARRAYS.make_table(material)})
+            "element_table": ELEMENT_ARRAYS.make_offset_table(elements),
+            "material_table": MATERIAL_ARRAYS.make_offset_table(material)})
 
 
 class Tissue:
@@ -222,11 +222,11 @@ class Tissue:
         """
         self.batches.correct_forces_for_old_volume_rates(forces, self.bulk_moduli)
 
-    def prepare_step(self, dt: float) -> None:
-        """Prepare material history and point effects for a step of dt seconds; see `MaterialMemory.prepare_step`."""
+    def set_step_duration(self, dt: float) -> None:
+        """Set the duration dt (s) of the next step in the material history and the point effects."""
         for region in self._regions:
-            region.memory.prepare_step(dt)
-        self.effects.prepare_step(dt)
+            region.memory.set_step_duration(dt)
+        self.effects.set_step_duration(dt)
 
     def commit_step(self) -> None:
         """Make the history of the converged step the committed one."""
@@ -305,7 +305,7 @@ def get_modulus_ratios_of_layer_indices(material: Material, layers: np.ndarray) 
     return ratios[np.minimum(layers, ratios.size - 1)]
 
 
-def node_shear_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -> np.ndarray:
+def compute_node_shear_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -> np.ndarray:
     """Return the shear modulus mu0 at each node, the mean over the elements of the node, Pa, shape (nodes,).
 
     The argument `layers` is the result of `find_element_layer_indices`.

@@ -101,16 +101,16 @@ def find_first_touch(mesh: SolidMesh, places: np.ndarray, bodies: list[RigidBody
     tool = _ConvexTool(moving, start, float(np.ptp(mesh.nodes[:, 2])))
     top = places[mesh.sets["top"]]
     if "top" not in mesh.faces:
-        return FirstTouch(tool.find_touch_datum(top))
+        return FirstTouch(tool.find_touch_height(top))
     sides = FacePolynomialMaps(mesh.element, places[mesh.faces["top"]])
-    datum = tool.find_touch_datum(np.concatenate([top, sides.middles]))
+    datum = tool.find_touch_height(np.concatenate([top, sides.middles]))
     # Other faces cannot be nearer than the point that was met first.
     reaches = sides.radii + sides.bulges + _SETTINGS.slack * tool.scale
     near = np.flatnonzero(tool.compute_gaps(sides.middles, datum) <= reaches)
     heights = sides.lattice[near, :, 2]
     if np.ptp(heights) <= _SETTINGS.slack * tool.scale:
         # The lowest point of the tool touches a flat top.
-        datum += float(heights.max()) - tool.find_lowest_height(datum)
+        datum += float(heights.max()) - tool.find_lowest_point_height(datum)
     found = _NearestFacePoint(sides, near, tool, datum)
     if found.is_all:
         return found.make_first_touch(datum)
@@ -159,7 +159,7 @@ class _ConvexTool:
         return np.array([each.normal for each in found])[part, np.arange(len(points))] @ ToolFrame(
             self._start, datum).rotation.T
 
-    def find_lowest_height(self, datum: float) -> float:
+    def find_lowest_point_height(self, datum: float) -> float:
         """Return the height of the lowest point of the tool in the frame of the mesh, m."""
         frame = ToolFrame(self._start, datum)
         across, up = float(np.hypot(*frame.rotation[2, :2])), float(frame.rotation[2, 2])
@@ -172,7 +172,7 @@ class _ConvexTool:
         best = min(self.list_nearest_points_per_part(point[None], away), key=lambda each: each.gap[0])
         return float(np.abs(best.curvature[0]).max()) * self.scale > _SETTINGS.sharp
 
-    def find_touch_datum(self, points: np.ndarray) -> float:
+    def find_touch_height(self, points: np.ndarray) -> float:
         """Return the height `datum`, m, at which the descending tool touches the first of the points, m, (n, 3)."""
         if abs(self.compute_gaps(points, 0.0).min()) < _SETTINGS.slack * self.scale:
             return 0.0
@@ -226,7 +226,7 @@ class _NearestFacePoint:
         beyond = (under @ normals[first]).min(axis=1) - sides.bulges[near]
         above = under[..., 2].max(axis=1) + sides.bulges[near]
         self.is_all = abs(self.gap) <= slack and bool(beyond.min() >= -slack or (
-            above.max() <= slack and tool.find_lowest_height(datum) >= self.point[2] - slack))
+            above.max() <= slack and tool.find_lowest_point_height(datum) >= self.point[2] - slack))
         if self.is_all:
             return
         searched = near[bounds < self.gap - _SETTINGS.slack * tool.scale]

@@ -37,7 +37,7 @@ class AdaptiveIncrements:
         """Complete the next increment, and double the length of the one after it."""
         self.done, self.length = self.end, min(2.0 * self.length, self._largest)
 
-    def halve_if_above_smallest(self) -> bool:
+    def halve_and_check_size(self) -> bool:
         """Halve the next increment; return False if it is then smaller than the smallest one."""
         self.length /= 2.0
         return self.length >= self._smallest

@@ -69,7 +69,7 @@ def _apply_weight_in_increments(problem: SelfWeightProblem, solver: Any, specifi
         step = problem.solve_equilibrium_under_weight(solver, increments.end * specific_weight)
         if step.status is StepStatus.CONVERGED:
             increments.advance()
-        elif not increments.halve_if_above_smallest():
+        elif not increments.halve_and_check_size():
             raise ConvergenceError(
                 "the specimen has no equilibrium under its own weight: the solver stopped at "
                 f"{increments.done:.0%} of the weight ({step.status.message}). Check density and moduli.")

@@ -19,7 +19,7 @@ class StepToPoseSettings:
         smallest_cut: smallest step, over the motion to the pose, 1. A smaller value tries shorter steps before the
             motion is abandoned.
         damped_from: largest step, over the motion to the pose, that is repeated with artificial viscous damping
-            (`Solver.step_with_damping`) after a failure without extrapolation, 1.
+            (`Solver.iterate_steps_with_damping`) after a failure without extrapolation, 1.
         max_solves: largest number of linear solves of a step.
         max_damped_solves: the same for a damped step.
     """
@@ -50,8 +50,9 @@ def iterate_adaptive_steps_to_pose(solver: Solver, target: Pose, dt: float = 0.0
         yield step
         if (step.status is not StepStatus.CONVERGED and not order
                 and increments.length <= STEPS_TO_POSE.damped_from):
-            for step in solver.step_with_damping(goal, length * dt, max_iterations=STEPS_TO_POSE.max_damped_solves,
-                                                 **options):
+            for step in solver.iterate_steps_with_damping(goal, length * dt,
+                                                          max_iterations=STEPS_TO_POSE.max_damped_solves,
+                                                          **options):
                 yield step
         if step.status is StepStatus.CONVERGED:
             increments.advance()
@@ -60,5 +61,5 @@ def iterate_adaptive_steps_to_pose(solver: Solver, target: Pose, dt: float = 0.0
             order = 0
         else:
             order = highest
-            if not increments.halve_if_above_smallest():
+            if not increments.halve_and_check_size():
                 return

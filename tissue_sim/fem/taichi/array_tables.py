@@ -2,9 +2,9 @@
 
 A launch of a `BoundKernel` costs a fraction of a microsecond for each array argument, and neighbouring numbers of an
 argument are not loaded as a vector (`tissue_sim.fem.taichi.origins`). An `ArrayLayout` names the arrays of one subject.
-Outside of kernels, `ArrayLayout.make_table` computes the table of arrays. In a kernel, ``layout.open_table(table)``
-returns an object with an attribute for each array: ``arrays.moduli[b]``. Offsets are loaded once, where the table is
-opened. A table keeps its arrays alive.
+Outside of kernels, `ArrayLayout.make_offset_table` computes the table of arrays. In a kernel,
+``layout.open_table(table)`` returns an object with an attribute for each array: ``arrays.moduli[b]``. Offsets
+are loaded once, where the table is opened. A table keeps its arrays alive.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class ArrayLayout:
     def __init__(self, **types: ArrayType):
         self.types = types
 
-    def make_table(self, arrays: Mapping[str, np.ndarray]) -> ArrayTable:
+    def make_offset_table(self, arrays: Mapping[str, np.ndarray]) -> ArrayTable:
         """Return the table of arrays. Arrays of other names are ignored.
 
         Raises:
@@ -112,10 +112,10 @@ class ArrayLayout:
         """Replace all arrays of a table, for every kernel that is bound to it.
 
         Raises:
-            ValueError: as for `make_table`; nothing is changed.
+            ValueError: as for `make_offset_table`; nothing is changed.
             OverflowError: likewise.
         """
-        other = self.make_table(arrays)
+        other = self.make_offset_table(arrays)
         table[:], table.arrays = other, other.arrays
 
     def open_table(self, table: Any) -> SimpleNamespace:

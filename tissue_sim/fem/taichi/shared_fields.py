@@ -24,7 +24,7 @@ ORIGIN_SIZE = 64
 
 
 @dataclass(frozen=True)
-class ScratchElementSizeLimit:
+class CountsInLargestElement:
     """Size of the largest element for which a kernel reserves vectors of the scratch field.
 
     Attributes:

@@ -150,7 +150,7 @@ def read_recordings_and_decimal_marks(path: str | Path, columns: Mapping[str, An
     if is_mat_tdms_or_hdf5_file(path) or is_workbook(path):
         if delimiter is not None:
             raise InputError("must be omitted, because only a text has a delimiter", file=path, field="delimiter")
-        for each in _read_chosen_sheets_or_container_tables(path, sheet):
+        for each in _read_chosen_or_default_tables(path, sheet):
             with each.located_errors():
                 found += _read_recordings_of_first_matching_table([each.build_table_below_skipped_rows(skip_lines)],
                                                                   wanted, path, metadata, decimal, alone=True)
@@ -200,7 +200,7 @@ def _read_recordings_of_text(text: str, skip_lines: int, delimiters: Sequence[st
     return _read_recordings_of_first_matching_table(tables, wanted, path, metadata, decimal)
 
 
-def _read_chosen_sheets_or_container_tables(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
+def _read_chosen_or_default_tables(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
     """Read the requested sheets of a spreadsheet or tables of a container."""
     if is_mat_tdms_or_hdf5_file(path):
         return read_container_tables_as_sheets(path, sheet)

@@ -160,7 +160,7 @@ def detect_decimal_and_thousands_marks(used: Iterable[Sequence[str]], others: It
         found = DecimalAndThousandsMarks(decimal, "", reasons, is_certain=any(vote.is_certain for vote in deciding),
                                          example=example)
     elif chosen:
-        found = _choose_certain_mark_or_leave_open(deciding, example)
+        found = _choose_mark_from_contradictory_votes(deciding, example)
     else:
         mark = next(each for each in DECIMAL_MARKS if each in example)
         sure = delimiter == "," and mark == "."
@@ -180,8 +180,8 @@ def resolve_marks_by_quantities_outside_table(marks: DecimalAndThousandsMarks, t
                    evidence=(f"{quantity!r} outside of the table has {DECIMAL_WORDS[mark]}",))
 
 
-def _choose_certain_mark_or_leave_open(votes: Sequence[_DecimalMarkVoteOfColumn],
-                                       example: str) -> DecimalAndThousandsMarks:
+def _choose_mark_from_contradictory_votes(votes: Sequence[_DecimalMarkVoteOfColumn],
+                                          example: str) -> DecimalAndThousandsMarks:
     """Return the decimal mark of the most certain vote; both marks remain possible unless both are certain.
 
     If both marks are certain, reading the cells raises an error with the line of the cell.

@@ -28,7 +28,7 @@ _LENGTH = re.compile(r"^(?P<number>\d+(\.\d*)?)\s*(?P<unit>mm|cm|m)$")
 
 
 def read_instron(path: str | Path) -> Recording:
-    """Read time, displacement and force; the metadata have diameter, height, speed, machine and load cell.
+    """Read time, displacement and force; the metadata have radius, height, speed, machine and load cell.
 
     Raises:
         InputError: no header with Time, Compression and Load, or an invalid cell; with file and line.

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tissue_sim.recording.formats.number_text import convert_number_signs_to_ascii, split_number_and_unit
+from tissue_sim.recording.formats.number_text import convert_number_characters_to_ascii, split_number_and_unit
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ def _try_removing_thousands_separators(piece: bytes, separator: str, decimal: st
 def _encode_with_ascii_marks_and_line_feeds(text: str) -> bytes:
     """Convert minus signs, blanks and apostrophes to ASCII, and line ends to line feeds; the result is Latin-1."""
     if not text.isascii():
-        text = convert_number_signs_to_ascii(text)
+        text = convert_number_characters_to_ascii(text)
     return text.encode("latin-1", "replace").replace(b"\r\n", b"\n")
 
 

@@ -48,7 +48,7 @@ class TextOfNumericCell(str):
     __slots__ = ()
 
 
-def convert_number_signs_to_ascii(text: str) -> str:
+def convert_number_characters_to_ascii(text: str) -> str:
     """Replace minus signs, blanks and apostrophes in a text by ASCII characters."""
     # For a long text, a few calls of str.replace take a tenth of the time of str.translate.
     for spelling, plain in _SPELLINGS.items():

@@ -125,7 +125,7 @@ def find_recording_columns(numbers: NumberTable, machine: MachineFormat | None, 
         pair: tuple[str, ...] | None = _select_motion_and_load_roles_or_none(chosen, hints)
         if pair is None and (speed := _get_stated_constant_speed_or_none(chosen, numbers, hints)):
             pair = ("force",)
-        elif derived := _find_pair_by_gauge_length(part, chosen, pair):
+        elif derived := _find_roles_needing_gauge_length(part, chosen, pair):
             gauge = find_gauge_length_and_source_or_none(numbers, statements, hints)
             pair = derived if gauge is not None else pair
         if pair is None:
@@ -171,8 +171,8 @@ def _build_user_columns(numbers: NumberTable, named: Sequence[ColumnGuess], hint
     return RecordingColumns(numbers, tuple(named), (), (), _get_stated_constant_speed_or_none(roles, numbers, hints))
 
 
-def _find_pair_by_gauge_length(part: Sequence[ColumnPositionWithRole], chosen: Mapping[str, int],
-                               pair: tuple[str, ...] | None) -> tuple[str, str] | None:
+def _find_roles_needing_gauge_length(part: Sequence[ColumnPositionWithRole], chosen: Mapping[str, int],
+                                     pair: tuple[str, ...] | None) -> tuple[str, str] | None:
     """Return roles of motion and load that match only with a known gauge length; None: no such columns.
 
     The roles are a strain and a force, or a displacement and a stress. A strain that was measured on the specimen

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.constant_speed import complete_motion_from_speed
+from tissue_sim.recording.constant_speed import add_time_or_motion_from_speed
 from tissue_sim.recording.formats.columns import RecordingWithDecimalMark, read_recordings_and_decimal_marks
 from tissue_sim.recording.formats.guesses import ColumnGuess
 from tissue_sim.recording.recording import Recording
@@ -62,7 +62,7 @@ class FileReaderForChosenColumns:
         """Return the recording with a displacement of speed times time; unchanged if `speed` is None."""
         if self.speed is None:
             return marked
-        return replace(marked, recording=complete_motion_from_speed(marked.recording, self.speed, self.path))
+        return replace(marked, recording=add_time_or_motion_from_speed(marked.recording, self.speed, self.path))
 
     def read_recordings(self, columns: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
         """Read the recordings of the columns, without the marks; see `read_recordings_and_decimal_marks`."""
