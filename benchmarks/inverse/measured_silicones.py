@@ -6,6 +6,7 @@ Reads the public recordings that docs/measured_silicones.md names from the folde
 ecoflex_compression and soro_tensile. Writes one campaign for each fit and runs it; --report keeps all of it.
 """
 
+import csv
 import os
 import tempfile
 import time
@@ -154,17 +155,18 @@ def entry(result: CalibrationResult, fit: Fit) -> dict:
         "tension": tension(result, fit.law)}
 
 
-def residuals(result: CalibrationResult, law: str, tests: Iterable[str]) -> Iterable[list[str]]:
-    """Read the rows of residuals.csv of one law and some tests."""
-    for line in (result.output / "residuals.csv").read_text(encoding="utf-8").splitlines()[1:]:
-        cells = line.split(",")
-        if cells[0] == law and cells[1].partition("/")[0] in tests:
-            yield cells
+def residuals(result: CalibrationResult, law: str, tests: Iterable[str]) -> Iterable[dict[str, str]]:
+    """Read the rows of residuals.csv of one law and some tests, column -> cell."""
+    with (result.output / "residuals.csv").open(encoding="utf-8", newline="") as table:
+        for row in csv.DictReader(table):
+            if row["law"] == law and row["replicate"].partition("/")[0] in tests:
+                yield row
 
 
 def tension(result: CalibrationResult, law: str) -> dict[str, list[float]]:
     """Return measured and predicted nominal stress of the strip over stretch, Pa; empty if not part of the study."""
-    rows = [[float(cell) for cell in cells[3:6]] for cells in residuals(result, law, ["tension"])]
+    columns = ("displacement [mm]", "measured [N]", "model [N]")
+    rows = [[float(row[column]) for column in columns] for row in residuals(result, law, ["tension"])]
     if not rows:
         return {}
     displacement, measured, model = np.array(rows).T

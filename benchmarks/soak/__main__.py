@@ -86,7 +86,7 @@ def replayed(sessions: Sequence[Session | PageSession]) -> Iterator[dict]:
         for task in tasks:
             yield task.result()
     finally:
-        pool.stop()
+        pool.abandon_tasks()
 
 
 def summarise(results: list[dict]) -> dict:

@@ -84,8 +84,8 @@ def build_material_file_struct(fit: Fit, result: CalibrationResult, measured: Ma
     space = ParameterSpace.from_campaign(fit.law, campaign, {name: [curve.name for curve in curves]
                                                              for name, curves in measured.items()})
     # The file format has no standard error for the bulk response. Parameters of experiment and rig are excluded.
-    material, of_material = get_shared_and_population_mean_material(fit), {each.path for each in space.unknowns
-                                                                           if each.is_material_parameter}
+    material = get_shared_and_population_mean_material(fit)
+    of_material = {each.path for each in space.unknowns if each.is_material_parameter}
     kept = [i for i, path in enumerate(material.parameters) if path in of_material and not path.startswith("bulk.")]
     order = [path for i, path in enumerate(material.parameters) if i in kept]
     errors = {path: error for path, error in material.errors.items() if error is not None and path in order}
