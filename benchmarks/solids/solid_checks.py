@@ -23,7 +23,7 @@ import time
 import numpy as np
 
 import tissue_sim as ts
-from tissue_sim.fem.solid.bodies import RigidBody
+from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.axisymmetric import divide_into_growing_intervals
@@ -94,8 +94,8 @@ def turned(mesh: SolidMesh, offset: float, depth: float, radius: float = 8e-3, s
     for degrees in angles:
         angle = math.radians(degrees)
         x, y = offset * math.cos(angle), offset * math.sin(angle)
-        ball = RigidBody(ts.Tool("sphere", radius=radius).profile, mesh.sets["top"], (0.0, 0.0))
-        solver = SolidSolver(mesh, PHANTOM, {"base": "xyz"}, np.zeros(0, int), bodies=[ball], tolerance=1e-4 * radius,
+        ball = ContactPair(ts.Tool("sphere", radius=radius).profile, mesh.sets["top"], (0.0, 0.0))
+        solver = SolidSolver(mesh, PHANTOM, {"base": "xyz"}, np.zeros(0, int), pairs=[ball], tolerance=1e-4 * radius,
                              start=Pose((x, y, 0.0)))
         force = stepped(solver, *(Pose((x, y, -depth * k / steps)) for k in range(1, steps + 1)))
         forces.append(_turned_back(force, angle))
@@ -144,8 +144,8 @@ class Mindlin:
         material = ts.Material("neo_hooke", {"C10": 0.5 * self.modulus}, ts.Bulk("bulk_ratio", self.RATIO))
         top = self.mesh.sets["top"]
         near = top[np.hypot(*self.mesh.nodes[top, :2].T) < reach]
-        ball = RigidBody(ts.Tool("sphere", radius=self.RADIUS).profile, near, (mu, mu))
-        self.solver = SolidSolver(self.mesh, material, {"base": "xyz", "mirror": "y"}, np.zeros(0, int), bodies=[ball],
+        ball = ContactPair(ts.Tool("sphere", radius=self.RADIUS).profile, near, (mu, mu))
+        self.solver = SolidSolver(self.mesh, material, {"base": "xyz", "mirror": "y"}, np.zeros(0, int), pairs=[ball],
                                   tolerance=1e-7 * a, start=Pose((0.0, 0.0, 0.0)))
         # Poisson's ratio of the material, and the plane-strain modulus of the contact.
         self.nu = (3.0 * self.RATIO - 2.0) / (6.0 * self.RATIO + 2.0)

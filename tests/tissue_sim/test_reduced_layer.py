@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
+from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.reduced.contact import PenaltyContact
-from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.pose import rotate_pose_about_its_position
 
@@ -18,7 +18,7 @@ class TestLayer:
     SPRING = 1e5 * 1e-6 / (1e-3 * 5e-3)
 
     def contact(self, tool: ts.Tool, mu: float) -> PenaltyContact:
-        body = RigidBody(tool.profile, np.array([0]), (mu, mu))
+        body = ContactPair(tool.profile, np.array([0]), (mu, mu))
         layer = PenaltyContact([body], np.zeros((1, 3)), np.array([1e-6]), np.eye(3), reach=5e-3, softness=1e-3)
         layer.set_penalty_and_get_smallest_modulus(np.array([1e5]))
         return layer

@@ -10,7 +10,8 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.differentiation import FiniteDifferenceSettings
-from tissue_sim.fem.axisymmetric import contact_pairs, sensitivity
+from tissue_sim.fem.axisymmetric import sensitivity
+from tissue_sim.fem.contact import pairs
 from tissue_sim.fem.contact.settings import RelativeContactTolerances
 from tissue_sim.parameters import parameter_values, with_values
 
@@ -21,7 +22,7 @@ CYCLE = "ramp 6mm @0.5mm/s; hold 5s; unload 2mm; reload"
 
 @pytest.fixture(autouse=True)
 def close_contact(monkeypatch):
-    monkeypatch.setattr(contact_pairs, "TOLERANCES", RelativeContactTolerances(needle=1e-10, plate=1e-12))
+    monkeypatch.setattr(pairs, "TOLERANCES", RelativeContactTolerances(needle=1e-10, plate=1e-12))
 
 
 def elastic(**options):

@@ -5,6 +5,8 @@ import pytest
 from numpy.polynomial.legendre import leggauss
 
 import tissue_sim as ts
+from tissue_sim.fem.reduced.reduction import reduce_solid
+from tissue_sim.fem.solid.linearisation import make_lineariser
 
 RADIUS = 5e-3
 SHEAR_MODULUS = 1000.0
@@ -88,7 +90,46 @@ def test_deep_or_rubbing_faces_need_an_edge_radius(changes, words):
     assert caught.value.field == "tool.edge_radius"
 
 
-def test_a_solid_needs_an_edge_radius():
-    with pytest.raises(ts.InputError, match="must be positive for a solid without friction") as caught:
-        ts.simulate(layer(0.4), solver="solid")
+@pytest.mark.parametrize("ratio", [pytest.param(0.2, marks=pytest.mark.slow), pytest.param(2.0)])
+def test_force_of_a_solid(ratio):
+    recording = ts.simulate(layer(ratio), solver="solid", resolution="fast")
+    force = 4.0 * SHEAR_MODULUS * RADIUS * hayes_kappa(ratio) * recording.displacement[-1] / (1.0 - POISSON)
+    assert recording.force[-1] == pytest.approx(force, rel=5e-3)
+
+
+def test_a_solid_follows_to_the_largest_motion_and_lifts_off():
+    """A sharp face must not move sideways: its edge would cut the tissue."""
+    model = layer(2.0)
+    limit = model.experiment.largest_accurate_depth
+    simulator = ts.Simulator(model, solver="solid", inertia="off", resolution="realtime")
+    down = simulator.step(0.9 * limit, 0.01)
+    aside = simulator.step(ts.Pose((1.5 * limit, 0.0, -0.9 * limit)), 0.01)
+    beyond = simulator.step(1.1 * limit, 0.01)
+    up = simulator.step(-1e-3, 0.01)
+    assert [down.status, aside.status, beyond.status, up.status] == [
+        ts.ForceStatus.CONVERGED, ts.ForceStatus.STOPPED, ts.ForceStatus.STOPPED, ts.ForceStatus.CONVERGED]
+    assert down.force > 0.0 and up.force == 0.0
+
+
+@pytest.mark.parametrize(("make", "words"), [
+    (lambda model: ts.simulate(model, solver="solid"), "for a tilted tool without friction"),
+    (lambda model: reduce_solid(model, ts.PoseBox(0.0, 1e-5)), "for a reduced solid without friction"),
+    (lambda model: make_lineariser(model), "for a multirate solid without friction")])
+def test_other_sharp_faces_without_friction_need_an_edge_radius(make, words):
+    approach = ts.Approach(angle=0.1) if "tilted" in words else None
+    with pytest.raises(ts.InputError, match=words) as caught:
+        make(layer(2.0, approach=approach))
     assert caught.value.field == "tool.edge_radius"
+
+
+@pytest.mark.parametrize("experiment", [
+    {"protocol": ts.Protocol.ramp(1e-3, 4)},
+    {"protocol": ts.Protocol.ramp(1e-3, 4), "tool": ts.Tool("flat", radius=RADIUS)}])
+def test_a_solid_sticks_from_the_first_touch_on(experiment):
+    """Nodes under a face without slip have the forces of nodes that are bonded to the face."""
+    def simulate(friction):
+        test = ts.Experiment(ts.Specimen(0.02, 0.02), friction=friction, friction_base="bonded", **experiment)
+        model = ts.Model(test, ts.Material("neo_hooke", {"C10": 500.0}, ts.Bulk("bulk_ratio", 100.0)))
+        return ts.simulate(model, solver="solid", resolution="realtime").force
+
+    np.testing.assert_allclose(simulate("stick"), simulate("bonded"), rtol=1e-6)

@@ -8,7 +8,7 @@ from solid_meshes import block
 
 import tissue_sim as ts
 from tissue_sim.errors import InputError
-from tissue_sim.fem.solid.bodies import RigidBody
+from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.touch import find_first_touch
 from tissue_sim.fem.solver import StepStatus
@@ -23,7 +23,7 @@ ELEMENTS = pytest.mark.parametrize("element", [HEX8P0, HEX27P1, TET8P0, TET15P1]
 
 
 def height(mesh, tool, pose, **more):
-    return find_first_touch(mesh, mesh.nodes, [RigidBody(tool.profile, mesh.sets["top"], (0.0, 0.0), **more)],
+    return find_first_touch(mesh, mesh.nodes, [ContactPair(tool.profile, mesh.sets["top"], (0.0, 0.0), **more)],
                             pose).height
 
 
@@ -98,7 +98,7 @@ def test_the_height_follows_the_nodes(tool):
     places = mesh.nodes.copy()
     places[:, 2] += 0.5e-3 * np.cos(90.0 * places[:, 0] + 0.4) * np.cos(70.0 * places[:, 1])
     ways = 1e-3 * np.sin(60.0 * places[:, [1, 2, 0]] + rng.uniform(0.0, 6.0, 3))
-    bodies = [RigidBody(tool.profile, mesh.sets["top"], (0.0, 0.0))]
+    bodies = [ContactPair(tool.profile, mesh.sets["top"], (0.0, 0.0))]
     pose = rotate_pose_about_its_position(Pose((1.1e-3, 0.4e-3, 0.0)), (0.2, 0.1, 0.0))
     high, low = (find_first_touch(mesh, places + side * 1e-4 * ways, bodies, pose).height for side in (1.0, -1.0))
     derivative = find_first_touch(mesh, places, bodies, pose).differentiate_height_by_mesh_parameter(mesh, ways)

@@ -1,16 +1,15 @@
-"""Contact pairs of tissue edges and rigid bodies, and the packed arrays of contact points for the kernels."""
+"""Contact points of the surface of an axisymmetric specimen, packed in the arrays of the kernels."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.fem.axisymmetric.array_layouts import SURFACE_ARRAYS
+from tissue_sim.fem.contact.pairs import ContactPair, ContactPairs
 from tissue_sim.fem.contact.settings import PenaltySettings
 from tissue_sim.fem.taichi.origins import copy_to_addressable_array
 from tissue_sim.mesh import Mesh
@@ -89,61 +88,6 @@ RATE_COLUMNS = len(ContactLinearisationColumn)
 KNOWN_RATE_COLUMNS = len(FactorisedRateColumn)
 
 
-@dataclass(frozen=True, eq=False)
-class ContactPair:
-    """Element edges of the tissue surface and the rigid body with which they may come into contact.
-
-    Attributes:
-        profile: outline of the body, in the frame of the tool if the body moves with the tool.
-        edges: node numbers of the element edges, shape (m, nodes of an edge).
-        friction: Coulomb coefficients of the body's face and of its shaft; 0: frictionless,
-            `tissue_sim.fem.contact.settings.STICK`: no slip.
-        moves: whether the body moves with the tool; otherwise the body rests.
-        tied: whether an interface without slip holds the edges from the start.
-        stays: whether the edges stay in contact under tension.
-        first_line: index of the first line segment of the outline that the edges may meet.
-        between_nodes: whether the contact conditions hold at the Gauss points of an edge (as many points as the edge
-            adds normal degrees of freedom) instead of its nodes. On a surface that slides around an edge no larger
-            than an element, or up a sphere, Gauss points reduce the geometric error by a factor of ten. A pointed tip
-            would penetrate between Gauss points.
-    """
-
-    profile: Profile
-    edges: np.ndarray
-    friction: tuple[float, float]
-    moves: bool = True
-    tied: bool = False
-    stays: bool = False
-    first_line: int = 0
-    between_nodes: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class ContactPairs:
-    """All contact pairs of a boundary-value problem, with the tolerance and the contact laws.
-
-    Attributes:
-        pairs: contact pairs, those of bodies that rest first, then those of bodies that move with the tool.
-        tolerance: largest violation of a contact condition (penetration, or slip where the tissue sticks), m.
-        laws: additional tractions, as of adhesion, at points that have touched the tool.
-        face: contact area of the tool at the largest depth, m2.
-        level: whether the moving body is a plate, which touches the whole settled top at once.
-        largest_depth: largest depth at which the contact conditions are accurate, m.
-    """
-
-    pairs: tuple[ContactPair, ...]
-    tolerance: float
-    laws: tuple[ContactLaw, ...] = ()
-    face: float = 1.0
-    level: bool = False
-    largest_depth: float = np.inf
-
-    @property
-    def tool_profile(self) -> Profile:
-        """Outline of the tool, in the frame of the tool: that of the last pair. A sharp face may have its own one."""
-        return self.pairs[-1].profile
-
-
 class ContactPoints:
     """Contact points of the tissue surface, packed in the arrays that the kernel of a step reads and writes.
 
@@ -186,7 +130,7 @@ class ContactPoints:
         edges: list[tuple[np.ndarray, list[int], np.ndarray]] = []
         for pair in pairs:
             coordinates, weights = leggauss(order) if pair.between_nodes else NODE_RULES[order]
-            for edge in pair.edges:
+            for edge in pair.surface:
                 at = []
                 for node, coordinate in zip(edge.tolist(), coordinates.tolist(), strict=False):
                     number = len(points) if pair.between_nodes else numbers.setdefault((node, pair.moves), len(points))
@@ -198,7 +142,7 @@ class ContactPoints:
         if not points:
             plane = Profile([(0.0, 0.0), (1.0, 0.0)], 0.0, 0)
             unused = ContactPair(plane, np.zeros((1, order + 1), np.int32), (0.0, 0.0))
-            points = [(unused, unused.edges[0], 0.0)]
+            points = [(unused, unused.surface[0], 0.0)]
         owners, n = [pair for pair, _edge, _coordinate in points], len(points)
         self.nodes = np.array([edge for _pair, edge, _coordinate in points], dtype=np.int32)
         along = np.array([coordinate for _pair, _edge, coordinate in points])

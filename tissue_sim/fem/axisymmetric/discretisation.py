@@ -8,9 +8,9 @@ import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.fem.axisymmetric.contact_pairs import build_contact_pairs_or_none
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, STUDY_SLENDERNESS, UNMEASURED, MeshResolution
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
+from tissue_sim.fem.contact.pairs import ContactPairs, SurfaceParts, build_contact_pairs
 from tissue_sim.fem.solver import Step
 from tissue_sim.fem.stepping.settling import solve_self_weight_equilibrium
 from tissue_sim.material.layer import Layer
@@ -190,7 +190,7 @@ def build_solver_on_mesh(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     if experiment.friction == "bonded":
         held = {"top" if experiment.tool.is_plate else "face": "rz"}
     return AxisymmetricSolver(mesh, model.material, _get_base_fixed_components_by_node_set(experiment), held,
-                              contact=build_contact_pairs_or_none(experiment, mesh, homogeneous=uniform),
+                              contact=_build_contact_pairs_or_none(experiment, mesh, homogeneous=uniform),
                               specific_weight=weight, element_layers=layers, contact_radius=experiment.contact_radius,
                               start=start)
 
@@ -208,6 +208,27 @@ def _get_base_fixed_components_by_node_set(experiment: Experiment) -> dict[str, 
     """Return the fixed components of the base, node set -> components."""
     interface = experiment.resolved_base_interface
     return {"base": _FIXED_COMPONENTS[interface]} if interface in _FIXED_COMPONENTS else {}
+
+
+def _build_contact_pairs_or_none(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
+                                 homogeneous: bool | None = None) -> ContactPairs | None:
+    """Return the contact pairs of an experiment; None if no edge of the mesh may come into contact.
+
+    Args:
+        experiment: specimen, tool, interfaces.
+        mesh: mesh of the specimen.
+        tool: whether the tool is present.
+        homogeneous: whether the deformation of the specimen is homogeneous; None: as the experiment states.
+    """
+    homogeneous = experiment.has_homogeneous_deformation if homogeneous is None else homogeneous
+    bottom, side = float(mesh.nodes[:, 1].min()), mesh.select_edges_in_node_set("side")
+    none, is_high = side[:0], mesh.nodes[side, 1].mean(axis=1) > 0.5 * bottom
+    base, top, face, free = (mesh.select_edges_in_node_set(name) if name in mesh.sets else none
+                             for name in ("base", "top", "face", "free"))
+    low, high = (none, none) if homogeneous else (side[~is_high], side[is_high])
+    contact = build_contact_pairs(experiment, SurfaceParts(bottom, base, low, high, top, face, free), tool=tool,
+                                  homogeneous=homogeneous)
+    return contact if any(len(pair.surface) for pair in contact.pairs) else None
 
 
 @dataclass(frozen=True)
@@ -229,7 +250,7 @@ class _SelfWeight:
         """See `SelfWeightProblem.make_solver`."""
         experiment, mesh = self.model.experiment, self.mesh.scale_height(stretch)
         return AxisymmetricSolver(mesh, self.model.material, _get_base_fixed_components_by_node_set(experiment), {},
-                                  contact=build_contact_pairs_or_none(experiment, mesh, tool=False),
+                                  contact=_build_contact_pairs_or_none(experiment, mesh, tool=False),
                                   element_layers=self.layers, contact_radius=experiment.contact_radius)
 
     def solve_equilibrium_under_weight(self, solver: AxisymmetricSolver, specific_weight: float) -> Step:

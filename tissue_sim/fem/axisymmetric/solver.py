@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.contact import ContactPairs, OutlineSpanColumn
+from tissue_sim.fem.axisymmetric.contact import OutlineSpanColumn
 from tissue_sim.fem.axisymmetric.creep import iterate_damped_steps
 from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
 from tissue_sim.fem.axisymmetric.fields import Fields
@@ -18,6 +18,7 @@ from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_l
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, extract_deformed_surface
 from tissue_sim.fem.axisymmetric.touch import bind_at_first_touch_and_get_height, bind_points_reached_in_half_increment
+from tissue_sim.fem.contact.pairs import ContactPairs
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.inertia import InertiaTimeIntegrator
 from tissue_sim.fem.solver import (

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import contact_kernels
-from tissue_sim.fem.axisymmetric.contact import ContactPairs, ContactPoints
+from tissue_sim.fem.axisymmetric.contact import ContactPoints
+from tissue_sim.fem.contact.pairs import ContactPairs
 from tissue_sim.mesh import Mesh
 
 #: Number of linearisations of the gap along the path of a point until it touches; one is exact at a plane face.

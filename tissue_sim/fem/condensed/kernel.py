@@ -26,8 +26,8 @@ from tissue_sim.fem.condensed.tables import (
     NodeListColumn,
     SurfaceNodeColumn,
 )
-from tissue_sim.fem.contact.closest_point import make_closest_point_function
 from tissue_sim.fem.contact.settings import SOLID_PENALTY, ContactBondState
+from tissue_sim.fem.contact.surface_geometry import make_surface_geometry_function
 from tissue_sim.fem.taichi.array_tables import LANE_REALS, ArrayLayout, integer_array_type, real_array_type
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES, get_shared_scratch_field
@@ -72,7 +72,7 @@ def make_contact_iteration_kernel():
     """Return the kernel of one contact iteration; for its arrays see the enumerations in `tables`."""
     ti = get_initialised_taichi()
     real1, int1 = ti.types.ndarray(ti.f64, ndim=1), ti.types.ndarray(ti.i32, ndim=1)
-    find_closest_outline_point = make_closest_point_function()
+    find_surface_geometry = make_surface_geometry_function()
     normal_and_tangential_compliance = make_normal_tangential_compliance_function()
     move = get_shared_scratch_field(LANES, MAX_FREEDOMS // LANES)
 
@@ -134,28 +134,14 @@ def make_contact_iteration_kernel():
         arm = ti.Vector([nodes.surface[s, SurfaceNodeColumn.POSITION + a] + nodes.u[3 * i + a]
                          - settings[KernelSetting.ORIGIN + a] for a in ti.static(range(3))])
         at = R.transpose() @ arm
-        # Closest-point projection on the outline.
         body = nodes.states[s, NodeBondAndStatusColumn.OUTLINE]
-        rounding, first = nodes.shapes[body, 0], body * (nodes.chains.shape[0] // nodes.shapes.shape[0])
+        first = body * (nodes.chains.shape[0] // nodes.shapes.shape[0])
         endless = 1 if nodes.shapes[body, 2] * settings[KernelSetting.PRESSED_IN] > 0.0 else 0
-        r = ti.sqrt(at[0] * at[0] + at[1] * at[1])
-        best, distance, n_r, n_z, bent = find_closest_outline_point(
-            r, at[2], first, first + ti.cast(nodes.shapes[body, 3], ti.i32), endless, nodes.chains)
-        out = ti.Vector([1.0, 0.0, 0.0])
-        hoop = bent
-        if r > 0.0:
-            out = ti.Vector([at[0] / r, at[1] / r, 0.0])
-        if r > nodes.shapes[body, 4]:
-            hoop = n_r / r
-        up = ti.Vector([0.0, 0.0, 1.0])
-        around = R @ ti.Vector([-out[1], out[0], 0.0])
-        meridian = R @ (n_r * up - n_z * out)
-        n_tool = n_r * out + n_z * up
-        n = R @ n_tool
-        gap = distance - rounding
-        mu = nodes.surface[s, SurfaceNodeColumn.FRICTION]
-        if best - first >= nodes.shapes[body, 1] and not (bent != 0.0 and rounding > 0.0):
-            mu = nodes.surface[s, SurfaceNodeColumn.FRICTION + 1]
+        gap, n_tool, meridian, around, bent, hoop, on_shaft = find_surface_geometry(
+            at, first, first + ti.cast(nodes.shapes[body, 3], ti.i32), endless,
+            first + ti.cast(nodes.shapes[body, 1], ti.i32), nodes.shapes[body, 0], nodes.shapes[body, 4], nodes.chains)
+        n, meridian, around = R @ n_tool, R @ meridian, R @ around
+        mu = nodes.surface[s, SurfaceNodeColumn.FRICTION + on_shaft]
         # Displacement relative to the tool since all nodes were evaluated: other nodes may have come near.
         for a in ti.static(range(3)):
             if settings[KernelSetting.NEAR_COUNT] == 0.0:

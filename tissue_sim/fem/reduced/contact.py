@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.contact.settings import STICK
 from tissue_sim.fem.reduced.contact_kernel import (
     LAYER_ARRAYS,
@@ -20,7 +21,6 @@ from tissue_sim.fem.reduced.contact_kernel import (
     make_penalty_contact_kernel,
 )
 from tissue_sim.fem.reduced.linear import euclidean_norm
-from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
@@ -39,7 +39,7 @@ class PenaltyContact:
     The penalty stiffness per area is mu / (softness reach) with the shear modulus mu at the node.
 
     Args:
-        bodies: rigid bodies that the nodes may touch; bodies at rest are ignored.
+        pairs: contact pairs; those of bodies at rest are ignored.
         places: positions of all nodes without contact, m, shape (nodes, 3).
         areas: tributary areas of all nodes, m2, shape (nodes,).
         basis: displacements of the modes, m per amplitude, shape (freedoms, modes).
@@ -54,13 +54,13 @@ class PenaltyContact:
             shape (1,).
     """
 
-    def __init__(self, bodies: Sequence[RigidBody], places: np.ndarray, areas: np.ndarray, basis: np.ndarray, *,
+    def __init__(self, pairs: Sequence[ContactPair], places: np.ndarray, areas: np.ndarray, basis: np.ndarray, *,
                  reach: float, softness: float):
-        moving = [body for body in bodies if body.moves]
-        owner: dict[int, RigidBody] = {}
-        for body in moving:
-            for node in body.nodes.tolist():
-                owner.setdefault(node, body)
+        moving = [pair for pair in pairs if pair.moves]
+        owner: dict[int, ContactPair] = {}
+        for pair in moving:
+            for node in pair.surface.tolist():
+                owner.setdefault(node, pair)
         self.nodes = np.array(sorted(owner), dtype=np.intp)
         own = [owner[node] for node in self.nodes.tolist()]
         n = self.nodes.size
@@ -68,11 +68,11 @@ class PenaltyContact:
         self.areas = areas[self.nodes]
         self._rows = copy_to_addressable_array(basis.reshape(-1, 3, basis.shape[1])[self.nodes].reshape(3 * n, -1))
         self._settings = np.zeros(PenaltyContactSetting.COUNT)
-        profile = moving[0].profile
+        profile = moving[-1].profile
         self._settings[PenaltyContactSetting.ROUNDING] = profile.rounding
         self._settings[PenaltyContactSetting.ZONE] = softness * reach
         self._reach, self._softness = reach, softness
-        friction = np.array([body.friction for body in own], dtype=float).reshape(n, 2)
+        friction = np.array([pair.friction for pair in own], dtype=float).reshape(n, 2)
         friction[friction == STICK] = _NO_SLIP
         self.has_friction = bool((friction > 0.0).any())
         self._springs, self.touched = allocate_array((n,)), allocate_array((n,), np.int32)
@@ -88,8 +88,8 @@ class PenaltyContact:
         self._products = np.zeros((modes + 6, modes + 6))
         constants = {
             "lines": profile.lines, "shaft": np.array([profile.shaft], dtype=np.int32), "friction": friction,
-            "first": np.array([body.first_line for body in own], dtype=np.int32),
-            "closed": np.array([body.closed for body in own], dtype=np.int32)}
+            "first": np.array([pair.first_line for pair in own], dtype=np.int32),
+            "closed": np.array([pair.closed for pair in own], dtype=np.int32)}
         arrays = {
             **{name: copy_to_addressable_array(array) for name, array in constants.items()},
             "places": self.places, "moved": self._moved, "springs": self._springs, "anchors": self.anchors,

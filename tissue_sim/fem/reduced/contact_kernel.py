@@ -3,7 +3,7 @@
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.contact.closest_point import make_closest_point_function
+from tissue_sim.fem.contact.surface_geometry import make_surface_geometry_function
 from tissue_sim.fem.taichi.array_tables import ArrayLayout, integer_array_type, real_array_type
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
@@ -48,6 +48,9 @@ class PenaltyContactResult(IntEnum):
     COUNT = 3
 
 
+#: Distance from the axis of the body below which both curvatures are equal, m.
+AXIS_RADIUS = 1e-12
+
 #: Arrays of the contact kernel, see `make_penalty_contact_kernel`.
 LAYER_ARRAYS = ArrayLayout(
     lines=real_array_type(2), shaft=integer_array_type(), places=real_array_type(2), moved=real_array_type(2),
@@ -77,7 +80,7 @@ def make_penalty_contact_kernel():
     the lever arms, shape (3, modes). Forces are in the frame of the mesh, N.
     """
     ti = get_initialised_taichi()
-    find_closest_outline_point = make_closest_point_function()
+    find_surface_geometry = make_surface_geometry_function()
     real1, int1 = ti.types.ndarray(ti.f64, ndim=1), ti.types.ndarray(ti.i32, ndim=1)
 
     @ti.func
@@ -88,15 +91,12 @@ def make_penalty_contact_kernel():
         offset = ti.Vector([nodes.places[n, i] + nodes.moved[n, i] - settings[PenaltyContactSetting.ORIGIN + i]
                             for i in ti.static(range(3))])
         at = turn.transpose() @ offset
-        r, z = ti.sqrt(at[0] * at[0] + at[1] * at[1]), at[2]
-        endless = 0
+        rounding, endless = settings[PenaltyContactSetting.ROUNDING], 0
         if (nodes.closed[n] > 0 and settings[PenaltyContactSetting.PRESSED_IN] > 0.0
-            and nodes.first[n] == nodes.shaft[0]
-                and settings[PenaltyContactSetting.ROUNDING] == 0.0):
+                and nodes.first[n] == nodes.shaft[0] and rounding == 0.0):
             endless = 1
-        best, distance, n_r, n_z, bent = find_closest_outline_point(
-            r, z, nodes.first[n], nodes.lines.shape[0], endless, nodes.lines)
-        gap = distance - settings[PenaltyContactSetting.ROUNDING]
+        gap, normal, meridian, around, bent, hoop, on_shaft = find_surface_geometry(
+            at, nodes.first[n], nodes.lines.shape[0], endless, nodes.shaft[0], rounding, AXIS_RADIUS, nodes.lines)
         nodes.gaps[n] = gap
         zone = settings[PenaltyContactSetting.ZONE]
         nodes.states[n] = NodeState.FREE
@@ -106,14 +106,6 @@ def make_penalty_contact_kernel():
             depth, slope = -gap, 1.0
             if gap > -zone:
                 depth, slope = (zone - gap) * (zone - gap) / (4.0 * zone), (zone - gap) / (2.0 * zone)
-            out = ti.Vector([1.0, 0.0])
-            hoop = bent
-            if r > 1e-12:
-                out = ti.Vector([at[0] / r, at[1] / r])
-                hoop = n_r / r
-            normal = ti.Vector([n_r * out[0], n_r * out[1], n_z])
-            meridian = ti.Vector([-n_z * out[0], -n_z * out[1], n_r])
-            around = ti.Vector([-out[1], out[0], 0.0])
             spring = nodes.springs[n]
             pressure = spring * depth
             nn = normal.outer_product(normal)
@@ -121,8 +113,6 @@ def make_penalty_contact_kernel():
                                                      + hoop * around.outer_product(around))
             force = pressure * normal
             nodes.states[n] = NodeState.STICKS
-            is_rounded = bent != 0.0 and settings[PenaltyContactSetting.ROUNDING] > 0.0
-            on_shaft = 1 if best >= nodes.shaft[0] and not is_rounded else 0
             mu = nodes.friction[n, on_shaft]
             # A node that comes into contact in this step gets its anchor at the end of the step.
             if mu > 0.0 and nodes.touched[n] > 0:

@@ -75,7 +75,8 @@ def require_reducible(model: Model) -> None:
     """Check that a model is one that a reduced solid supports.
 
     Raises:
-        InputError: the tool is a plate, the base has friction, or there are contact laws or point effects.
+        InputError: the tool is a plate or has a sharp face without friction, the base has friction, or there are
+            contact laws or point effects.
     """
     experiment = model.experiment
     if experiment.tool.is_plate:
@@ -84,6 +85,9 @@ def require_reducible(model: Model) -> None:
     if experiment.resolved_base_interface not in ("bonded", "frictionless"):
         raise InputError("a reduced solid requires a bonded or frictionless base. Use 'bonded' or 'frictionless'",
                          field="friction_base")
+    if experiment.largest_accurate_depth < math.inf:
+        raise InputError("must be positive for a reduced solid without friction. Give the tool an edge radius, or use "
+                         'the solver "solid"', field="tool.edge_radius")
     if experiment.acting_laws:
         raise InputError("a reduced solid does not support adhesion or other contact laws. Leave them out",
                          field="contact_laws")

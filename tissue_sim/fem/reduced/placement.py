@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
+from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.free_tool import digest_arrays
 from tissue_sim.fem.reduced.contact import PenaltyContact
 from tissue_sim.fem.reduced.elements import SampledElements
@@ -13,7 +15,6 @@ from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.prediction import AmplitudePredictor
 from tissue_sim.fem.reduced.settings import BondedPlacementLimits
 from tissue_sim.fem.reduced.tool_motion import PrescribedModeAmplitudes
-from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.placement import FirstTouchHeightAndSolverMaker
 from tissue_sim.fem.solid.touch import find_first_touch
@@ -42,13 +43,13 @@ class ReducedSolverBase(KernelOwner, Solver):
     amplitudes: np.ndarray
     _placement: FirstTouchHeightAndSolverMaker
 
-    def _set_up_touch_height_finder(self, bodies: list[RigidBody]) -> None:
-        """Set `_placement`, which computes the height of first contact of the tool, a list of rigid bodies."""
+    def _set_up_touch_height_finder(self, pairs: Sequence[ContactPair]) -> None:
+        """Set `_placement`, which computes the height of the first touch of the tool from the contact pairs."""
         reduced = self.reduced
         mesh, places, specimen = reduced.mesh, reduced.rest_positions, reduced.model.experiment.specimen
         self._placement = FirstTouchHeightAndSolverMaker(
-            places[mesh.sets["top"]], bodies, self.datum, is_level=specimen.is_flat and reduced.rest is None,
-            margin=specimen.margin, touch_height=lambda pose: find_first_touch(mesh, places, bodies, pose).height,
+            places[mesh.sets["top"]], pairs, self.datum, is_level=specimen.is_flat and reduced.rest is None,
+            margin=specimen.margin, touch_height=lambda pose: find_first_touch(mesh, places, pairs, pose).height,
             remake=None)
 
     def mesh_digest(self) -> str:

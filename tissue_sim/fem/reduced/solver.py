@@ -19,7 +19,7 @@ from tissue_sim.fem.reduced.prediction import AmplitudePredictor
 from tissue_sim.fem.reduced.response import LinearResponse
 from tissue_sim.fem.reduced.settings import SETTINGS, TOLERANCE
 from tissue_sim.fem.reduced.tool_motion import PrescribedModeAmplitudes
-from tissue_sim.fem.solid.discretisation import make_tool_bodies_and_datum
+from tissue_sim.fem.solid.discretisation import make_contact_pairs_and_datum
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.state import SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
@@ -55,13 +55,12 @@ class ReducedSolver(ReducedSolverBase):
         experiment, mesh = reduced.model.experiment, reduced.mesh
         self.mesh, self.reduced, self._reach = mesh, reduced, experiment.contact_radius
         self._start = self._pose = self._landed = experiment.tool_pose(0.0)
-        bonded = mesh.sets["face"] if reduced.lifting else np.zeros(0, dtype=np.intp)
-        bodies, self.datum = make_tool_bodies_and_datum(experiment, mesh, bonded, reduced.rest_positions)
-        self._set_up_touch_height_finder(bodies)
+        pairs, self.datum = make_contact_pairs_and_datum(experiment, mesh, reduced.rest_positions)
+        self._set_up_touch_height_finder(pairs)
         self.elements = SampledElements(
             mesh, reduced.basis, reduced.elements, reduced.shares, groups=SETTINGS.stiffness_groups, rest=reduced.rest,
             layers=reduced.element_layers, contact_radius=self._reach)
-        self.contact = PenaltyContact(bodies, reduced.rest_positions, mesh.surface_node_areas, reduced.basis,
+        self.contact = PenaltyContact(pairs, reduced.rest_positions, mesh.surface_node_areas, reduced.basis,
                                       reach=self._reach, softness=reduced.softness)
         self.missing_force = make_missing_compliance_estimator_or_none(reduced, self.contact)
         self._tool_motion = PrescribedModeAmplitudes(reduced.lifting, ToolFrame(self._start, self.datum))

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.contact.settings import ALL_POINTS, SOLID_PENALTY, ActiveSetSettings, ContactBondState
-from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_geometry
+from tissue_sim.fem.contact.surface_geometry import find_nearest_surface_geometry
 from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.contact_state import NodalContactState
 from tissue_sim.fem.solid.frame import ToolFrame
@@ -50,15 +51,15 @@ class ContactNodes:
     A node occurs once for the bodies at rest and once for the bodies that move.
 
     Args:
-        bodies: bodies that may be touched.
+        pairs: contact pairs.
         places: undeformed positions of all nodes of the mesh, m, shape (nodes, 3).
         areas: surface area that each node of the mesh represents, m2, shape (nodes,).
         laws: additional contact laws of the tool.
 
     Attributes:
         nodes: indices in the mesh, shape (n,).
-        moves, stays: `RigidBody.moves` and `RigidBody.stays` of each node, shape (n,).
-        parts: bodies, and indices of their nodes in these arrays.
+        moves, stays: `ContactPair.moves` and `ContactPair.stays` of each node, shape (n,).
+        parts: contact pairs, and indices of their nodes in these arrays.
         bound: committed bond of each node to its body, a `ContactBondState`, shape (n,).
         anchors: displacements at which nodes are held or stick, in the frame of the body, m, shape (n, 3).
         pressed, slips: active sets of the present step: nodes in contact, and nodes that slip, shape (n,).
@@ -73,25 +74,25 @@ class ContactNodes:
 
     state: NodalContactState
 
-    def __init__(self, bodies: Sequence[RigidBody], places: np.ndarray, areas: np.ndarray,
+    def __init__(self, pairs: Sequence[ContactPair], places: np.ndarray, areas: np.ndarray,
                  laws: NodalContactLaws | None = None):
         taken: dict[bool, set[int]] = {True: set(), False: set()}
         nodes, owners = [], []
-        for number, body in enumerate(bodies):
-            for node in body.nodes.tolist():
-                if node not in taken[body.moves]:
-                    taken[body.moves].add(node)
+        for number, pair in enumerate(pairs):
+            for node in pair.surface.tolist():
+                if node not in taken[pair.moves]:
+                    taken[pair.moves].add(node)
                     nodes.append(node)
                     owners.append(number)
-        self.bodies, self.nodes = tuple(bodies), np.array(nodes, dtype=np.intp)
+        self.pairs, self.nodes = tuple(pairs), np.array(nodes, dtype=np.intp)
         self._owner, n = np.array(owners, dtype=np.intp), len(nodes)
-        self.parts = [(body, np.flatnonzero(self._owner == number)) for number, body in enumerate(bodies)]
+        self.parts = [(pair, np.flatnonzero(self._owner == number)) for number, pair in enumerate(pairs)]
         self.places, self.areas = places[self.nodes], areas[self.nodes]
         self._slack = 1e-9 * float(np.ptp(places[:, 2]))
         self.moves, self._tied, self.stays = (
-            np.array([getattr(bodies[owner], name) for owner in owners], dtype=bool)
+            np.array([getattr(pairs[owner], name) for owner in owners], dtype=bool)
             for name in ("moves", "tied", "stays"))
-        self._friction = np.array([bodies[owner].friction for owner in owners], dtype=float).reshape(n, 2)
+        self._friction = np.array([pairs[owner].friction for owner in owners], dtype=float).reshape(n, 2)
         self.springs, self.bound, self.anchors = np.zeros(n), np.zeros(n, dtype=np.int8), np.zeros((n, 3))
         self.held, self.held_at = self.bound.copy(), self.anchors.copy()
         self._met, self._met_at = self.bound.copy(), self.anchors.copy()
@@ -128,12 +129,12 @@ class ContactNodes:
             settled: contact with bodies at rest in the settled state; None: the mesh is undeformed.
         """
         self._first = ToolFrame(start, datum)
-        for body, own in self.parts:
+        for pair, own in self.parts:
             places, moved = self.places[own], self.places[own] + displacement[self.nodes[own]]
-            if body.moves:
+            if pair.moves:
                 places, moved = self._first.transform_to_tool(places), self._first.transform_to_tool(moved)
-            touches = find_nearest_surface_geometry(body, moved, pressed_in=True).gap <= self._slack
-            self.bound[own[touches]] = ContactBondState.HELD if body.tied else ContactBondState.TOUCHED
+            touches = find_nearest_surface_geometry(pair, moved, pressed_in=True).gap <= self._slack
+            self.bound[own[touches]] = ContactBondState.HELD if pair.tied else ContactBondState.TOUCHED
             self.anchors[own[touches]] = (moved - places)[touches]
         if settled is not None:
             _, here, there = np.intersect1d(np.where(self.moves, -1, self.nodes), settled.nodes, return_indices=True)
@@ -165,14 +166,14 @@ class ContactNodes:
         meridians = np.zeros((n, 3))
         turn = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
         pressed_in = bool(frame.origin[2] <= self._first.origin[2])
-        for body, own in self.parts:
+        for pair, own in self.parts:
             places = self.places[own]
             moved = places + displacement[own]
-            at = frame.transform_to_tool(moved) if body.moves else moved
-            travel[own] = at - (self._first.transform_to_tool(places) if body.moves else places)
-            found = find_nearest_surface_geometry(body, at, pressed_in)
+            at = frame.transform_to_tool(moved) if pair.moves else moved
+            travel[own] = at - (self._first.transform_to_tool(places) if pair.moves else places)
+            found = find_nearest_surface_geometry(pair, at, pressed_in)
             gap[own], shaft[own] = found.gap, found.on_shaft
-            rotation = frame.rotation if body.moves else np.eye(3)
+            rotation = frame.rotation if pair.moves else np.eye(3)
             turn[own] = rotation
             self.normals[own], meridians[own] = found.normal @ rotation.T, found.meridian @ rotation.T
             curved[own] = rotation @ found.curvature @ rotation.T

@@ -11,10 +11,8 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.experiment.tools.outline import Profile
-from tissue_sim.experiment.tools.plate import PLATE_RADIUS
-from tissue_sim.fem.contact.settings import STICK, TOLERANCES
-from tissue_sim.fem.solid.bodies import RigidBody
+from tissue_sim.fem.contact.pairs import ContactPair, ContactPairs, SurfaceParts, build_contact_pairs
+from tissue_sim.fem.contact.settings import TOLERANCES
 from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.placement import PLACEMENT, FirstTouchHeightAndSolverMaker
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives
@@ -106,28 +104,27 @@ def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datu
     tool = experiment.tool
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
     placed, start = start is not None, start or experiment.tool_pose(0.0)
-    bodies = [*_make_resting_bodies(experiment, mesh), *_make_moving_bodies(experiment, mesh, bonded, start)]
-    tolerance = (TOLERANCES.plate * experiment.specimen.margin() if tool.is_plate
-                 else TOLERANCES.needle * tool.require_radius())
+    contact = _build_contact_pairs(experiment, mesh, start)
+    pairs = contact.pairs
     places = mesh.nodes if settled is None else mesh.nodes + settled.x.reshape(-1, 3)
     top = places[mesh.sets["top"]]
     if datum is None:
-        first = find_first_touch(mesh, places, bodies, start)
+        first = find_first_touch(mesh, places, pairs, start)
         datum = first.height
     else:
-        first = find_first_touch(mesh, places, bodies, shift_pose_along_z(start, -start.position[2]))
+        first = find_first_touch(mesh, places, pairs, shift_pose_along_z(start, -start.position[2]))
         start = shift_pose_along_z(start, first.height - datum - start.position[2])
-    laws = NodalContactLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2,
-                            _compute_law_areas(experiment, mesh))
+    laws = NodalContactLaws(contact.laws, contact.face, _compute_law_areas(experiment, mesh))
     lift = _get_height_of_nearest_top_node(mesh, top[:, 2] - datum) if weight and tool.is_plate else None
     rates = partial(_differentiate_first_touch_or_none, load, experiment, first) if load and not placed else None
-    solver = SolidSolver(mesh, model.material, _map_fixed_node_set_to_axes(experiment), bonded, bodies=bodies,
-                         laws=laws, tolerance=tolerance, start=start, datum=datum,
-                         contact_radius=experiment.contact_radius, pins=_choose_rigid_motion_pins(experiment, mesh),
-                         element_layers=layers, settled=settled, specific_weight=weight, lift=lift, start_rates=rates)
+    solver = SolidSolver(mesh, model.material, _map_fixed_node_set_to_axes(experiment), bonded, pairs=pairs,
+                         laws=laws, tolerance=contact.tolerance, largest_motion=contact.largest_depth, start=start,
+                         datum=datum, contact_radius=experiment.contact_radius,
+                         pins=_choose_rigid_motion_pins(experiment, mesh), element_layers=layers, settled=settled,
+                         specific_weight=weight, lift=lift, start_rates=rates)
     solver.placement = FirstTouchHeightAndSolverMaker(
-        top, bodies, datum, is_level=experiment.specimen.is_flat and settled is None, margin=experiment.specimen.margin,
-        touch_height=lambda pose: find_first_touch(mesh, places, bodies, pose).height,
+        top, pairs, datum, is_level=experiment.specimen.is_flat and settled is None, margin=experiment.specimen.margin,
+        touch_height=lambda pose: find_first_touch(mesh, places, pairs, pose).height,
         remake=partial(_make_solver_at_pose_or_none, model, undeformed, start, datum, can_move))
     return solver
 
@@ -218,8 +215,8 @@ def _make_solver_without_tool(model: Model, mesh: SolidMesh, layers: np.ndarray)
         second = int(np.argmax(place[:, 0] - np.abs(place[:, 1] - place[middle, 1])))
         pins = [(int(base[middle]), "xy"), (int(base[second]), "y")]
     return SolidSolver(mesh, model.material, _map_fixed_node_set_to_axes(experiment), np.zeros(0, int),
-                       bodies=_make_resting_bodies(experiment, mesh), start=experiment.tool_pose(0.0), pins=pins,
-                       tolerance=TOLERANCES.plate * experiment.specimen.margin(),
+                       pairs=_build_contact_pairs(experiment, mesh, None).pairs, start=experiment.tool_pose(0.0),
+                       pins=pins, tolerance=TOLERANCES.plate * experiment.specimen.margin(),
                        contact_radius=experiment.contact_radius, element_layers=layers)
 
 
@@ -319,66 +316,44 @@ def _find_mesh_ring_circle(experiment: Experiment) -> Circle:
     return Circle(tool.face_radius or experiment.contact_radius, (offset, 0.0))
 
 
-def _get_friction_coefficient_or_stick_code(interface: str | float) -> float:
-    """Return the coefficient of friction of an interface, 1; `STICK` for 'bonded' and 'stick'."""
-    if not isinstance(interface, str):
-        return interface
-    return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
+def _build_contact_pairs(experiment: Experiment, mesh: SolidMesh, start: Pose | None) -> ContactPairs:
+    """Return the contact pairs of an experiment on a mesh.
+
+    Args:
+        experiment: specimen, tool, interfaces.
+        mesh: mesh of the specimen.
+        start: pose of the tool at its first touch; None: without tool.
+
+    Raises:
+        InputError: a tilted needle whose flat face has a sharp edge and no friction.
+    """
+    tool, upright = experiment.tool, start is None or not any(start.orientation[1:3])
+    if not upright and experiment.largest_accurate_depth < math.inf:
+        raise InputError("must be positive for a tilted tool without friction: tissue slides around the sharp edge. "
+                         "Give the tool an edge radius", field="tool.edge_radius")
+    base, top, bottom = mesh.sets["base"], mesh.sets["top"], float(mesh.nodes[:, 2].min())
+    side = np.setdiff1d(mesh.sets["side"], np.concatenate([base, top]))
+    is_low = mesh.nodes[side, 2] < 0.5 * bottom
+    face = mesh.sets["face"] if tool.face_radius else top[:0]
+    parts = SurfaceParts(bottom, base, side[is_low], side[~is_low], top, face, np.setdiff1d(top, face))
+    return build_contact_pairs(experiment, parts, tool=start is not None, upright=upright)
 
 
-def _make_resting_bodies(experiment: Experiment, mesh: SolidMesh) -> list[RigidBody]:
-    """Return the bodies at rest: the base, which nodes of the base and of the lower half of the side may touch."""
-    bottom = float(mesh.nodes[:, 2].min())
-    plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
-    mu = _get_friction_coefficient_or_stick_code(experiment.resolved_base_interface)
-    side = _select_side_nodes_off_base_and_top(mesh)
-    bodies = [RigidBody(plane, side[mesh.nodes[side, 2] < 0.5 * bottom], (mu, mu), moves=False)]
-    if experiment.resolved_base_interface not in _FIXED:
-        bodies.insert(0, RigidBody(plane, mesh.sets["base"], (mu, mu), moves=False, tied=mu == STICK, stays=True))
-    return bodies
-
-
-def _make_moving_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> list[RigidBody]:
-    """Return the parts of the tool, each with the nodes that may touch it; `start`: pose at first touch."""
-    tool, mu = experiment.tool, _get_friction_coefficient_or_stick_code(experiment.friction)
-    free = np.setdiff1d(mesh.sets["top"], bonded)
-    if tool.is_plate:
-        side = _select_side_nodes_off_base_and_top(mesh)
-        high = side[mesh.nodes[side, 2] >= 0.5 * float(mesh.nodes[:, 2].min())]
-        return [RigidBody(tool.profile, np.concatenate([free, high]), (mu, mu))]
-    wall = _get_friction_coefficient_or_stick_code(experiment.friction_wall)
-    if tool.face_radius == 0:
-        return [RigidBody(tool.profile, free, (mu, wall))]
-    if tool.has_sharp_edge and mu == 0.0:
-        raise InputError("must be positive for a solid without friction. Give the tool an edge radius, or use the "
-                         'solver "axisymmetric"', field="tool.edge_radius")
-    upright = not any(start.orientation[1:3])
-    under = np.intersect1d(mesh.sets["face"], free)
-    outside = np.setdiff1d(free, under)
-    if experiment.friction == "bonded":
-        return [RigidBody(tool.profile, outside, (mu, wall), first_line=1, closed=upright)]
-    # Tissue next to a sharp edge cannot move under the face without slip.
-    first = 0 if tool.edge_radius else 1
-    return [RigidBody(tool.profile, under, (mu, wall), tied=mu == STICK),
-            RigidBody(tool.profile, outside, (mu, wall), first_line=first, closed=upright)]
-
-
-def make_tool_bodies_and_datum(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, places: np.ndarray
-                               ) -> tuple[list[RigidBody], float]:
-    """Make the bodies of the tool, and find its first touch.
+def make_contact_pairs_and_datum(experiment: Experiment, mesh: SolidMesh, places: np.ndarray
+                                 ) -> tuple[tuple[ContactPair, ...], float]:
+    """Make the contact pairs of an experiment, and find the first touch of the tool.
 
     Args:
         experiment: tool and interfaces.
         mesh: undeformed mesh.
-        bonded: indices of the nodes that the tool holds.
         places: positions of the nodes, m, shape (nodes, 3).
 
     Returns:
-        Bodies, and height of the scene's origin in the frame of the mesh at the first touch, m.
+        Contact pairs, and height of the scene's origin in the frame of the mesh at the first touch, m.
     """
     start = experiment.tool_pose(0.0)
-    bodies = _make_moving_bodies(experiment, mesh, bonded, start)
-    return bodies, find_first_touch(mesh, places, bodies, start).height
+    pairs = _build_contact_pairs(experiment, mesh, start).pairs
+    return pairs, find_first_touch(mesh, places, pairs, start).height
 
 
 def _compute_law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
@@ -393,8 +368,3 @@ def _compute_law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
         under = mesh.faces["top"][np.isin(mesh.faces["top"], face).all(axis=1)]
         areas[face] = replace(mesh, faces={"face": under}).compute_node_areas_of_named_faces("face")[face]
     return areas
-
-
-def _select_side_nodes_off_base_and_top(mesh: SolidMesh) -> np.ndarray:
-    """Return the indices of the nodes of the side that belong neither to the base nor to the top."""
-    return np.setdiff1d(mesh.sets["side"], np.concatenate([mesh.sets["base"], mesh.sets["top"]]))

@@ -9,7 +9,6 @@ in parallel, iterates continue with the previous tangent: forces are exact, and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +22,10 @@ from tissue_sim.fem.condensed.model import (
     Executor,
     run_now_and_get_completion_check,
 )
+from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.contact.settings import SOLID_PENALTY
+from tissue_sim.fem.contact.surface_geometry import find_nearest_surface_geometry
 from tissue_sim.fem.linear.sparse import get_pardiso_or_scipy_name
-from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_geometry
 from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.frame import ToolFrame
@@ -93,9 +93,12 @@ class SolidLineariser:
         if contact.laws:
             raise InputError("must be left out for a multirate solid, which supports no adhesion or other contact laws",
                              field="contact_laws")
-        if any(not body.moves and body.stays for body in contact.bodies):
+        if any(not pair.moves and pair.stays for pair in contact.pairs):
             raise InputError("must be 'bonded', or 'frictionless' under a bonded tool, for a multirate solid: a base "
                              "that slides or lifts off would not hold the bulk", field="friction_base")
+        if np.isfinite(solver.largest_motion):
+            raise InputError("must be positive for a multirate solid without friction. Give the tool an edge radius",
+                             field="tool.edge_radius")
         self.nodes = contact.nodes[self._mine]
         self._freedoms = 3 * self.nodes[:, None] + np.arange(3)
         equation = np.full(solver.x.size, -1)
@@ -123,15 +126,15 @@ class SolidLineariser:
     def _make_contact_surface(self, candidates: int) -> ContactSurface:
         """Return the description of surface and tool for the contact solver, with at most `candidates` nodes."""
         solver, contact, mine = self._solver, self._solver.contact, self._mine
-        bodies = [body for body in contact.bodies if body.moves]
-        lines = max((len(body.profile.lines) - body.first_line for body in bodies), default=1)
-        chains, shapes = np.zeros((max(1, len(bodies)), lines, 5)), np.zeros((max(1, len(bodies)), 5))
+        pairs = [pair for pair in contact.pairs if pair.moves]
+        lines = max((len(pair.profile.lines) - pair.first_line for pair in pairs), default=1)
+        chains, shapes = np.zeros((max(1, len(pairs)), lines, 5)), np.zeros((max(1, len(pairs)), 5))
         outlines, friction = np.zeros(mine.size, dtype=np.int32), np.zeros((mine.size, 2))
-        for number, body in enumerate(bodies):
-            chain, shapes[number] = _pack_outline_segments_and_constants(body)
+        for number, pair in enumerate(pairs):
+            chain, shapes[number] = _pack_outline_segments_and_constants(pair)
             chains[number, :len(chain)] = chain
-            own = np.isin(self.nodes, body.nodes)
-            outlines[own], friction[own] = number, body.friction
+            own = np.isin(self.nodes, pair.surface)
+            outlines[own], friction[own] = number, pair.friction
         start = ToolFrame(solver.pose, solver.datum)
         springs = SOLID_PENALTY.normal * np.sqrt(np.maximum(contact.areas, 1e-3 * contact.areas.max(initial=0.0)))[mine]
         return ContactSurface(contact.places[mine].copy(), springs, friction, outlines, chains, shapes,
@@ -338,10 +341,10 @@ class SolidLineariser:
         solver, contact = self._solver, self._solver.contact
         frame, gaps = ToolFrame(pose, solver.datum), np.full(self.nodes.size, np.inf)
         at = frame.transform_to_tool(contact.places[self._mine] + solver.x[self._freedoms])
-        for body in contact.bodies:
-            if body.moves:
-                own = np.isin(self.nodes, body.nodes)
-                gaps[own] = find_nearest_surface_geometry(body, at[own], pressed_in=True).gap
+        for pair in contact.pairs:
+            if pair.moves:
+                own = np.isin(self.nodes, pair.surface)
+                gaps[own] = find_nearest_surface_geometry(pair, at[own], pressed_in=True).gap
         return gaps
 
     def _make_and_number_condensed_model(self, state: ContactState, pose: Pose) -> CondensedBulk:
@@ -389,11 +392,11 @@ def make_lineariser(model: Model, *, resolution: str = "realtime", mesh: SolidMe
     return SolidLineariser(make_solver(model, resolution=resolution, mesh=mesh), candidates)
 
 
-def _pack_outline_segments_and_constants(body: RigidBody) -> tuple[np.ndarray, tuple[float, ...]]:
+def _pack_outline_segments_and_constants(pair: ContactPair) -> tuple[np.ndarray, tuple[float, ...]]:
     """Return the segments of a body's outline, shape (lines, 5), and its row of `ContactSurface.shapes`."""
-    profile, first = body.profile, body.first_line
+    profile, first = pair.profile, pair.first_line
     lines = profile.lines[first:]
     length = lines[:, OutlineLineColumn.LENGTH]
-    closed = float(body.closed and first == profile.shaft and profile.rounding == 0.0)
+    closed = float(pair.closed and first == profile.shaft and profile.rounding == 0.0)
     return lines, (
         profile.rounding, profile.shaft - first, closed, len(length), _SETTINGS.on_axis * length.max(initial=1.0))

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.contact.settings import ContactBondState
+from tissue_sim.fem.contact.surface_geometry import find_nearest_surface_geometry
 from tissue_sim.fem.free_tool import AT_REST
-from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_geometry
 from tissue_sim.fem.solid.contact import ContactNodes
 from tissue_sim.fem.solid.faceting import estimate_faceting_force_error_or_none
 from tissue_sim.fem.solid.frame import ToolFrame
@@ -50,6 +51,8 @@ class SolidSolverBase(KernelOwner, Solver):
 
     Attributes:
         placement: makes the solver for a first touch at another pose; None: the solver cannot be moved.
+        largest_motion: largest motion of the tool after its first touch, downwards and sideways, with which the contact
+            conditions are accurate, m.
     """
 
     ignores_twist = True
@@ -61,10 +64,18 @@ class SolidSolverBase(KernelOwner, Solver):
     _committed: tuple[np.ndarray, ...]
     _rest: tuple[np.ndarray, ...]
     _tolerance: float
+    largest_motion: float
+    _contact_radius: float
     _mass: LumpedMass | None
     _bonded: np.ndarray
     _start: Pose
     _pose: Pose
+
+    def accepts_pose(self, pose: Pose) -> bool:
+        """Whether the contact conditions are accurate at a pose, see `largest_motion`; always above the first touch."""
+        x, y, z, *turn = compute_rigid_motion(self._start, pose)
+        aside = math.hypot(x, y) + self._contact_radius * math.hypot(*turn[:2])
+        return z >= 0.0 or max(-z, aside) <= self.largest_motion
 
     def height_above_tissue(self, pose: Pose) -> float:
         """Return the distance that the tool must go down until it touches the undeformed tissue, m.
@@ -107,10 +118,10 @@ class SolidSolverBase(KernelOwner, Solver):
                 contact.moves & (contact.stays | (contact.bound != ContactBondState.FREE))).any():
             return None
         frame, displacement, least = ToolFrame(pose, self.datum), self.committed_displacement, math.inf
-        for body, own in contact.parts:
-            if body.moves and own.size:
+        for pair, own in contact.parts:
+            if pair.moves and own.size:
                 at = frame.transform_to_tool(contact.places[own] + displacement[contact.nodes[own]])
-                least = min(least, float(find_nearest_surface_geometry(body, at, pressed_in=False).gap.min()))
+                least = min(least, float(find_nearest_surface_geometry(pair, at, pressed_in=False).gap.min()))
         return least
 
     @property
@@ -156,7 +167,7 @@ class FirstTouchHeightAndSolverMaker:
 
     Args:
         places: positions of the nodes of the top without a tool, m, shape (n, 3).
-        bodies: parts of the tool; bodies at rest are ignored.
+        pairs: contact pairs; the last one has the outline of the whole tool.
         datum: height of the scene's origin in the frame of the mesh, m.
         is_level: whether the top is flat and has not settled.
         margin: returns the distance of a point from the edge of the top, m.
@@ -165,10 +176,10 @@ class FirstTouchHeightAndSolverMaker:
         remake: returns the solver for a first touch at a pose, or None if no solver can be made; None: never remake.
     """
 
-    def __init__(self, places: np.ndarray, bodies: list[RigidBody], datum: float, is_level: bool,
+    def __init__(self, places: np.ndarray, pairs: Sequence[ContactPair], datum: float, is_level: bool,
                  margin: Callable[[float, float], float], touch_height: Callable[[Pose], float],
                  remake: Callable[[Pose, Any], Any] | None):
-        profiles = [body.profile for body in bodies if body.moves]
+        profiles = [pair.profile for pair in pairs if pair.moves][-1:]
         self.radius = max((float(each.vertices[:, 0].max()) + each.rounding for each in profiles), default=0.0)
         self._highest = float(places[:, 2].max()) - datum
         self._datum, self._is_level, self._margin = datum, is_level, margin

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 
+from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.contact.settings import ALL_POINTS
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
-from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.contact import ContactNodes, ContactViolationAndCounts
 from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.faceting import faceting_warnings
@@ -41,9 +42,10 @@ class SolidSolver(SolidSolverBase):
         material: law, parameters, bulk response.
         fixed: node set -> axes, ``"z"`` or ``"xyz"``, along which its nodes are fixed.
         bonded: nodes that the tool holds, shape (n,).
-        bodies: rigid bodies that the surface may touch.
+        pairs: contact pairs of the surface.
         laws: additional contact laws of the tool.
         tolerance: largest permitted violation of a contact condition, m.
+        largest_motion: see `SolidSolverBase`.
         start: pose of the tool at its first touch, in the frame of the scene.
         datum: height of that frame's origin in the frame of the mesh, m.
         contact_radius: m, for the time of drainage, see `Material.make_prony_series`.
@@ -62,12 +64,12 @@ class SolidSolver(SolidSolverBase):
     highest_order = 0
 
     def __init__(self, mesh: SolidMesh, material: Material, fixed: dict[str, str], bonded: np.ndarray, *,
-                 bodies: Sequence[RigidBody] = (), laws: NodalContactLaws | None = None, tolerance: float = 0.0,
-                 start: Pose, datum: float = 0.0, contact_radius: float = 1.0, pins: Sequence[tuple[int, str]] = (),
-                 element_layers: np.ndarray | None = None, specific_weight: float = 0.0,
-                 settled: SolidSolver | None = None, lift: np.ndarray | None = None,
+                 pairs: Sequence[ContactPair] = (), laws: NodalContactLaws | None = None, tolerance: float = 0.0,
+                 largest_motion: float = math.inf, start: Pose, datum: float = 0.0, contact_radius: float = 1.0,
+                 pins: Sequence[tuple[int, str]] = (), element_layers: np.ndarray | None = None,
+                 specific_weight: float = 0.0, settled: SolidSolver | None = None, lift: np.ndarray | None = None,
                  start_rates: Callable[[Neighbours], FirstTouchDerivatives | None] | None = None):
-        self.mesh, self.datum, self._tolerance = mesh, datum, tolerance
+        self.mesh, self.datum, self._tolerance, self.largest_motion = mesh, datum, tolerance, largest_motion
         self.x = np.zeros(3 * len(mesh.nodes))
         self.tissue = Tissue(mesh, self.x, contact_radius, element_layers)
         self.batches, self.tissue.specific_weight = self.tissue.batches, specific_weight
@@ -82,13 +84,13 @@ class SolidSolver(SolidSolverBase):
         self._moved = freedoms[self._bonded].ravel()
         # Positions of the bonded nodes in the frame of the tool.
         self._held_at = ToolFrame(start, datum).transform_to_tool(self._get_node_positions(self._bonded))
-        self.contact = ContactNodes(bodies, mesh.nodes, mesh.surface_node_areas, laws)
+        self.contact = ContactNodes(pairs, mesh.nodes, mesh.surface_node_areas, laws)
         if lift is not None:
             self.contact.places[self.contact.moves, 2] -= lift[self.contact.nodes[self.contact.moves]]
         self.contact.bind_nodes_at_first_touch(start, datum, self.x.reshape(-1, 3),
                                                None if settled is None else settled.contact)
         self._matrix = FreeDofSubmatrix(self.batches.matrix, self._free, freedoms[self.contact.nodes])
-        self._sparse = SparseSolver()
+        self._sparse, self._contact_radius = SparseSolver(), contact_radius
         self._tangent = ReusableTangentFactor(self.tissue, self.contact, self._matrix, self._sparse, self._free)
         self._largest_force, self._asked, self._modulus, self._least = 0.0, False, 0.0, 0.0
         self._committed, self._rest = (tuple(array.copy() for array in self._arrays_of_iterate) for _ in range(2))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.fem.solid.bodies import NearestSurfaceGeometry, RigidBody, find_nearest_surface_geometry
+from tissue_sim.fem.contact.pairs import ContactPair
+from tissue_sim.fem.contact.surface_geometry import NearestSurfaceGeometry, find_nearest_surface_geometry
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.mesh.side_points import FacePolynomialMaps
 from tissue_sim.mesh.solid import SolidMesh
@@ -79,7 +80,7 @@ class FirstTouch:
         return float(way @ self.normal / self.normal[2])
 
 
-def find_first_touch(mesh: SolidMesh, places: np.ndarray, bodies: list[RigidBody], start: Pose) -> FirstTouch:
+def find_first_touch(mesh: SolidMesh, places: np.ndarray, pairs: Sequence[ContactPair], start: Pose) -> FirstTouch:
     """Find the height at which a tool that moves downwards first touches the top.
 
     The surface between the nodes counts. Contact acts at nodes only, but depths measured from the first node that a
@@ -88,17 +89,17 @@ def find_first_touch(mesh: SolidMesh, places: np.ndarray, bodies: list[RigidBody
     Args:
         mesh: mesh of the solid.
         places: positions of its nodes, m, shape (nodes, 3).
-        bodies: parts of the tool; bodies at rest are ignored.
+        pairs: contact pairs; the last one has the outline of the whole tool.
         start: pose of the tool.
 
     Raises:
         InputError: the tool does not come down on the specimen.
         ConvergenceError: the search did not converge.
     """
-    moving = [body for body in bodies if body.moves]
+    moving = [pair for pair in pairs if pair.moves]
     if not moving:
         return FirstTouch(0.0)
-    tool = _ConvexTool(moving, start, float(np.ptp(mesh.nodes[:, 2])))
+    tool = _ConvexTool(moving[-1], start, float(np.ptp(mesh.nodes[:, 2])))
     top = places[mesh.sets["top"]]
     if "top" not in mesh.faces:
         return FirstTouch(tool.find_touch_height(top))
@@ -132,45 +133,40 @@ class _ConvexTool:
     """Distances from a convex tool, for a scene whose origin is at the height `datum` in the frame of the mesh.
 
     Args:
-        bodies: parts of the tool.
+        pair: contact pair with the outline of the whole tool.
         start: pose in the scene.
         scale: height of the mesh, m.
     """
 
-    def __init__(self, bodies: list[RigidBody], start: Pose, scale: float):
+    def __init__(self, pair: ContactPair, start: Pose, scale: float):
         # Restrictions of nodes to parts of the tool have no meaning before the first touch.
-        whole = {id(body.profile): replace(body, first_line=0, closed=False) for body in bodies}
-        self._bodies, self._start, self.scale = list(whole.values()), start, scale
+        self._pair, self._start, self.scale = replace(pair, first_line=0, closed=False), start, scale
 
-    def list_nearest_points_per_part(self, points: np.ndarray, datum: float) -> list[NearestSurfaceGeometry]:
-        """Return one entry for each part of the tool: its surface points nearest to given points, m, shape (n, 3)."""
+    def find_nearest_points(self, points: np.ndarray, datum: float) -> NearestSurfaceGeometry:
+        """Return the surface points nearest to given points, m, shape (n, 3)."""
         at = ToolFrame(self._start, datum).transform_to_tool(points)
-        return [find_nearest_surface_geometry(body, at, pressed_in=False) for body in self._bodies]
+        return find_nearest_surface_geometry(self._pair, at, pressed_in=False)
 
     def compute_gaps(self, points: np.ndarray, datum: float) -> np.ndarray:
         """Return the signed distances of points, m, shape (..., 3), from the tool, m, shape (...); negative inside."""
-        found = self.list_nearest_points_per_part(points.reshape(-1, 3), datum)
-        return np.min([each.gap for each in found], axis=0).reshape(points.shape[:-1])
+        return self.find_nearest_points(points.reshape(-1, 3), datum).gap.reshape(points.shape[:-1])
 
     def compute_normals(self, points: np.ndarray, datum: float) -> np.ndarray:
         """Return outward normals of the tool at the points nearest to given ones, in the frame of the mesh, (n, 3)."""
-        found = self.list_nearest_points_per_part(points, datum)
-        part = np.argmin([each.gap for each in found], axis=0)
-        return np.array([each.normal for each in found])[part, np.arange(len(points))] @ ToolFrame(
-            self._start, datum).rotation.T
+        return self.find_nearest_points(points, datum).normal @ ToolFrame(self._start, datum).rotation.T
 
     def find_lowest_point_height(self, datum: float) -> float:
         """Return the height of the lowest point of the tool in the frame of the mesh, m."""
         frame = ToolFrame(self._start, datum)
         across, up = float(np.hypot(*frame.rotation[2, :2])), float(frame.rotation[2, 2])
-        return float(frame.origin[2]) + min(float((body.profile.vertices @ [-across, up]).min()) - body.profile.rounding
-                                            for body in self._bodies)
+        profile = self._pair.profile
+        return float(frame.origin[2]) + float((profile.vertices @ [-across, up]).min()) - profile.rounding
 
     def is_sharp_at(self, point: np.ndarray, datum: float) -> bool:
         """Whether the tool has an edge or a tip where it touches a point, m, shape (3,)."""
         away = datum + _SETTINGS.lift * self.scale
-        best = min(self.list_nearest_points_per_part(point[None], away), key=lambda each: each.gap[0])
-        return float(np.abs(best.curvature[0]).max()) * self.scale > _SETTINGS.sharp
+        curvature = self.find_nearest_points(point[None], away).curvature[0]
+        return float(np.abs(curvature).max()) * self.scale > _SETTINGS.sharp
 
     def find_touch_height(self, points: np.ndarray) -> float:
         """Return the height `datum`, m, at which the descending tool touches the first of the points, m, (n, 3)."""

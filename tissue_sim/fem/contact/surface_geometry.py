@@ -1,0 +1,92 @@
+"""Nearest points of the surface of a rigid body of revolution in three dimensions, for arrays and for kernels.
+
+In the plane through the axis and the point, the nearest point is that of the outline (`closest_point`). The principal
+curvatures of the offset surface through the point belong to the meridian and to the circumference.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from tissue_sim.experiment.tools.outline import OutlineLineColumn
+from tissue_sim.fem.contact.closest_point import make_closest_point_function
+from tissue_sim.fem.contact.pairs import ContactPair
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi
+
+
+@dataclass(frozen=True)
+class NearestSurfaceGeometry:
+    """Nearest points of a body's surface to given points, in the frame of the body.
+
+    Attributes:
+        gap: signed distance, m, shape (n,).
+        normal: outward normal, shape (n, 3).
+        curvature: derivative of the normal with respect to position, 1/m, shape (n, 3, 3).
+        on_shaft: whether the nearest point belongs to the shaft, shape (n,).
+        meridian: unit tangent of the outline, shape (n, 3).
+    """
+
+    gap: np.ndarray
+    normal: np.ndarray
+    curvature: np.ndarray
+    on_shaft: np.ndarray
+    meridian: np.ndarray
+
+
+def find_nearest_surface_geometry(pair: ContactPair, points: np.ndarray, pressed_in: bool) -> NearestSurfaceGeometry:
+    """Find the nearest points of a body's surface.
+
+    Args:
+        pair: contact pair of the body.
+        points: in the frame of the body, m, shape (n, 3).
+        pressed_in: whether the body is at its position of first touch, or deeper; see `ContactPair.closed`.
+    """
+    profile, first = pair.profile, pair.first_line
+    closed = pair.closed and pressed_in and first == profile.shaft and profile.rounding == 0.0
+    r = np.hypot(points[:, 0], points[:, 1])
+    line, distance, n2, bent = profile.compute_distances_to_polyline(np.stack([r, points[:, 2]], axis=-1), first,
+                                                                     closed)
+    outwards = np.where(r[:, None] > 0.0, points[:, :2] / np.where(r > 0.0, r, 1.0)[:, None], [1.0, 0.0])
+    normal = np.concatenate([n2[:, :1] * outwards, n2[:, 1:]], axis=1)
+    meridian = np.concatenate([-n2[:, 1:] * outwards, n2[:, :1]], axis=1)
+    around = np.stack([-outwards[:, 1], outwards[:, 0], np.zeros(len(r))], axis=-1)
+    # On the axis both principal curvatures are equal.
+    length = profile.lines[first:, OutlineLineColumn.LENGTH]
+    hoop = np.where(r > 1e-9 * length.max(initial=1.0), n2[:, 0] / np.where(r > 0.0, r, 1.0), bent)
+    curvature = (bent[:, None, None] * meridian[:, :, None] * meridian[:, None]
+                 + hoop[:, None, None] * around[:, :, None] * around[:, None])
+    rounded = (bent != 0.0) & (profile.rounding > 0.0)
+    return NearestSurfaceGeometry(distance - profile.rounding, normal, curvature, (line >= profile.shaft) & ~rounded,
+                                  meridian)
+
+
+@cache
+def make_surface_geometry_function():
+    """Return the Taichi function of the nearest point of a body's surface.
+
+    ``find_surface_geometry(at, first, end, is_endless, shaft, rounding, axis_radius, lines)`` returns gap (m), outward
+    normal, unit tangents along meridian and circumference, curvatures along both (1/m), and 1 if the nearest point
+    belongs to the shaft, else 0. `at` is the position in the frame of the body, m, and `shaft` the first line segment
+    of the shaft. Nearer to the axis than `axis_radius`, m, both curvatures are equal. `rounding` is the radius of the
+    edges, m; the other arguments are those of `make_closest_point_function`.
+    """
+    ti = get_initialised_taichi()
+    find_closest_outline_point = make_closest_point_function()
+
+    @ti.func
+    def find_surface_geometry(at, first, end, is_endless, shaft, rounding, axis_radius, lines: ti.template()):
+        """Return gap, normal, two tangents, two curvatures, and whether the shaft is nearest."""
+        r = ti.sqrt(at[0] * at[0] + at[1] * at[1])
+        line, distance, n_r, n_z, bent = find_closest_outline_point(r, at[2], first, end, is_endless, lines)
+        out, up, hoop = ti.Vector([1.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 1.0]), bent
+        if r > 0.0:
+            out = ti.Vector([at[0] / r, at[1] / r, 0.0])
+        if r > axis_radius:
+            hoop = n_r / r
+        # Rounded edges have the friction of the face.
+        on_shaft = 1 if line >= shaft and not (bent != 0.0 and rounding > 0.0) else 0
+        around = ti.Vector([-out[1], out[0], 0.0])
+        return distance - rounding, n_r * out + n_z * up, n_r * up - n_z * out, around, bent, hoop, on_shaft
+
+    return find_surface_geometry
