@@ -66,3 +66,14 @@ def differentiate_rotated_forces(forces: np.ndarray) -> np.ndarray:
     rates[:, 1, 3], rates[:, 1, 5] = -z, x
     rates[:, 2, 3], rates[:, 2, 4] = y, -x
     return rates
+
+
+def differentiate_torque_by_levers(motions: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Differentiate the torque of constant forces whose points move relative to the tool, N and N m, shape (3, 6).
+
+    Args:
+        motions: derivatives of the points with respect to the pose of the tool, shape (n, 3, 6).
+        forces: forces at the points, N, shape (n, 3).
+    """
+    apart = motions - np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)
+    return np.cross(apart, forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
