@@ -15,17 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.tools.outline import OutlineLineColumn
 from tissue_sim.fem.condensed.model import (
     CondensedBulk,
     ContactState,
     ContactSurface,
     Executor,
+    make_outline_tables,
     run_now_and_get_completion_check,
 )
 from tissue_sim.fem.contact.settings import SOLID_PENALTY
 from tissue_sim.fem.linear.sparse import get_pardiso_or_scipy_name
-from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.frame import ToolFrame, differentiate_torque_by_levers
@@ -124,12 +123,9 @@ class SolidLineariser:
         """Return the description of surface and tool for the contact solver, with at most `candidates` nodes."""
         equations, contact, mine = self._equations, self._equations.contact, self._mine
         bodies = [body for body in contact.bodies if body.moves]
-        lines = max((len(body.profile.lines) - body.first_line for body in bodies), default=1)
-        chains, shapes = np.zeros((max(1, len(bodies)), lines, 5)), np.zeros((max(1, len(bodies)), 5))
+        chains, shapes = make_outline_tables([(body.profile, body.first_line, body.closed) for body in bodies])
         outlines, friction = np.zeros(mine.size, dtype=np.int32), np.zeros((mine.size, 2))
         for number, body in enumerate(bodies):
-            chain, shapes[number] = _pack_outline_segments_and_constants(body)
-            chains[number, :len(chain)] = chain
             own = np.isin(self.nodes, body.nodes)
             outlines[own], friction[own] = number, body.friction
         start = ToolFrame(equations.pose, equations.datum)
@@ -366,13 +362,3 @@ def make_lineariser(model: Model, *, resolution: str = "realtime", mesh: SolidMe
                     candidates: int = CANDIDATES) -> SolidLineariser:
     """Make the linearisation of a model; see `tissue_sim.fem.condensed.model.LINEARISATIONS`."""
     return SolidLineariser(make_solver(model, resolution=resolution, mesh=mesh), candidates)
-
-
-def _pack_outline_segments_and_constants(body: RigidBody) -> tuple[np.ndarray, tuple[float, ...]]:
-    """Return the segments of a body's outline, shape (lines, 5), and its row of `ContactSurface.shapes`."""
-    profile, first = body.profile, body.first_line
-    lines = profile.lines[first:]
-    length = lines[:, OutlineLineColumn.LENGTH]
-    closed = float(body.closed and first == profile.shaft and profile.rounding == 0.0)
-    return lines, (
-        profile.rounding, profile.shaft - first, closed, len(length), _SETTINGS.on_axis * length.max(initial=1.0))
