@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from haptics.loop.bulk_settings import BULK_PROCESS
-from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, remove_file_ignoring_errors
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, remove_files_ignoring_errors
 from haptics.loop.snapshot_board import SnapshotWriter
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 from tissue_sim.fem.condensed.model import (
@@ -164,8 +164,7 @@ def _receive_materials_then_exit_process(orders: BinaryIO, materials: deque[tupl
         while True:
             materials.append(pickle.load(orders))
     except (EOFError, OSError):
-        for path in files:
-            remove_file_ignoring_errors(path)
+        remove_files_ignoring_errors(*files)
         os._exit(0)
 
 

@@ -46,7 +46,7 @@ def test_tangent_is_the_derivative_of_the_forces(element, name, past):
     batches, x = tissue.batches, tissue.x
     if history:
         # It has been loaded higher before, and stresses are left.
-        memory = tissue.tissue.first_region_history
+        memory = tissue.tissue.region_material_arrays[0].memory
         memory.set_step_duration(0.1)
         memory.largest[:] = rng.uniform(0.0, 2000.0, memory.largest.shape)
         memory.inherited[:] = rng.normal(0.0, 300.0, memory.inherited.shape)

@@ -15,7 +15,7 @@ import numpy as np
 
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.pose import Pose, Screw, compute_rigid_motion, rotate_pose_about_its_position
+from tissue_sim.pose import Pose, compute_rigid_motion, rotate_pose_about_its_position
 
 #: Relative tolerance for equal positions (times the size of the mesh) and equal directions.
 _TOLERANCE = 1e-9
@@ -54,11 +54,6 @@ class Symmetry:
         x0, y0, z0 = start.position
         position = (x0 + offset[0], y0 + offset[1], z0 + offset[2])
         return rotate_pose_about_its_position(Pose(position, start.orientation), tuple(rotation.tolist()))
-
-    def map_wrench(self, wrench: Screw | np.ndarray) -> np.ndarray:
-        """Return the image of a wrench (force, N, and torque, N m), shape (6,)."""
-        force, torque = np.asarray(wrench[:3]), np.asarray(wrench[3:])
-        return np.concatenate([self.matrix @ force, np.linalg.det(self.matrix) * self.matrix @ torque])
 
 
 def find_symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:

@@ -14,7 +14,7 @@ from tissue_sim.fem.solid.bodies import NearestSurfaceGeometry, RigidBody, find_
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.mesh.side_points import FacePolynomialMaps
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.pose import Pose, compute_rigid_motion
+from tissue_sim.pose import Pose, compute_pose_distance
 
 
 @dataclass(frozen=True)
@@ -172,8 +172,7 @@ class FirstTouchHeightAndSolverMaker:
 
     def is_at_mesh_position(self, start: Pose, pose: Pose) -> bool:
         """Whether a first touch at a pose needs no other mesh than the first touch at `start`."""
-        x, y, z, *turn = compute_rigid_motion(start, pose)
-        return math.hypot(x, y, z) + self.radius * math.hypot(*turn) <= PLACEMENT.same_position * self.radius
+        return compute_pose_distance(start, pose, self.radius) <= PLACEMENT.same_position * self.radius
 
     def height_above_tissue(self, pose: Pose) -> float:
         """Return the distance that the tool must go down until it touches the undeformed tissue, m.
