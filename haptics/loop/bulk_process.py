@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from haptics.loop.bulk_child import (
+    BULK_PROCESS,
     KIND_CORRECTION,
     KIND_MODEL,
     KIND_STATE,
     BulkReadyMessage,
     make_bulk_lineariser,
 )
-from haptics.loop.bulk_settings import BULK_PROCESS
 from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, remove_files_ignoring_errors
 from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError

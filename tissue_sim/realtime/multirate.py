@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
 from tissue_sim.errors import InputError
@@ -19,13 +19,10 @@ from tissue_sim.pose import Pose, add_screws, compute_pose_distance, scale_screw
 from tissue_sim.realtime.accepted_models import require_moduli_in_range
 from tissue_sim.realtime.bulk_link import BulkLink
 from tissue_sim.realtime.model_transition import ModelTransition
-from tissue_sim.realtime.multirate_settings import MULTIRATE
 from tissue_sim.realtime.tissue import FORCE_BEFORE_FIRST_STEP, RealTimeTissue
 from tissue_sim.realtime.tool_track import TouchFrame, interpolate_pose_at_surface
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import (
-    ERROR_FLOOR,
-    ERROR_SHARE,
     ForceStatus,
     ToolForce,
     TouchState,
@@ -35,10 +32,43 @@ from tissue_sim.tool_force import (
     scale_matrix,
 )
 
-__all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue"]
 
-#: Largest age of the model of a CONVERGED force, s.
-OLDEST = MULTIRATE.oldest
+@dataclass(frozen=True)
+class MultirateSettings:
+    """Exchange of states and models between a `MultiRateTissue` and its bulk.
+
+    The last five fields apply to steps that wait for the bulk. All defaults are choices of this project.
+
+    Attributes:
+        oldest: largest age of the model of a CONVERGED force, s. A larger age accepts forces of a slower bulk.
+        ticks_between_states: ticks between two states sent to the bulk. A larger number costs less time in the ticks;
+            models then belong to older states.
+        speed_ticks: ticks over which the speed of the tool is measured. A larger number reduces noise and delays the
+            speed.
+        touch_depths: depths of the touches in `MultiRateTissue.warm_up`, as fractions of the contact radius.
+        recent: largest age of a model in a step that waits, s. A larger age saves exchanges and increases the error.
+        near: largest distance of a model in a step that waits, as a fraction of `LinearisationErrorEstimator.short`. A
+            larger distance saves exchanges and increases the error.
+        max_exchanges: maximum number of exchanges of state and model in a step that waits. A step without convergence
+            takes more time with a larger number.
+        force_tolerance: tolerance on the change of the force in the last exchange, as a fraction of the force. A
+            smaller tolerance requires more exchanges.
+        force_floor: absolute tolerance on this change, N. A smaller tolerance requires more exchanges.
+    """
+
+    oldest: float = 1.0
+    ticks_between_states: int = 4
+    speed_ticks: int = 8
+    touch_depths: tuple[float, ...] = (0.02, 0.04, 0.05)
+    recent: float = 0.01
+    near: float = 0.25
+    max_exchanges: int = 16
+    force_tolerance: float = 0.01
+    force_floor: float = 1e-4
+
+
+#: Defaults of every multirate tissue.
+MULTIRATE = MultirateSettings()
 
 
 class MultiRateTissue(RealTimeTissue):
@@ -85,7 +115,7 @@ class MultiRateTissue(RealTimeTissue):
     budget: float | None = None
     mesh: Any = None
 
-    def __init__(self, model: Model, link: BulkLink, *, resolution: str = "realtime", oldest: float = OLDEST,
+    def __init__(self, model: Model, link: BulkLink, *, resolution: str = "realtime", oldest: float = MULTIRATE.oldest,
                  waits: bool = False, limits: MotionLimits | None = None):
         self.require_valid_arguments(model, oldest)
         super().__init__(model, limits)

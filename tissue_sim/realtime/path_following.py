@@ -198,8 +198,8 @@ class PathFollowingTissue(RealTimeTissue):
     def _step_along_pending_path(self, pose: Pose, tick: float, began: float, is_behind: bool) -> ToolForce:
         """Solve the pending path up to a pose in as many parts as needed, within the budget; return the result.
 
-        The parts are not `AdaptiveIncrements`: their length is a fraction of the contact radius that is kept from step to
-        step, a tick is divided into parts of equal length, and the next step may continue an unfinished part.
+        The parts are not `AdaptiveIncrements`: their length is a fraction of the contact radius that is kept from step
+        to step, a tick is divided into parts of equal length, and the next step may continue an unfinished part.
 
         Args:
             pose: pose of the solver at the end.

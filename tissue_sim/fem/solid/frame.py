@@ -49,12 +49,8 @@ class ToolFrame:
         Returns:
             Derivatives by displacement (columns 0 to 2, 1) and rotation vector (columns 3 to 5, m), shape (n, 3, 6).
         """
-        rates = np.zeros((len(points), 3, 6))
+        rates = differentiate_rotated_forces(points - self.origin)
         rates[:, 0, 0] = rates[:, 1, 1] = rates[:, 2, 2] = 1.0
-        x, y, z = (points - self.origin).T
-        rates[:, 0, 4], rates[:, 0, 5] = z, -y
-        rates[:, 1, 3], rates[:, 1, 5] = -z, x
-        rates[:, 2, 3], rates[:, 2, 4] = y, -x
         return rates
 
 

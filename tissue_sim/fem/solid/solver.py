@@ -11,13 +11,13 @@ import numpy as np
 
 from tissue_sim.fem.contact.settings import ALL_POINTS, ContactBondState
 from tissue_sim.fem.free_tool import AT_REST
+from tissue_sim.fem.inertia import LumpedMass
 from tissue_sim.fem.linear.sparse import Factor
 from tissue_sim.fem.solid.contact import ContactViolationAndCounts
 from tissue_sim.fem.solid.equations import SolidEquations
 from tissue_sim.fem.solid.faceting import estimate_faceting_force_error_or_none, faceting_warnings
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.fem.solid.frame import ToolFrame
-from tissue_sim.fem.solid.mass import LumpedMass
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives, SolidSensitivity
 from tissue_sim.fem.solid.settings import NEWTON
 from tissue_sim.fem.solid.state import FieldSample, SavedState
