@@ -156,6 +156,27 @@ def scale_screw(factor: float, screw: Screw) -> Screw:
     return (factor * x, factor * y, factor * z, factor * u, factor * v, factor * w)
 
 
+def shorten_screw(screw: Screw, step: float, other_step: float) -> Screw:
+    """Reduce the lengths of the two vectors of a screw by steps; a vector not longer than its step becomes zero.
+
+    Args:
+        screw: first and second vector.
+        step: largest reduction of the length of the first vector, in its unit.
+        other_step: the same for the second vector.
+    """
+    return _shorten_vector(screw[:3], step) + _shorten_vector(screw[3:], other_step) if any(screw) else screw
+
+
+def _shorten_vector(vector: Vector, step: float) -> Vector:
+    """Return a vector of the same direction whose length is smaller by `step`; zero if it is not longer."""
+    size = math.hypot(*vector)
+    if size <= step:
+        return (0.0, 0.0, 0.0)
+    # Divide first: along an axis the direction is exactly 1.
+    x, y, z = vector
+    return (x - x / size * step, y - y / size * step, z - z / size * step)
+
+
 def add_screws(one: Screw, other: Screw) -> Screw:
     """Return the sum of two screws."""
     (x, y, z, u, v, w), (a, b, c, d, e, f) = one, other
@@ -176,6 +197,12 @@ def compute_rigid_motion(start: Pose, end: Pose) -> Screw:
     sine = math.sqrt(x * x + y * y + z * z)
     factor = 2.0 if sine < QUATERNION.small_sine else 2.0 * math.atan2(sine, w) / sine
     return (x1 - x0, y1 - y0, z1 - z0, factor * x, factor * y, factor * z)
+
+
+def compute_pose_distance(one: Pose, other: Pose, radius: float) -> float:
+    """Return the translation between two poses plus the rotation angle times a radius, m."""
+    x, y, z, a, b, c = compute_rigid_motion(one, other)
+    return math.hypot(x, y, z) + radius * math.hypot(a, b, c)
 
 
 def interpolate_pose(start: Pose, end: Pose, share: float) -> Pose:

@@ -100,8 +100,8 @@ class ForceStatus(IntEnum):
     - the estimated error of the force, where one is known, is at most `ERROR_SHARE` of the force, or
       `compute_negligible_force_error`;
     - where the tissue has mass, the part of the error that unresolved waves have is at most `ERROR_SHARE` of the force,
-      or `tissue_sim.realtime.wave_error.ContactWaveTimeAndShearSpeed.floor`, the tool is slower than shear waves, and
-      no wave was lost.
+      or `tissue_sim.realtime.inertia_limits.ContactWaveTimeAndShearSpeed.floor`, the tool is slower than shear waves,
+      and no wave was lost.
 
     The status does not depend on the age of the stiffness (`ToolForce.stiffness_age`). An unknown error is None, not 0.
     A tissue returns the first four statuses; the others are set between tissue and hand

@@ -79,11 +79,11 @@ def cpu(function, repeats: int = 3) -> float:
 def condensation(size: int, repeats: int) -> dict:
     """Return the CPU time of the factorisation and of the condensation, s."""
     bulk = SolidLineariser(make_solver(MODEL, mesh=mesh_of(size)))
-    solver, sparse = bulk._solver, SparseSolver()
+    solver, equations, sparse = bulk.solver, bulk.solver.equations, SparseSolver()
     solver.step(Pose((0.0, 0.0, -1e-3)), tolerance=1e-6, max_iterations=40)
-    assemble = cpu(solver._update_assembled_forces_and_tangent, repeats)
-    solver._matrix.add_contact_stiffness(0.0 * solver.contact.rates)
-    matrix = solver._matrix.free
+    assemble = cpu(equations.assemble_and_get_least_volume_ratio, repeats)
+    equations.matrix.update_free_part()
+    matrix = equations.matrix.free
     near = np.argsort(bulk._compute_gaps(Pose((0.0, 0.0, -1e-3))))
     near = near[np.isin(near, bulk._meets)]
     row = {"freedoms": matrix.shape[0], "assembly": assemble}
@@ -91,7 +91,7 @@ def condensation(size: int, repeats: int) -> dict:
         sparse.factorise_or_none(matrix, symmetric=symmetric)
         row[name] = cpu(lambda s=symmetric: sparse.factorise_or_none(matrix, symmetric=s), repeats)
     for nodes in (100, near.size):
-        interface = np.sort(bulk._equations[near[:nodes]].ravel())
+        interface = np.sort(bulk._rows[near[:nodes]].ravel())
         began = time.process_time()
         sparse.factorise_condensed_or_none(matrix, interface)
         name = "100 nodes" if nodes == 100 else "all"

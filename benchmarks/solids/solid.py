@@ -78,9 +78,9 @@ def ours(mesh: SolidMesh) -> tuple[SolidSolver, dict]:
     whole = time.process_time() - began[0], time.perf_counter() - began[1]
     if step.status is not StepStatus.CONVERGED:
         raise SystemExit(f"ours: {step.status.message}")
-    free = solver._matrix.free
-    assembly = timed(solver._update_assembled_forces_and_tangent)
-    solver._matrix.add_contact_stiffness(solver.contact.rates)
+    free = solver.equations.matrix.free
+    assembly = timed(solver.equations.assemble_and_get_least_volume_ratio)
+    solver.equations.matrix.add_contact_stiffness(solver.contact.rates)
     factors = []
 
     def factor() -> None:

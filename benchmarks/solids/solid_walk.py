@@ -32,7 +32,7 @@ from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from benchmarks.realtime.multirate import MESHES, mesh_of
 from benchmarks.viewer.processes import looked_at, reading
 from haptics.devices.motions import SpatialWalk
-from haptics.loop.multirate import ERROR_FLOOR, ERROR_SHARE, MultiRateTissue
+from haptics.loop.multirate import MultiRateTissue
 from haptics.loop.ring import TICK, RingReader
 from scenes.viewer.frame import FrameViewer, Phase, SessionFrame
 from scenes.viewer.page import Page
@@ -46,6 +46,7 @@ from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, interpolate_pose
+from tissue_sim.tool_force import ERROR_FLOOR, ERROR_SHARE
 
 #: Depth of the box, m.
 DEPTH = 4e-3

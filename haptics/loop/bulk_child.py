@@ -13,14 +13,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from haptics.loop.bulk_settings import BULK_PROCESS
-from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, remove_file_ignoring_errors
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, remove_files_ignoring_errors
 from haptics.loop.snapshot_board import SnapshotWriter
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 from tissue_sim.fem.condensed.model import (
@@ -38,6 +37,38 @@ from tissue_sim.packing import run_packed_task
 from tissue_sim.realtime.bulk_link import make_untouched_state
 from tissue_sim.snapshot import Snapshot, snapshot
 
+
+@dataclass(frozen=True)
+class BulkCommunicationSettings:
+    """Communication with the process of a bulk.
+
+    Attributes:
+        piece: bytes of a model that are read in one tick. A larger piece delivers the model earlier and takes more of
+            the tick.
+        end_timeout: time that the process has to end before it is killed, s.
+        longest_exchange: longest wall time that `BulkLink.send_state_and_wait_for_model` blocks, s.
+        polling_interval: polling interval of `BulkLink.send_state_and_wait_for_model`, s. A longer interval uses less
+            CPU time and delays the model.
+        resend_interval: time after which `BulkLink.send_state_and_wait_for_model` sends the state again, s, so that a
+            bulk without a linearisation tries again.
+        idle_sleep: sleep of the process when no new state is available, s. A longer sleep uses less CPU time and
+            delays the model.
+        surface_interval: time between two publications of the surface, s. A longer interval uses less CPU time.
+        niceness: increment of the niceness of the process, so that the loop has priority on computers with few cores.
+    """
+
+    piece: int = 1 << 16
+    end_timeout: float = 5.0
+    longest_exchange: float = 60.0
+    polling_interval: float = 0.2e-3
+    resend_interval: float = 0.05
+    idle_sleep: float = 0.5e-3
+    surface_interval: float = 0.05
+    niceness: int = 5
+
+
+#: Settings of every process of a bulk.
+BULK_PROCESS = BulkCommunicationSettings()
 #: Kind of the shared file of contact states.
 KIND_STATE = b"tsSTATE\0"
 #: Kind of the shared file of models with tangent.
@@ -164,8 +195,7 @@ def _receive_materials_then_exit_process(orders: BinaryIO, materials: deque[tupl
         while True:
             materials.append(pickle.load(orders))
     except (EOFError, OSError):
-        for path in files:
-            remove_file_ignoring_errors(path)
+        remove_files_ignoring_errors(*files)
         os._exit(0)
 
 

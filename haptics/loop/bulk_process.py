@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from haptics.loop.bulk_child import (
+    BULK_PROCESS,
     KIND_CORRECTION,
     KIND_MODEL,
     KIND_STATE,
     BulkReadyMessage,
     make_bulk_lineariser,
 )
-from haptics.loop.bulk_settings import BULK_PROCESS
-from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, remove_file_ignoring_errors
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, remove_files_ignoring_errors
 from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface, compute_packed_state_size
@@ -184,8 +184,7 @@ class BulkProcess:
             process.wait()
         if process.stdout is not None:
             process.stdout.close()
-        for path in self._paths:
-            remove_file_ignoring_errors(path)
+        remove_files_ignoring_errors(*self._paths)
         self._process = None
 
     def _write_to_process_stdin(self, content: bytes) -> None:

@@ -7,15 +7,15 @@ import traceback
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from haptics.devices.contracts import DeviceError, HapticDevice
-from haptics.loop.commands import COMMANDS
-from haptics.loop.loop import Loop, LoopReport, LoopSettings, get_mesh_resolution_and_force_error
+from haptics.loop.loop import COMMANDS, Loop, LoopReport, LoopSettings, get_mesh_resolution_and_force_error
 from haptics.loop.ring import RingWriter
-from haptics.loop.shared_slots import remove_file_ignoring_errors
+from haptics.loop.shared_slots import remove_files_ignoring_errors
 from haptics.loop.snapshot_board import SnapshotWriter
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import ignore_ctrl_c_and_exit_with_parent
@@ -89,13 +89,8 @@ def run_loop_in_this_process(connection: Connection, parts: LoopComponents, file
         files: shared files to write.
         things: plug-ins registered in the parent, to be registered here too.
     """
-    def remove_shared_files() -> None:
-        """Remove both shared files, if they exist."""
-        for path in files:
-            remove_file_ignoring_errors(path)
-
     # The creation of the tissue does not read the connection, so it cannot notice the end of the parent.
-    ignore_ctrl_c_and_exit_with_parent(PROCESS_TIMES.grace, remove_shared_files)
+    ignore_ctrl_c_and_exit_with_parent(PROCESS_TIMES.grace, partial(remove_files_ignoring_errors, *files))
     try:
         register_objects_of_other_process(things)
         report = _run_new_loop_and_get_report(connection, parts, files)

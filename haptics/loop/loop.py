@@ -348,6 +348,19 @@ class Loop:
         return method
 
 
+#: Name of a command -> method that executes it between two ticks with the values of the command as arguments.
+COMMANDS: dict[str, Callable[..., None]] = {
+    "pause": Loop.pause,
+    "resume": Loop.resume,
+    "reset": Loop.reset,
+    "advance": Loop.advance_paused_motion,
+    "switch_device": Loop.switch_device,
+    "aim": Loop.aim,
+    "set_parameters": Loop.set_parameters,
+    "stop": Loop.stop,
+}
+
+
 def read_peak_memory_bytes_or_none() -> int | None:
     """Return the largest resident memory of this process so far, bytes; None if it is not reported."""
     # On Linux `resource` also counts the memory of the parent process at the start.

@@ -7,11 +7,12 @@ from typing import Any
 from haptics.loop.bulk_process import BulkProcess
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import MotionLimits
+from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.realtime import multirate
 from tissue_sim.realtime.bulk_link import BulkLink
-from tissue_sim.realtime.multirate import ERROR_FLOOR, ERROR_SHARE, OLDEST
 
-__all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue"]
+__getattr__ = make_getattr_for_old_names(__name__, {
+    name: f"tissue_sim.tool_force:{name}" for name in ("ERROR_FLOOR", "ERROR_SHARE")})
 
 
 class MultiRateTissue(multirate.MultiRateTissue):
@@ -32,7 +33,7 @@ class MultiRateTissue(multirate.MultiRateTissue):
     """
 
     def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None,
-                 link: BulkLink | None = None, oldest: float = OLDEST, waits: bool = False,
+                 link: BulkLink | None = None, oldest: float = multirate.MULTIRATE.oldest, waits: bool = False,
                  limits: MotionLimits | None = None):
         self.require_valid_arguments(model, oldest)  # before the task of the process is packed
         super().__init__(model, link or BulkProcess(model, solver=solver, resolution=resolution, mesh=mesh),

@@ -15,10 +15,9 @@ from typing import Any
 
 from haptics.devices.contracts import HapticDevice
 from haptics.loop.child import PROCESS_TIMES, LoopComponents, SharedLoopFiles, run_loop_in_this_process
-from haptics.loop.commands import COMMANDS
-from haptics.loop.loop import LoopReport, LoopSettings
+from haptics.loop.loop import COMMANDS, LoopReport, LoopSettings
 from haptics.loop.ring import RingReader
-from haptics.loop.shared_slots import find_unused_path, remove_file_ignoring_errors
+from haptics.loop.shared_slots import find_unused_path, remove_files_ignoring_errors
 from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import child_processes_ignore_ctrl_c, limit_threads_of_child_processes
@@ -221,7 +220,7 @@ class LoopProcess:
         self.execute_command("set_parameters", **values)
 
     def execute_command(self, command: str, **values: Any) -> None:
-        """Send one of `haptics.loop.commands.COMMANDS` with its arguments, and wait until it is executed.
+        """Send one of `haptics.loop.loop.COMMANDS` with its arguments, and wait until it is executed.
 
         Raises:
             InputError: the command is unknown, or the loop refuses it and continues unchanged.
@@ -309,7 +308,7 @@ class LoopProcess:
                     process.join(PATIENCE)
                     self._failure = LoopError(self._describe_and_store_unexpected_end())
             if self._failure is not None:
-                self._remove_shared_files()
+                remove_files_ignoring_errors(*self._files)
                 raise self._failure
 
     def _handle_message(self, kind: str, content: Any) -> None:
@@ -352,9 +351,4 @@ class LoopProcess:
                 enforce()
                 process.join(PATIENCE)
         connection.close()
-        self._remove_shared_files()
-
-    def _remove_shared_files(self) -> None:
-        """Remove the files of the ring and of the snapshots, if they exist."""
-        for path in self._files:
-            remove_file_ignoring_errors(path)
+        remove_files_ignoring_errors(*self._files)

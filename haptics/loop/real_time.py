@@ -44,8 +44,7 @@ class RealTimeFeature:
 
 
 @contextmanager
-def request_real_time_features(wanted: bool = True,
-                               priority: int = PRIORITY) -> Iterator[tuple[RealTimeFeature, ...]]:
+def request_real_time_features(wanted: bool = True) -> Iterator[tuple[RealTimeFeature, ...]]:
     """Request real-time features for this thread and process inside a ``with`` block; release them at its end.
 
     Call it after memory is allocated and kernels are compiled. A refused feature raises no exception; the yielded
@@ -53,7 +52,6 @@ def request_real_time_features(wanted: bool = True,
 
     Args:
         wanted: whether features are requested; if not, no features are yielded.
-        priority: SCHED_FIFO priority, 1 to 99.
 
     Yields:
         The features, obtained or refused.
@@ -64,18 +62,18 @@ def request_real_time_features(wanted: bool = True,
     with ExitStack() as undo:
         features = []
         for name, claim in _FEATURES.items():
-            reason = claim(undo, priority)
+            reason = claim(undo)
             features.append(RealTimeFeature(name, not reason, f"{name}: {reason}" if reason else ""))
         yield tuple(features)
 
 
-def request_fifo_scheduling_and_get_refusal(undo: ExitStack, priority: int) -> str:
+def request_fifo_scheduling_and_get_refusal(undo: ExitStack) -> str:
     """Request SCHED_FIFO scheduling until `undo` is closed; return the reason of a refusal, or an empty string."""
     if not hasattr(os, "sched_setscheduler"):
         return f"not available on {sys.platform}; other processes may delay ticks"
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError as error:
         return (f"{error.strerror}; 'ulimit -r' shows the highest allowed priority: add 'USER - rtprio 20' to "
                 "/etc/security/limits.d/rtprio.conf and log in again (in a container: --cap-add=SYS_NICE)")
@@ -83,7 +81,7 @@ def request_fifo_scheduling_and_get_refusal(undo: ExitStack, priority: int) -> s
     return ""
 
 
-def _lock_memory_and_get_refusal(undo: ExitStack, _: int) -> str:
+def _lock_memory_and_get_refusal(undo: ExitStack) -> str:
     """Lock used pages in memory until `undo` is closed; return the reason of a refusal, or an empty string."""
     if not sys.platform.startswith("linux"):
         return f"not available on {sys.platform}; swapping of memory may delay the loop"
@@ -96,7 +94,7 @@ def _lock_memory_and_get_refusal(undo: ExitStack, _: int) -> str:
     return ""
 
 
-def _reduce_timer_slack_and_get_refusal(undo: ExitStack, _: int) -> str:
+def _reduce_timer_slack_and_get_refusal(undo: ExitStack) -> str:
     """Reduce this thread's timer slack to 1 ns until `undo` is closed; return the reason of a refusal, or ``""``."""
     if not sys.platform.startswith("linux"):
         return f"not available on {sys.platform}; sleeps may end late"
@@ -107,7 +105,7 @@ def _reduce_timer_slack_and_get_refusal(undo: ExitStack, _: int) -> str:
     return ""
 
 
-def _disable_gc_and_get_empty_refusal(undo: ExitStack, _: int) -> str:
+def _disable_gc_and_get_empty_refusal(undo: ExitStack) -> str:
     """Collect garbage, then disable the collector until `undo` is closed; return ``""``: never refused."""
     gc.collect()
     gc.freeze()
@@ -119,7 +117,7 @@ def _disable_gc_and_get_empty_refusal(undo: ExitStack, _: int) -> str:
 
 
 #: Features in the order of their requests; memory is locked after the garbage collection has freed it.
-_FEATURES: dict[str, Callable[[ExitStack, int], str]] = {
+_FEATURES: dict[str, Callable[[ExitStack], str]] = {
     "no garbage collection": _disable_gc_and_get_empty_refusal,
     "locked memory": _lock_memory_and_get_refusal,
     "timer slack": _reduce_timer_slack_and_get_refusal,

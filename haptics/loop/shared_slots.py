@@ -138,7 +138,7 @@ class SlotWriter:
         self._numbers[1] = 1
         self._numbers.release()
         self._map.close()
-        remove_file_ignoring_errors(self.path)
+        remove_files_ignoring_errors(self.path)
 
     def __enter__(self):
         return self
@@ -269,11 +269,12 @@ class SlotReader:
         self.close()
 
 
-def remove_file_ignoring_errors(path: Path) -> None:
-    """Remove the file of a writer that has ended, if the file exists."""
+def remove_files_ignoring_errors(*paths: Path) -> None:
+    """Remove the files of writers that have ended, if the files exist."""
     # Windows refuses to remove an open file; the small file then stays in the folder for temporary files.
-    with contextlib.suppress(OSError):
-        path.unlink(missing_ok=True)
+    for path in paths:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
 
 
 def _compute_checksum(content, number: int) -> int:
@@ -299,7 +300,7 @@ def _create_file_atomically(path: Path, content: bytes) -> None:
         else:
             path.hardlink_to(temporary)
     finally:
-        remove_file_ignoring_errors(temporary)
+        remove_files_ignoring_errors(temporary)
 
 
 def _open_with_owner_only_mode(path: str, flags: int) -> int:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from haptics.loop.real_time import PRIORITY, request_fifo_scheduling_and_get_refusal
+from haptics.loop.real_time import request_fifo_scheduling_and_get_refusal
 from scenes.doctor.check import CheckResult
 
 
@@ -44,7 +44,7 @@ def check_clock_lateness(seconds: float) -> CheckResult:
         seconds: duration of the measurement, s.
     """
     with ExitStack() as undo:
-        scheduler = "ordinary priority" if request_fifo_scheduling_and_get_refusal(undo, PRIORITY) else "SCHED_FIFO"
+        scheduler = "ordinary priority" if request_fifo_scheduling_and_get_refusal(undo) else "SCHED_FIFO"
         lateness = measure_lateness_of_each_tick(seconds)
     late, very_late = (
         float((lateness > limit).mean()) for limit in (_SETTINGS.late, _SETTINGS.very_late))
@@ -93,7 +93,7 @@ def measure_lateness_of_each_tick(seconds: float) -> np.ndarray:
 def check_real_time_priority() -> CheckResult:
     """Check whether this user may use the real-time scheduler SCHED_FIFO."""
     with ExitStack() as undo:
-        allowed = not request_fifo_scheduling_and_get_refusal(undo, PRIORITY)
+        allowed = not request_fifo_scheduling_and_get_refusal(undo)
     values = {"allowed": allowed}
     if allowed:
         return CheckResult("real-time priority", "ok", "SCHED_FIFO is allowed", values=values)

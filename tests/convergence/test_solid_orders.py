@@ -22,20 +22,18 @@ def exact(points):
     return points * (np.cbrt(distance**3 + AMOUNT) / distance - 1.0)
 
 
-class Moved(SolidSolver):
-    """Its held nodes go where a function says, as far as the tool is deep (from 0 to 1)."""
-
-    way = staticmethod(exact)
-
-    def compute_held_node_displacements(self, frame):
-        return (-frame.origin[2] * self.way(self.mesh.nodes[self._bonded])).ravel()
+def prescribe_held_nodes(solver, way):
+    """Displace the held nodes by a function of their positions times the depth of the tool, 0 to 1."""
+    equations = solver.equations
+    equations.compute_held_node_displacements = lambda frame: (
+        -frame.origin[2] * way(solver.mesh.nodes[equations.held_nodes])).ravel()
 
 
 def solve(mesh, material, way, steps):
     """The displacement of all nodes and the last step, where those of the surface go a way."""
     edge = np.unique(np.concatenate(list(mesh.sets.values())))
-    solver = Moved(mesh, material, {}, edge, start=Pose.at_depth(0.0))
-    solver.way = way
+    solver = SolidSolver(mesh, material, {}, edge, start=Pose.at_depth(0.0))
+    prescribe_held_nodes(solver, way)
     for share in np.linspace(0, 1, steps + 1)[1:]:
         step = solver.step(Pose.at_depth(share))
         assert step.status is StepStatus.CONVERGED

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tissue_sim.pose import Pose
-from tissue_sim.realtime.broyden_correction import BroydenCorrection
+from tissue_sim.realtime.model_transition import BroydenCorrection
 
 RADIUS = 5e-3
 

@@ -1,4 +1,4 @@
-"""Distance of the tool from a model of the bulk, on a stepper that only measures distances."""
+"""Distance of the tool from a model of the bulk, on a surface without nodes."""
 
 import math
 from types import SimpleNamespace
@@ -16,8 +16,7 @@ AIR = SimpleNamespace(has_contact=False, pose=Pose((0.0, 0.0, 4e-3)))
 @pytest.fixture
 def transition():
     surface = SimpleNamespace(radius=RADIUS, start=Pose((0.0, 0.0, 0.0)), friction=np.zeros(3))
-    return ModelTransition(SimpleNamespace(surface=surface, model=AIR, compute_max_contact_point_travel=lambda way:
-                                           math.hypot(*way[:3])), 4000.0)
+    return ModelTransition(SimpleNamespace(surface=surface, model=AIR), 4000.0)
 
 
 def down(depth):

@@ -26,7 +26,7 @@ def solver(element, material, cells=1):
 
 def forces(tissue):
     """Return the forces of all degrees of freedom at given pressures, without the volume residual."""
-    tissue._update_assembled_forces_and_tangent()
+    tissue.equations.assemble_and_get_least_volume_ratio()
     batches, modes = tissue.batches, tissue.mesh.element.pressure_modes
     missed = tissue.tissue.bulk_moduli[0] * batches.moduli[:, None] * batches.gaps.reshape(batches.batches, modes, -1)
     rates = batches.volume_rates.reshape(batches.batches, modes, -1, missed.shape[-1])
@@ -46,13 +46,13 @@ def test_tangent_is_the_derivative_of_the_forces(element, name, past):
     batches, x = tissue.batches, tissue.x
     if history:
         # It has been loaded higher before, and stresses are left.
-        memory = tissue.tissue.first_region_history
+        memory = tissue.tissue.region_material_arrays[0].memory
         memory.set_step_duration(0.1)
         memory.largest[:] = rng.uniform(0.0, 2000.0, memory.largest.shape)
         memory.inherited[:] = rng.normal(0.0, 300.0, memory.inherited.shape)
     x[:] = rng.normal(0.0, 0.03 * 0.01 / element.order, x.size)
     batches.pressures[: batches.count * tissue.mesh.element.pressure_modes] = rng.normal(0.0, 300.0)
-    tissue._update_assembled_forces_and_tangent()
+    tissue.equations.assemble_and_get_least_volume_ratio()
     tangent, rates = batches.matrix.toarray(), batches.volume_rates.copy()
     np.testing.assert_allclose(tangent, tangent.T, atol=1e-12 * np.abs(tangent).max())
     here, pressures = x.copy(), batches.pressures.copy()
@@ -98,7 +98,7 @@ def test_equal_stretches_have_the_tangent_of_ones_that_are_nearly_equal(element)
     for apart in (0.0, 1e-9, 1e-4):
         stretch = np.diag([1.1, 1.1 + apart, 1.1 - apart])
         tissue.x[:] = (tissue.mesh.nodes @ (stretch - np.eye(3))).ravel()
-        tissue._update_assembled_forces_and_tangent()
+        tissue.equations.assemble_and_get_least_volume_ratio()
         matrices.append(tissue.batches.matrix.toarray())
     for matrix, close in zip(matrices[1:], (1e-7, 2e-3), strict=True):
         np.testing.assert_allclose(matrix, matrices[0], atol=close * np.abs(matrices[0]).max())

@@ -7,8 +7,8 @@ import pytest
 from solid_meshes import block
 
 import tissue_sim as ts
+from tissue_sim.fem.inertia import compute_lumped_volumes
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.mass import compute_lumped_volumes
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import SOLVERS, Solver, StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1

@@ -1,12 +1,13 @@
-"""Error of the force by waves that the steps do not resolve (`tissue_sim.realtime.wave_error`)."""
+"""Error of the force by waves that the steps do not resolve (`tissue_sim.realtime.inertia_limits`)."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.realtime.wave_error import REVERBERATION, ContactWaveTimeAndShearSpeed, UnresolvedWaveErrorEstimator
+from tissue_sim.realtime.inertia_limits import REVERBERATION, ContactWaveTimeAndShearSpeed, UnresolvedWaveErrorEstimator
 from tissue_sim.tool_force import make_axial_stiffness_matrix
 
 #: Shear modulus, Pa, density, kg/m3, radius of the tool, m.
@@ -84,7 +85,7 @@ def test_rest_forgets_the_waves_and_keeps_the_velocity():
 
 def test_a_copy_is_independent():
     waves = advanced([0.05])
-    before, other = waves.force, waves.copy()
+    before, other = waves.force, replace(waves)
     other.reset_error_at_step_without_mass(None, TICK)
     assert waves.force == before > 0.0
 

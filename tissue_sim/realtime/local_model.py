@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
-from tissue_sim.pose import Pose, Screw, Vector, add_screws, compute_rigid_motion, scale_screw
+from tissue_sim.pose import Pose, Screw, add_screws, compute_rigid_motion, scale_screw, shorten_screw
 from tissue_sim.public_names import OldName
 from tissue_sim.realtime.linearisation_error import ERROR_ESTIMATE
 from tissue_sim.tool_force import (
@@ -179,7 +179,7 @@ class LocalModelBlend:
     def error(self) -> float:
         """Estimated error of the force, N: error of the model plus remaining offset; infinite if unknown."""
         error = self._model.error
-        return math.inf if error is None else error + _compute_norm(self.offset[:3])
+        return math.inf if error is None else error + math.hypot(*self.offset[:3])
 
     def publish(self, model: LocalModel) -> bool:
         """Replace the model by a newer one, if it is valid; the wrench stays continuous.
@@ -218,9 +218,7 @@ class LocalModelBlend:
             self._switch_to_model(self._model)
         if self.age > self.oldest:
             self._switch_to_model(_NONE)
-        if any(self.offset):
-            self.offset = (_subtract_from_vector_length(self.offset[:3], self.jump)
-                           + _subtract_from_vector_length(self.offset[3:], self.torque_jump))
+        self.offset = shorten_screw(self.offset, self.jump, self.torque_jump)
         self._pose = pose
         self._wrench = add_screws(self._model.evaluate_wrench(pose), self.offset)
         return self._make_tool_force(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
@@ -239,18 +237,3 @@ class LocalModelBlend:
         return ToolForce(self._wrench, model.stiffness_matrix, status, age=age, pose=model.pose,
                          stiffness_age=stiffness_age if any(map(any, model.stiffness_matrix)) else 0.0,
                          force_error=error if is_known else None, error_age=age if is_known else 0.0)
-
-
-def _compute_norm(vector: Vector) -> float:
-    """Return the Euclidean norm of a vector."""
-    return math.hypot(*vector)
-
-
-def _subtract_from_vector_length(vector: Vector, step: float) -> Vector:
-    """Return a vector of the same direction whose length is smaller by `step`; zero if it is not longer."""
-    size = _compute_norm(vector)
-    if size <= step:
-        return (0.0, 0.0, 0.0)
-    # Divide first: along an axis the direction is exactly 1.
-    x, y, z = vector
-    return (x - x / size * step, y - y / size * step, z - z / size * step)

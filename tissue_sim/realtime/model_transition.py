@@ -1,4 +1,4 @@
-"""Continuous wrench at a change of the model, and estimated error of the force on the newest model."""
+"""Change of the model of a bulk: continuous wrench, learned correction of the stiffness, and estimated error."""
 
 from __future__ import annotations
 
@@ -11,8 +11,15 @@ import numpy as np
 
 from tissue_sim.fem.condensed.model import CondensedBulk
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
-from tissue_sim.pose import Pose, Screw, add_screws, compute_rigid_motion, scale_screw
-from tissue_sim.realtime.broyden_correction import BroydenCorrection
+from tissue_sim.pose import (
+    Pose,
+    Screw,
+    add_screws,
+    compute_pose_distance,
+    compute_rigid_motion,
+    scale_screw,
+    shorten_screw,
+)
 from tissue_sim.realtime.linearisation_error import LinearisationErrorEstimator
 from tissue_sim.tool_force import Matrix
 
@@ -30,9 +37,91 @@ class OffsetStepLimits:
     torque_step: float = 0.001
 
 
+@dataclass(frozen=True)
+class BroydenSettings:
+    """Settings of the secant update, chosen by this project.
+
+    Attributes:
+        relaxation: relaxation factor of the update. About half of a difference belongs to motions that are not
+            repeated; a larger factor learns faster and follows these motions more.
+        min_motion: shortest motion from which the correction is learned, as a fraction of the contact radius. A smaller
+            motion amplifies the errors of the models.
+    """
+
+    relaxation: float = 0.5
+    min_motion: float = 0.01
+
+
 #: Settings of every transition.
 TRANSITION = OffsetStepLimits()
+#: Settings of every correction.
+BROYDEN = BroydenSettings()
 _NO_WRENCH: Screw = (0.0,) * 6
+
+
+class BroydenCorrection:
+    """Correction of the stiffness that linearised models omit, by relaxed secant updates.
+
+    The update for a motion s with the difference of wrenches y is R += c (y - R s) s^T W^2 / (s^T W^2 s) with the
+    relaxation factor c and the weights W of `radius` (Broyden, Math. Comp. 19 (1965) 577).
+
+    Args:
+        radius: radius of the contact, m, which converts rotations to displacements.
+
+    Attributes:
+        rates: derivative R of the omitted wrench with respect to the motion of the tool, N/m, N, N m, shape (6, 6).
+    """
+
+    def __init__(self, radius: float):
+        self._scale = np.array([1.0, 1.0, 1.0, radius, radius, radius])
+        self._min_square = (BROYDEN.min_motion * radius) ** 2
+        self.rates = np.zeros((6, 6))
+
+    def reset(self) -> None:
+        """Set all rates to zero, so that the correction no longer changes wrench and stiffness."""
+        self.rates[:] = 0.0
+
+    def apply_secant_update(self, missed: Screw, last: Pose, pose: Pose) -> None:
+        """Update the rates with the difference of two models, unless the motion between them is too short.
+
+        Args:
+            missed: wrench of the new model minus that of the last model, N and N m.
+            last: pose of the last model.
+            pose: pose of the new model.
+        """
+        step = np.array(compute_rigid_motion(last, pose))
+        scaled = self._scale * step
+        square = float(scaled @ scaled)
+        if square > self._min_square:
+            residual = np.array(missed) - self.rates @ step
+            self.rates += BROYDEN.relaxation / square * np.outer(residual, self._scale * scaled)
+
+    def reduce_for_new_tangent(self, before: float, after: float, between: float) -> None:
+        """Reduce the rates when a model has a new tangent, which includes a part of the stiffness that they describe.
+
+        The stiffness that a tangent omits grows in proportion to the distance from its pose. The rates were learned at
+        the distance of a model from its tangent plus half of the motion between two models.
+
+        Args:
+            before: distance between the poses of the old model and of its tangent, m.
+            after: distance between the poses of the new model and of its tangent, m.
+            between: distance between the poses of the two models, m.
+        """
+        if after < before:
+            self.rates *= (after + 0.5 * between) / (before + 0.5 * between)
+
+    def compute_omitted_wrench(self, model: Pose, pose: Pose) -> Screw:
+        """Return the wrench to add to that of a model at another pose, N and N m: the rates times the motion.
+
+        Args:
+            model: pose of the model.
+            pose: pose of the tool.
+        """
+        return cast("Screw", tuple((self.rates @ np.array(compute_rigid_motion(model, pose))).tolist()))
+
+    def subtract_correction_from_stiffness(self, of_model: Matrix) -> Matrix:
+        """Return the stiffness `of_model` of a model minus the learned rates: N/m, N, N m, shape (6, 6)."""
+        return cast("Matrix", tuple(map(tuple, (np.array(of_model) - self.rates).tolist())))
 
 
 class ModelTransition:
@@ -57,9 +146,9 @@ class ModelTransition:
 
     def __init__(self, stepper: CondensedStepper, shear_modulus: float, tip_radius: float | None = None,
                  contact_radius_at_depth: Callable[[float], float] | None = None):
-        self._stepper, radius = stepper, stepper.surface.radius
-        self._correction = BroydenCorrection(radius)
-        self.estimate = LinearisationErrorEstimator(radius, shear_modulus, tip_radius, contact_radius_at_depth)
+        self._stepper, self._radius = stepper, stepper.surface.radius
+        self._correction = BroydenCorrection(self._radius)
+        self.estimate = LinearisationErrorEstimator(self._radius, shear_modulus, tip_radius, contact_radius_at_depth)
         self._has_friction = bool(np.any(stepper.surface.friction > 0.0))
         self.reset(stepper.surface.start)
 
@@ -78,11 +167,10 @@ class ModelTransition:
         measured from the last pose in the air, or from its own pose if this is in the air and nearer. A pose without a
         force below the undeformed surface, in a dent, is moved up to the surface.
         """
-        distance = self._stepper.compute_max_contact_point_travel(compute_rigid_motion(model.pose, pose))
+        distance = compute_pose_distance(model.pose, pose, self._radius)
         if model.has_contact:
             return distance
-        travel = compute_rigid_motion(self._raise_to_surface(self.free), pose)
-        from_air = self._stepper.compute_max_contact_point_travel(travel)
+        from_air = compute_pose_distance(self._raise_to_surface(self.free), pose, self._radius)
         return min(distance, from_air) if self.is_above_or_just_below_surface(model.pose) else from_air
 
     def _raise_to_surface(self, pose: Pose) -> Pose:
@@ -131,8 +219,7 @@ class ModelTransition:
             if new.tangent_pose != old.tangent_pose:
                 correction.reduce_for_new_tangent(self._compute_distance_from_tangent_pose(old),
                                                   self._compute_distance_from_tangent_pose(new),
-                                                  self._stepper.compute_max_contact_point_travel(
-                                                      compute_rigid_motion(old.pose, new.pose)))
+                                                  compute_pose_distance(old.pose, new.pose, self._radius))
             self.update_error_estimate(add_screws(expected, scale_screw(-1.0, missed)), old, last)
         else:
             correction.reset()
@@ -159,7 +246,7 @@ class ModelTransition:
 
     def _compute_max_equivalent_force(self, wrench: Screw) -> float:
         """Return the larger of two magnitudes of a wrench, N: its force, and its torque / contact radius."""
-        return max(math.hypot(*wrench[:3]), math.hypot(*wrench[3:]) / self._stepper.surface.radius)
+        return max(math.hypot(*wrench[:3]), math.hypot(*wrench[3:]) / self._radius)
 
     def clear_offset_and_correction(self) -> None:
         """Set offset, correction and stored error to zero, so that the wrench of the newest model is used unchanged."""
@@ -168,10 +255,7 @@ class ModelTransition:
 
     def reduce_offset(self) -> None:
         """Reduce the offset by one tick: its force and its torque by at most the steps of `OffsetStepLimits`."""
-        if any(self.offset):
-            force, torque = self.offset[:3], self.offset[3:]
-            self.offset = (_subtract_from_vector_length(force, TRANSITION.force_step)
-                           + _subtract_from_vector_length(torque, TRANSITION.torque_step))
+        self.offset = shorten_screw(self.offset, TRANSITION.force_step, TRANSITION.torque_step)
 
     def compute_wrench_and_stiffness(self, step: ContactStepResult, pose: Pose) -> tuple[Screw, Matrix]:
         """Return wrench, N and N m, plus correction and offset, and corrected stiffness, shape (6, 6), of a step."""
@@ -216,10 +300,10 @@ class ModelTransition:
         """
         if not model.has_contact:
             return 0.0
-        distance = self._stepper.compute_max_contact_point_travel(compute_rigid_motion(model.tangent_pose, model.pose))
+        distance = compute_pose_distance(model.tangent_pose, model.pose, self._radius)
         if self.is_above_or_just_below_surface(model.tangent_pose):
-            distance = min(distance, self._stepper.compute_max_contact_point_travel(
-                compute_rigid_motion(self._raise_to_surface(self.free), model.pose)))
+            from_air = compute_pose_distance(self._raise_to_surface(self.free), model.pose, self._radius)
+            distance = min(distance, from_air)
         return distance
 
     @property
@@ -227,11 +311,3 @@ class ModelTransition:
         """Model that the contact solver uses now."""
         assert self._stepper.model is not None
         return self._stepper.model
-
-
-def _subtract_from_vector_length(vector: tuple[float, float, float], step: float) -> tuple[float, float, float]:
-    """Return a vector of the same direction whose length is smaller by `step`; zero if it is not longer."""
-    size = math.hypot(*vector)
-    factor = max(0.0, 1.0 - step / size) if size else 0.0
-    x, y, z = vector
-    return (factor * x, factor * y, factor * z)

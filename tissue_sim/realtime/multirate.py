@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
 from tissue_sim.errors import InputError
@@ -15,17 +15,14 @@ from tissue_sim.kernel_owner import CopyError, make_single_thread_method
 from tissue_sim.material.material import BULK_RATIOS, Material
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import MotionLimits
-from tissue_sim.pose import Pose, add_screws, compute_rigid_motion, scale_screw
+from tissue_sim.pose import Pose, add_screws, compute_pose_distance, scale_screw
 from tissue_sim.realtime.accepted_models import require_moduli_in_range
 from tissue_sim.realtime.bulk_link import BulkLink
 from tissue_sim.realtime.model_transition import ModelTransition
-from tissue_sim.realtime.multirate_settings import MULTIRATE
 from tissue_sim.realtime.tissue import FORCE_BEFORE_FIRST_STEP, RealTimeTissue
-from tissue_sim.realtime.touch_frame import TouchFrame, interpolate_pose_at_surface
+from tissue_sim.realtime.tool_track import TouchFrame, interpolate_pose_at_surface
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import (
-    ERROR_FLOOR,
-    ERROR_SHARE,
     ForceStatus,
     ToolForce,
     TouchState,
@@ -35,10 +32,43 @@ from tissue_sim.tool_force import (
     scale_matrix,
 )
 
-__all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue"]
 
-#: Largest age of the model of a CONVERGED force, s.
-OLDEST = MULTIRATE.oldest
+@dataclass(frozen=True)
+class MultirateSettings:
+    """Exchange of states and models between a `MultiRateTissue` and its bulk.
+
+    The last five fields apply to steps that wait for the bulk. All defaults are choices of this project.
+
+    Attributes:
+        oldest: largest age of the model of a CONVERGED force, s. A larger age accepts forces of a slower bulk.
+        ticks_between_states: ticks between two states sent to the bulk. A larger number costs less time in the ticks;
+            models then belong to older states.
+        speed_ticks: ticks over which the speed of the tool is measured. A larger number reduces noise and delays the
+            speed.
+        touch_depths: depths of the touches in `MultiRateTissue.warm_up`, as fractions of the contact radius.
+        recent: largest age of a model in a step that waits, s. A larger age saves exchanges and increases the error.
+        near: largest distance of a model in a step that waits, as a fraction of `LinearisationErrorEstimator.short`. A
+            larger distance saves exchanges and increases the error.
+        max_exchanges: maximum number of exchanges of state and model in a step that waits. A step without convergence
+            takes more time with a larger number.
+        force_tolerance: tolerance on the change of the force in the last exchange, as a fraction of the force. A
+            smaller tolerance requires more exchanges.
+        force_floor: absolute tolerance on this change, N. A smaller tolerance requires more exchanges.
+    """
+
+    oldest: float = 1.0
+    ticks_between_states: int = 4
+    speed_ticks: int = 8
+    touch_depths: tuple[float, ...] = (0.02, 0.04, 0.05)
+    recent: float = 0.01
+    near: float = 0.25
+    max_exchanges: int = 16
+    force_tolerance: float = 0.01
+    force_floor: float = 1e-4
+
+
+#: Defaults of every multirate tissue.
+MULTIRATE = MultirateSettings()
 
 
 class MultiRateTissue(RealTimeTissue):
@@ -85,13 +115,16 @@ class MultiRateTissue(RealTimeTissue):
     budget: float | None = None
     mesh: Any = None
 
-    def __init__(self, model: Model, link: BulkLink, *, resolution: str = "realtime", oldest: float = OLDEST,
+    def __init__(self, model: Model, link: BulkLink, *, resolution: str = "realtime", oldest: float = MULTIRATE.oldest,
                  waits: bool = False, limits: MotionLimits | None = None):
         self.require_valid_arguments(model, oldest)
         super().__init__(model, limits)
         self._link, self.resolution, self.oldest, self.waits = link, resolution, oldest, waits
-        self._stepper: CondensedStepper | None = None
-        self._epoch, self._material, self.models = 0, 0, 0
+        self._is_warm, self._epoch, self._material, self.models = False, 0, 0, 0
+        # Made by `warm_up`: the contact solver, its transition between models, and the model of undeformed tissue.
+        self._stepper: CondensedStepper
+        self._transition: ModelTransition
+        self._first: CondensedBulk
         self._holds = model.experiment.friction == "bonded"
         self._untouched = self._reduced.history
         self._reset_state()
@@ -128,7 +161,7 @@ class MultiRateTissue(RealTimeTissue):
             InputError: the solver of the bulk refuses the model.
             RuntimeError: the process of the bulk has ended.
         """
-        if self._stepper is not None:
+        if self._is_warm:
             return
         self._first = self._link.start()
         surface = self._link.contact_surface
@@ -141,10 +174,10 @@ class MultiRateTissue(RealTimeTissue):
         for depth in MULTIRATE.touch_depths:
             self._stepper.step(replace(surface.start, position=(x, y, z - depth * surface.radius)))
         self._reset_tool_to_start_in_air()
+        self._is_warm = True
 
     def _reset_tool_to_start_in_air(self) -> None:
         """Place the tool at its start pose without contact; reset the touch frame and the transition."""
-        assert self._stepper is not None
         self._stepper.reset_contact_in_air()
         start = self._link.contact_surface.start
         self._frame = TouchFrame(start, start)
@@ -189,7 +222,6 @@ class MultiRateTissue(RealTimeTissue):
 
     def _register_pose_and_get_time_in_contact(self, pose: Pose, dt: float) -> float | None:
         """Store the pose, begin contact at the first touch, and return the step's time in contact, s; None before."""
-        assert self._stepper is not None
         start, touched = self._link.contact_surface.start, self._touch.has_touched
         height = start.position[2]
         inside = self._touch.register_height_and_get_contact_duration(pose.position[2] - height, dt)
@@ -206,7 +238,6 @@ class MultiRateTissue(RealTimeTissue):
 
     def _step_before_bonded_touch(self, pose: Pose, began: float) -> ToolForce:
         """Send the undeformed state regularly; return the zero force of a bonded tool before its first touch."""
-        assert self._stepper is not None
         self._known, start = None, self._link.contact_surface.start
         if self._ticks % MULTIRATE.ticks_between_states == 0:
             self._link.send_state(self._stepper.export_state(self._time, start, self._time, start, self._epoch,
@@ -218,14 +249,13 @@ class MultiRateTissue(RealTimeTissue):
     def _solve_contact_step(self, pose: Pose, dt: float, began: float) -> ToolForce:
         """Solve the contact at a pose, in contact or not, on the newest model; send the state, and return the force."""
         stepper, here = self._stepper, self._frame.pose_in_bulk(pose)
-        assert stepper is not None
         before, step = self._step, stepper.step(here)
         known, self._known, self._step, transition = self._known, None, step, self._transition
         if known is not None and before is not None:
             transition.update_for_new_model(before, known, self._poses[-1][1] if self._poses else here, here,
                                             step)
-        if self._poses and stepper.compute_max_contact_point_travel(compute_rigid_motion(self._poses[-1][1], here)) \
-            > transition.estimate.short:
+        if self._poses and compute_pose_distance(self._poses[-1][1], here, stepper.surface.radius) \
+                > transition.estimate.short:
             self._poses.clear()  # the tool jumped: its speed is unknown
         self._poses.append((self._time, here))
         if any(step.wrench):
@@ -244,25 +274,22 @@ class MultiRateTissue(RealTimeTissue):
     @make_single_thread_method
     def prepare(self) -> None:
         """Use the newest model from the bulk if one has arrived; called between two ticks, otherwise by `step`."""
-        self._prepared, stepper = True, self._stepper
-        if stepper is None or stepper.model is None:
-            return
-        model = self._link.receive_model(self._time)
+        self._prepared = True
+        model = self._link.receive_model(self._time) if self._is_warm else None
         if model is not None and model.epoch == self._epoch:
-            self._known = stepper.model
+            self._known = self._stepper.model
             self._use_model_and_store_its_times(model)
 
     def _use_model_and_store_its_times(self, model: CondensedBulk) -> None:
         """Use this model for the contact; store the times of its state and tangent, and count it."""
-        assert self._stepper is not None
         self.models, self._made = self.models + 1, model.time
         self._tangent_made = model.tangent_time
         self._stepper.set_linearisation(model)
 
     def _needs_newer_model(self, step: ContactStepResult, pose: Pose) -> bool:
         """Return whether a step that waits needs another model: too old, too far from a pose, or not converged."""
-        assert self._stepper is not None and self._stepper.model is not None
         model, transition = self._stepper.model, self._transition
+        assert model is not None
         return (not (step.converged and self._settled) or model.material != self._material
                 or self._time - self._made > MULTIRATE.recent
                 or transition.compute_distance_from_model(model, pose) > MULTIRATE.near * transition.estimate.short)
@@ -270,7 +297,7 @@ class MultiRateTissue(RealTimeTissue):
     def _exchange_until_force_converges(self, step: ContactStepResult, pose: Pose) -> ContactStepResult:
         """Wait for new models until the force at a pose converges, and return the step on the last model."""
         stepper = self._stepper
-        assert stepper is not None and stepper.model is not None
+        assert stepper.model is not None
         self._settled = False
         for _ in range(MULTIRATE.max_exchanges):
             old = stepper.model
@@ -304,7 +331,7 @@ class MultiRateTissue(RealTimeTissue):
             began: clock at the beginning of the step, s.
         """
         stepper, transition = self._stepper, self._transition
-        assert stepper is not None and stepper.model is not None
+        assert stepper.model is not None
         model = stepper.model
         wrench, stiffness = transition.compute_wrench_and_stiffness(step, here)
         age = self._time - self._made
@@ -330,7 +357,7 @@ class MultiRateTissue(RealTimeTissue):
         self._epoch += 1
         self._reset_state()
         self._reduced.history = self._untouched
-        if self._stepper is not None:
+        if self._is_warm:
             self._reset_tool_to_start_in_air()
             self._stepper.set_linearisation(self._first)
             start = self._link.contact_surface.start

@@ -7,8 +7,16 @@ import time
 from dataclasses import replace
 
 from tissue_sim.fem.solver import Solver, StaticStiffnessRequest, Step, StepStatus
-from tissue_sim.pose import Pose, Screw, compute_rigid_motion, interpolate_pose, shift_pose_along_z
-from tissue_sim.realtime.explicit_coupling import (
+from tissue_sim.pose import (
+    Pose,
+    Screw,
+    compute_pose_distance,
+    compute_rigid_motion,
+    interpolate_pose,
+    shift_pose_along_z,
+)
+from tissue_sim.realtime.inertia_limits import (
+    ContactWaveTimeAndShearSpeed,
     ToolReversalDetector,
     issue_light_tool_warning,
     minimum_stable_tool_mass,
@@ -19,16 +27,18 @@ from tissue_sim.realtime.simulator_state import AT_REST, DampedPathState, LastEq
 from tissue_sim.realtime.step_clock import LEAST_SOLVES, StepBudget, StepTimeEstimator, count_solves_in_budget_or_none
 from tissue_sim.realtime.tissue import RealTimeTissue
 from tissue_sim.realtime.tool_track import ToolTrack, compute_fraction_in_air
-from tissue_sim.realtime.wave_error import ContactWaveTimeAndShearSpeed
 from tissue_sim.tool_force import (
     ForceStatus,
-    PredictedForceOfNextStep,
     ToolForce,
     compute_largest_force_change_for_motion,
+    compute_negligible_force_error,
     extrapolate_wrench,
     is_force_error_acceptable_or_unknown,
     limit_force_of_wrench,
 )
+
+#: Number of inertial steps after which the static stiffness is computed again, by a linear solve.
+_STIFFNESS_LASTS = 5
 
 
 class PathFollowingTissue(RealTimeTissue):
@@ -42,39 +52,41 @@ class PathFollowingTissue(RealTimeTissue):
     inertia: str
     tolerance: float
     looks_ahead: bool
-    _settings: PathSettings
     force_error: float | None
-    error: float | None
     _solver: Solver
-    _clock: StepTimeEstimator
-    _equilibrium: LastEquilibrium
-    _pose: Pose
-    _tool: ToolTrack
-    _motion_check: ToolReversalDetector
-    _attempt: NewtonAttempt | None
-    _creep: DampedPathState | None
-    _most: int | None
-    _solve: float | None
-    _radius: float
-    _largest_part: float
-    _pending: PendingPath
-    _lingers: float
-    _share: float
-    _left: float
-    _largest_force: float
-    _error_floor: float
-    _wave_scale: ContactWaveTimeAndShearSpeed
-    _stiffness_lasts: int
     _weighs: bool
-    _bonded: bool
-    _keeps_path: bool
-    _pulls: bool
-    _leaps: bool
-    _has_waves: bool
-    _begins: bool
-    _has_warned: bool
-    _extrapolates: bool
-    _can_restart: bool
+
+    def _start_at_rest(self, settings: PathSettings, max_solves: int | None, density: float) -> None:
+        """Set the parts of the path following, and the state before the first step; `density` in kg/m3."""
+        experiment, self._settings, self._most = self.model.experiment, settings, max_solves
+        # Whether the tool cannot lift off, and whether the tissue can attract the tool.
+        self._bonded = experiment.friction == "bonded"
+        self._pulls = self._bonded or bool(experiment.acting_laws)
+        # Whether the force depends on the path of the tool, apart from its dependence on time.
+        self._keeps_path = experiment.is_path_dependent or self.model.material.is_history_dependent
+        # A rotation counts as the displacement of a point at the edge of the contact.
+        self._radius = experiment.contact_radius
+        self._largest_part = settings.largest_part * self._radius
+        self._wave_scale = ContactWaveTimeAndShearSpeed.from_model(self.model, density)
+        self._error_floor = compute_negligible_force_error(self.model.material.mu0, self._radius)
+        self._left = 1.0  # factor of effects in reduced form on the force at the last equilibrium
+        self._solve: float | None = None  # wall time of a linear solve at warm-up, s
+        self._clock, self._stiffness_lasts = StepTimeEstimator(), _STIFFNESS_LASTS
+        self._answer = ToolForce.from_axial_force(0.0, 0.0, ForceStatus.CONVERGED)
+        self._equilibrium, self._pose = AT_REST, self._solver.pose
+        self.error: float | None = None
+        # Track of the tool; whether its first pose in the tissue has yet to be reached; largest force so far, N.
+        self._tool, self._begins, self._largest_force = ToolTrack(), False, 0.0
+        self._motion_check, self._has_warned = ToolReversalDetector(), False
+        # Path since the last equilibrium; time since the last fast motion, s; fraction of the largest part that works.
+        self._pending, self._lingers, self._share = PendingPath(), math.inf, 1.0
+        # Whether a quasi-static transition is in progress: the tool is pressed on again, and no time passes.
+        self._leaps = False
+        self._has_waves = False  # whether waves that the last step did not resolve are too large a part of its force
+        # Unfinished iteration; whether the next may extrapolate first; whether the tool may be pressed on again.
+        self._attempt: NewtonAttempt | None = None
+        self._extrapolates, self._can_restart = True, not self._bonded
+        self._creep: DampedPathState | None = None
 
     @property
     def max_solves(self) -> int | None:
@@ -97,11 +109,6 @@ class PathFollowingTissue(RealTimeTissue):
         if self._motion_check.quiet == 0.0 and self._equilibrium.inertial and not self._has_warned:
             self._has_warned = True
             issue_light_tool_warning(self._answer.least_tool_mass)
-
-    @property
-    def _is_unloaded_with_path_solved(self) -> bool:
-        """Whether the tool may have lifted off, and no part of its path remains to be solved."""
-        return self._is_tool_unloaded and self._attempt is None and self._creep is None and self._pending.is_empty
 
     @property
     def _is_tool_unloaded(self) -> bool:
@@ -151,11 +158,6 @@ class PathFollowingTissue(RealTimeTissue):
                                  compute_time=time.perf_counter() - began)
         return self._answer
 
-    def _compute_displacement_bound(self, start: Pose, end: Pose) -> float:
-        """Return an upper bound of the displacement of contact points in a rigid motion of the tool, m."""
-        x, y, z, a, b, c = compute_rigid_motion(start, end)
-        return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
-
     def _split_first_tick_at_renewed_touch(self, inertial: bool) -> None:
         """Split the first pending tick at the touch if the unloaded tool returns to the tissue in this tick."""
         solver, pending, here, first = self._solver, self._pending, self._solver.pose, self._pending.ticks[0]
@@ -196,6 +198,9 @@ class PathFollowingTissue(RealTimeTissue):
     def _step_along_pending_path(self, pose: Pose, tick: float, began: float, is_behind: bool) -> ToolForce:
         """Solve the pending path up to a pose in as many parts as needed, within the budget; return the result.
 
+        The parts are not `AdaptiveIncrements`: their length is a fraction of the contact radius that is kept from step
+        to step, a tick is divided into parts of equal length, and the next step may continue an unfinished part.
+
         Args:
             pose: pose of the solver at the end.
             tick: length of the step, s; the next step is assumed to be as long.
@@ -218,7 +223,7 @@ class PathFollowingTissue(RealTimeTissue):
                 if pending.meets:
                     here = self._move_to_next_touch()
             first = pending.ticks[0]
-            way, part = self._compute_displacement_bound(here, first.pose), self._share * self._largest_part
+            way, part = compute_pose_distance(here, first.pose, self._radius), self._share * self._largest_part
             # Parts of equal length, because the mass of the tissue resists a short part like an impact.
             share = 1.0 / max(1, math.ceil(way / part - self._settings.rounding)) if way else 1.0
             # Without rounding the last part ends where the tool is.
@@ -353,15 +358,19 @@ class PathFollowingTissue(RealTimeTissue):
         at, tool, waiting = self._equilibrium, self._tool, self._pending.elapsed_time
         wrench, ahead, within = at.wrench, None, None
         if status is ForceStatus.CONVERGED:
-            predicts = self.looks_ahead and at.inertial and tick > 0.0
-            ahead = self._predict_next_step_force_or_none(tick) if predicts else None
+            if self.looks_ahead and at.inertial and tick > 0.0:
+                ahead = self._solver.predict_next_force(tick)
+                if ahead is not None and self._left != 1.0:
+                    ahead = ahead.multiply_wrench_and_stiffness(self._left)
             within = at.step_stiffness
             is_known = is_force_error_acceptable_or_unknown(wrench, self.error, self._error_floor)
             if self._pending.has_omitted_motion or self._has_waves or not is_known:
                 status = ForceStatus.LATE
         elif not outside:
             # Mass resists the acceleration within a step, not a steady motion.
-            wrench = self._extrapolate_wrench_by_stiffness(wrench, compute_rigid_motion(at.pose, pose))
+            wrench = extrapolate_wrench(wrench, at.stiffness, compute_rigid_motion(at.pose, pose))
+            if not self._pulls and wrench[2] <= 0.0:
+                wrench = AT_REST.wrench  # zero instead of a pull
             if status is ForceStatus.STOPPED:
                 change = compute_largest_force_change_for_motion(at.stiffness, self._largest_part)
                 wrench = limit_force_of_wrench(wrench, self._largest_force + change)
@@ -373,16 +382,6 @@ class PathFollowingTissue(RealTimeTissue):
                          waiting, at.pose if tool.twist is None else tool.add_twist_at_last_touch(at.pose), ahead,
                          within, at.stiffness_time + waiting, error, waiting, True,
                          minimum_stable_tool_mass(at.stiffness, at.step_stiffness, tick))
-
-    def _predict_next_step_force_or_none(self, tick: float) -> PredictedForceOfNextStep | None:
-        """Predict the force of the next step, of length `tick`, s; None if the solver cannot predict the force."""
-        ahead, left = self._solver.predict_next_force(tick), self._left
-        return ahead if ahead is None or left == 1.0 else ahead.multiply_wrench_and_stiffness(left)
-
-    def _extrapolate_wrench_by_stiffness(self, wrench: Screw, way: Screw) -> Screw:
-        """Extrapolate a wrench by the last stiffness to a further motion, m and rad; zero instead of a pull."""
-        wrench = extrapolate_wrench(wrench, self._equilibrium.stiffness, way)
-        return wrench if self._pulls or wrench[2] > 0.0 else AT_REST.wrench
 
     def _store_equilibrium(self, step: Step, dt: float, inertial: bool) -> None:
         """Store a converged step as the last equilibrium, its force times the factor of the reduced effects."""

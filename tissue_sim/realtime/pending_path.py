@@ -10,10 +10,10 @@ force may be wrong.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
-from tissue_sim.pose import Pose, Screw, compute_rigid_motion, interpolate_pose
-from tissue_sim.realtime.wave_error import UnresolvedWaveErrorEstimator
+from tissue_sim.pose import Pose, Screw, compute_pose_distance, interpolate_pose
+from tissue_sim.realtime.inertia_limits import UnresolvedWaveErrorEstimator
 
 #: Largest number of ticks that are followed one by one. The oldest ones beyond it are merged.
 MOST_TICKS = 32
@@ -35,6 +35,7 @@ class PathTick:
     touches: bool = False
 
 
+@dataclass(slots=True)
 class PendingPath:
     """Path of the tool since the last equilibrium, as a list of ticks.
 
@@ -49,19 +50,17 @@ class PendingPath:
         waves: error of the force by waves that the steps do not resolve.
     """
 
-    __slots__ = ("_spare", "gap", "is_direct", "lost", "meets", "ticks", "waves")
-
-    def __init__(self) -> None:
-        self.ticks: list[PathTick] = []
-        self.meets, self.lost, self._spare, self.waves = False, 0.0, 0.0, UnresolvedWaveErrorEstimator()
-        self.gap, self.is_direct = 0.0, True
+    ticks: list[PathTick] = field(default_factory=list)
+    meets: bool = False
+    lost: float = 0.0
+    gap: float = 0.0
+    is_direct: bool = True
+    waves: UnresolvedWaveErrorEstimator = field(default_factory=UnresolvedWaveErrorEstimator)
+    _spare: float = 0.0
 
     def copy(self) -> PendingPath:
         """Return an independent copy, for saved states."""
-        other = PendingPath()
-        other.ticks, other.meets, other.lost, other._spare = list(self.ticks), self.meets, self.lost, self._spare
-        other.gap, other.is_direct, other.waves = self.gap, self.is_direct, self.waves.copy()
-        return other
+        return replace(self, ticks=list(self.ticks), waves=replace(self.waves))
 
     @property
     def elapsed_time(self) -> float:
@@ -161,12 +160,12 @@ class PendingPath:
         count, before = 1, start
         passed: list[float] = []
         for number, tick in enumerate(self.ticks):
-            length = tick.dt if timed else _compute_pose_distance(before, tick.pose, radius)
+            length = tick.dt if timed else compute_pose_distance(before, tick.pose, radius)
             passed.append(length + (passed[-1] if passed else 0.0))
             before, total = tick.pose, passed[-1]
             if number and self.ticks[number - 1].touches:
                 break
-            away = max(_compute_pose_distance(interpolate_pose(start, tick.pose, at / total if total else 0.0),
+            away = max(compute_pose_distance(interpolate_pose(start, tick.pose, at / total if total else 0.0),
                                               skipped.pose,
                                               radius)
                        for at, skipped in zip(passed, self.ticks, strict=False))
@@ -191,9 +190,3 @@ class PendingPath:
                 del self.ticks[0]
         else:
             self.ticks[0] = replace(first, dt=max(0.0, first.dt - dt))
-
-
-def _compute_pose_distance(one: Pose, other: Pose, radius: float) -> float:
-    """Return translation plus rotation angle times the contact radius between two poses, m."""
-    x, y, z, a, b, c = compute_rigid_motion(one, other)
-    return math.hypot(x, y, z) + radius * math.hypot(a, b, c)

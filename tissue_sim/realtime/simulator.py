@@ -19,31 +19,24 @@ from tissue_sim.motion_limits import MotionLimits
 from tissue_sim.pose import Pose
 from tissue_sim.public_names import with_old_names
 from tissue_sim.realtime.accepted_models import require_no_tilt_or_partial_slip
-from tissue_sim.realtime.explicit_coupling import ToolReversalDetector
 from tissue_sim.realtime.path_following import PathFollowingTissue
 from tissue_sim.realtime.path_settings import PATH, PathSettings
-from tissue_sim.realtime.pending_path import PendingPath
 from tissue_sim.realtime.resolution_choice import choose_finest_level_in_budget, measure_tick_time_or_infinity
 from tissue_sim.realtime.simulator_state import (
     AT_REST,
     NEVER,
-    DampedPathState,
-    NewtonAttempt,
     SimulatorState,
     StateOrigin,
 )
-from tissue_sim.realtime.step_clock import StepTimeEstimator, require_valid_max_solves
-from tissue_sim.realtime.tool_track import ToolTrack, is_pose_on_axis
-from tissue_sim.realtime.wave_error import ContactWaveTimeAndShearSpeed
+from tissue_sim.realtime.step_clock import require_valid_max_solves
+from tissue_sim.realtime.tool_track import is_pose_on_axis
 from tissue_sim.snapshot import Snapshot, snapshot
-from tissue_sim.tool_force import ForceStatus, ToolForce, compute_negligible_force_error
+from tissue_sim.tool_force import ForceStatus, ToolForce
 
 #: Relative residual below which a state is an equilibrium, 1.
 TOLERANCE = 1e-6
 #: Density of tissue for which none is stated, kg/m3: that of water.
 DENSITY = 1000.0
-#: Number of inertial steps after which the static stiffness is computed again, by a linear solve.
-_STIFFNESS_LASTS = 5
 #: Index of the resolution level that is measured first.
 _FIRST_LEVEL = 1
 
@@ -124,7 +117,7 @@ class Simulator(PathFollowingTissue):
         super().__init__(model, limits)
         self.budget, self.inertia, self.tolerance = budget, inertia, tolerance
         self.looks_ahead, self.strict_axis = looks_ahead, strict_axis
-        self._settings, self._made_of = path_settings, (model, mesh)
+        self._made_of = model, mesh
         self._solver = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
         self._solver_name, levels = solver, () if mesh is not None else self._solver.realtime_levels(model)
         #: Levels among which `warm_up` chooses.
@@ -138,35 +131,7 @@ class Simulator(PathFollowingTissue):
         if inertia == "on" and not self._weighs:
             raise InputError(f"must be 'auto' or 'off' with the solver {solver!r}, which supports no inertia.",
                              field="inertia")
-        # Whether the tool cannot lift off, and whether the tissue can attract the tool.
-        self._bonded = model.experiment.friction == "bonded"
-        self._pulls = self._bonded or bool(model.experiment.acting_laws)
-        # Whether the force depends on the path of the tool, apart from its dependence on time.
-        self._keeps_path = model.experiment.is_path_dependent or model.material.is_history_dependent
-        # A rotation counts as the displacement of a point at the edge of the contact.
-        self._radius = model.experiment.contact_radius
-        self._largest_part = path_settings.largest_part * self._radius
-        self._wave_scale = ContactWaveTimeAndShearSpeed.from_model(model, self.density)
-        self._error_floor = compute_negligible_force_error(model.material.mu0, self._radius)
-        self._left = 1.0  # factor of effects in reduced form on the force at the last equilibrium
-        self._solve: float | None = None  # wall time of a linear solve at warm-up, s
-        self._clock, self._most = StepTimeEstimator(), max_solves
-        self._answer = ToolForce.from_axial_force(0.0, 0.0, ForceStatus.CONVERGED)
-        self._equilibrium = AT_REST
-        self.error: float | None = None
-        # Track of the tool; whether its first pose in the tissue has yet to be reached; largest force so far, N.
-        self._tool, self._begins, self._largest_force = ToolTrack(), False, 0.0
-        self._pose, self._motion_check, self._has_warned = self._solver.pose, ToolReversalDetector(), False
-        # Path since the last equilibrium; time since the last fast motion, s; fraction of the largest part that works.
-        self._pending, self._lingers, self._share = PendingPath(), math.inf, 1.0
-        # Whether a quasi-static transition is in progress: the tool is pressed on again, and no time passes.
-        self._leaps = False
-        self._has_waves = False  # whether waves that the last step did not resolve are too large a part of its force
-        # Unfinished iteration; whether the next may extrapolate first; whether the tool may be pressed on again.
-        self._attempt: NewtonAttempt | None = None
-        self._extrapolates, self._can_restart = True, not self._bonded
-        self._creep: DampedPathState | None = None
-        self._stiffness_lasts = _STIFFNESS_LASTS
+        self._start_at_rest(path_settings, max_solves, self.density)
         self._origin = StateOrigin.from_model(solver, self._solver.mesh_digest(), model)
         self._start = self.save()
 
@@ -265,7 +230,7 @@ class Simulator(PathFollowingTissue):
             self._begins, dt = first, spent
             self._pose, target = (tool.project_to_solver_pose_without_twist(solver, each)
                                   for each in (tool.pose or pose, pose))
-        elif self._is_unloaded_with_path_solved:
+        elif self._is_tool_unloaded and self._attempt is None and self._creep is None and self._pending.is_empty:
             in_air = self._move_in_air_and_get_force_or_time(pose, target, dt, began)
             if isinstance(in_air, ToolForce):
                 return in_air
@@ -289,7 +254,7 @@ class Simulator(PathFollowingTissue):
         self._abandon_damped_path()
         return SimulatorState(self._origin, self._solver.save(), self._answer, self._equilibrium, self._tool.copy(),
                               self._pose, self._leaps, self._pending.copy(), self._lingers, self._share, self._begins,
-                              self._largest_force, self._motion_check.copy(), self._reduced.history, self.error)
+                              self._largest_force, replace(self._motion_check), self._reduced.history, self.error)
 
     @make_single_thread_method
     def restore(self, state: SimulatorState) -> None:
@@ -309,7 +274,7 @@ class Simulator(PathFollowingTissue):
         self._tool, self._pose, self._leaps = state.tool.copy(), state.pose, state.leaps
         self._pending, self._lingers, self._share = state.pending.copy(), state.lingers, state.share
         self._begins, self._largest_force = state.begins, state.largest_force
-        self._motion_check, self._reduced.history = state.motion_check.copy(), state.history
+        self._motion_check, self._reduced.history = replace(state.motion_check), state.history
         self._attempt, self._extrapolates, self._can_restart, self._has_waves = None, True, not self._bonded, False
 
     @make_single_thread_method

@@ -12,7 +12,7 @@ from tissue_sim.fem.solver import Step
 from tissue_sim.material.effect import ToolHistory
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw, scale_screw
-from tissue_sim.realtime.explicit_coupling import ToolReversalDetector
+from tissue_sim.realtime.inertia_limits import ToolReversalDetector
 from tissue_sim.realtime.pending_path import PendingPath
 from tissue_sim.realtime.tool_track import ToolTrack
 from tissue_sim.tool_force import Matrix, ToolForce, make_axial_stiffness_matrix, make_axial_wrench, scale_matrix

@@ -12,12 +12,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from tissue_sim.experiment.tools.outline import OutlineLineColumn, Profile
 from tissue_sim.fem.solver import Solver
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
 from tissue_sim.registry import Registry
 
+#: Radius over the length of the longest segment of an outline below which a point is on the axis, 1.
+_ON_AXIS = 1e-9
 #: Number of scalars before the arrays of a packed `CondensedBulk`.
 _MODEL_HEAD = 17
 #: Number of scalars before the arrays of a packed tangent.
@@ -65,6 +68,25 @@ class ContactSurface:
     radius: float
     floor: float
     candidates: int
+
+
+def make_outline_tables(outlines: Sequence[tuple[Profile, int, bool]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the arrays `ContactSurface.chains` and `ContactSurface.shapes` of the parts of a tool.
+
+    Args:
+        outlines: for each part its outline, the index of the first segment that nodes may touch, and whether a sharp
+            shaft is extended downwards while the tool is pressed in.
+    """
+    count = max(1, len(outlines))
+    lines = max((len(profile.lines) - first for profile, first, _ in outlines), default=1)
+    chains, shapes = np.zeros((count, lines, 5)), np.zeros((count, 5))
+    for number, (profile, first, extends) in enumerate(outlines):
+        own = profile.lines[first:]
+        chains[number, :len(own)] = own
+        longest = own[:, OutlineLineColumn.LENGTH].max(initial=1.0)
+        shapes[number] = (profile.rounding, profile.shaft - first,
+                          extends and first == profile.shaft and profile.rounding == 0.0, len(own), _ON_AXIS * longest)
+    return chains, shapes
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,6 +268,8 @@ def run_now_and_get_completion_check(compute: Callable[[], None]) -> Callable[[]
 
 class BulkLineariser(Protocol):
     """Interface of Newton's iteration for the bulk; a contact solver uses the linearisation of each iterate.
+
+    A solver with this interface runs in multirate simulation; see docs/multirate.md for the rules of its results.
 
     Attributes:
         executor: runs the condensation of tangents. Meanwhile iterations use the previous tangent.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from tissue_sim.fem.condensed.model import BulkLineariser, CondensedBulk, ContactState
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.material.material import Material
-from tissue_sim.pose import Pose, compute_rigid_motion, interpolate_pose
+from tissue_sim.pose import Pose, compute_pose_distance, interpolate_pose
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,9 @@ class PredictiveLineariser:
         passed = state.time - state.earlier
         if passed <= 0.0:
             return state.pose
-        distance = self._stepper.compute_max_contact_point_travel(compute_rigid_motion(state.before, state.pose))
+        radius = self._linearisation.surface.radius
+        distance = compute_pose_distance(state.before, state.pose, radius)
         factor = lead / passed
         if distance * factor > 0.0:
-            factor = min(factor, PREDICTION.max_prediction * self._linearisation.surface.radius / distance)
+            factor = min(factor, PREDICTION.max_prediction * radius / distance)
         return interpolate_pose(state.before, state.pose, 1.0 + factor)

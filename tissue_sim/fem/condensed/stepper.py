@@ -43,7 +43,7 @@ from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.shared_fields import LANES
-from tissue_sim.pose import Pose, Screw, compute_rigid_motion, interpolate_pose
+from tissue_sim.pose import Pose, Screw, compute_pose_distance, compute_rigid_motion, interpolate_pose
 from tissue_sim.tool_force import Matrix
 
 #: Settings of every `CondensedStepper`.
@@ -59,8 +59,6 @@ class ContactStepResult:
         iterations: number of contact iterations of the last increment.
         wrench: wrench on the tool about its deepest point, N and N m.
         stiffness_matrix: minus the derivative of the wrench with respect to position and rotation vector, 6 x 6.
-        distance: distance of the tool from the pose of the model, m, see
-            `CondensedStepper.compute_max_contact_point_travel`.
         residual: norm of the change of the forces in the last iteration, N.
         pressed: number of nodes in contact.
         slipping: number of slipping nodes.
@@ -70,14 +68,13 @@ class ContactStepResult:
     iterations: int
     wrench: Screw
     stiffness_matrix: Matrix
-    distance: float
     residual: float
     pressed: int
     slipping: int
 
 
 _ZERO_WRENCH: Screw = (0.0,) * 6
-_INITIAL_STEP = ContactStepResult(True, 0, _ZERO_WRENCH, (_ZERO_WRENCH,) * 6, 0.0, 0.0, 0, 0)
+_INITIAL_STEP = ContactStepResult(True, 0, _ZERO_WRENCH, (_ZERO_WRENCH,) * 6, 0.0, 0, 0)
 
 
 class CondensedStepper:
@@ -168,8 +165,7 @@ class CondensedStepper:
         is bound; nodes are bound where the tool touches them in the next steps.
         """
         self.reset()
-        if self.compute_max_contact_point_travel(compute_rigid_motion(self.surface.start,
-                                                                      pose)) > self.surface.tolerance:
+        if compute_pose_distance(self.surface.start, pose, self.surface.radius) > self.surface.tolerance:
             self._bound[:] = ContactBondState.FREE
         self._pose = pose
 
@@ -246,7 +242,7 @@ class CondensedStepper:
         start = self._pose
         if start is None:
             return self._solve_increment_to_result(pose, exact)
-        travel = self.compute_max_contact_point_travel(compute_rigid_motion(start, pose))
+        travel = compute_pose_distance(start, pose, self.surface.radius)
         largest = self._largest / travel if travel else math.inf
         increments = AdaptiveIncrements(_SETTINGS.min_increment * largest, min(1.0, largest))
         while True:
@@ -275,7 +271,7 @@ class CondensedStepper:
             settings[KernelSetting.REBUILDS] = 1.0
         nearest = _SETTINGS.near_gap / 3.0 * self.surface.radius
         if self._evaluation_pose is None or \
-                self.compute_max_contact_point_travel(compute_rigid_motion(self._evaluation_pose, pose)) > nearest:
+                compute_pose_distance(self._evaluation_pose, pose, self.surface.radius) > nearest:
             self._evaluation_pose, settings[KernelSetting.NEAR_COUNT] = pose, 0.0
         settings[KernelSetting.RELEASE], settings[KernelSetting.CHANGEABLE] = 0.0, 1.0
         max_iterations = _SETTINGS.max_exact_iterations if exact else _SETTINGS.max_iterations
@@ -320,12 +316,11 @@ class CondensedStepper:
             if solution is not None:
                 self._columns[:k] = solution[:, 1:]
             self._pose, self._predicted_count = pose, k // 3
-            self._last = self._commit_bonds_and_get_step_result(displacement, iterations, change, int(slipping))
+            self._last = self._commit_bonds_and_get_step_result(iterations, change, int(slipping))
             return self._last
         self._carried[:], self._states[:] = carried, states
         self._discard_equations()
-        return replace(self._last, converged=False, iterations=iterations,
-                       distance=self.compute_max_contact_point_travel(displacement), residual=change)
+        return replace(self._last, converged=False, iterations=iterations, residual=change)
 
     def _solve_factored_or_zero_if_singular(self, k: int) -> np.ndarray:
         """Return the solution of the last linear equations, shape (k, `RIGHT_HAND_SIDES`).
@@ -346,7 +341,7 @@ class CondensedStepper:
         model = self.model
         if model is None or not len(self._others):
             return False
-        if self.compute_max_contact_point_travel(compute_rigid_motion(model.pose, pose)) <= model.reach:
+        if compute_pose_distance(model.pose, pose, self.surface.radius) <= model.reach:
             return False
         # Only nodes within the largest radius of the tool can be touched; distant nodes have small displacements.
         self._write_pose_and_displacement_settings(pose, compute_rigid_motion(model.pose, pose))
@@ -354,14 +349,6 @@ class CondensedStepper:
         rotation = self._settings[KernelSetting.ROTATION:KernelSetting.ROTATION + 9].reshape(3, 3)
         at = (self._others - origin) @ rotation
         return bool(np.hypot(at[:, 0], at[:, 1]).min() < self._tool_radius)
-
-    def compute_max_contact_point_travel(self, displacement: Screw) -> float:
-        """Return an upper bound of the path length of any contact point in a rigid motion of the tool, m.
-
-        Args:
-            displacement: translation, m, and rotation vector, rad.
-        """
-        return math.hypot(*displacement[:3]) + self.surface.radius * math.hypot(*displacement[3:])
 
     def _write_pose_and_displacement_settings(self, pose: Pose, displacement: Screw) -> None:
         """Write the pose of the tool, and its motion from the pose of the model, to the settings of the kernel."""
@@ -375,8 +362,7 @@ class CondensedStepper:
         settings[KernelSetting.MOTION:KernelSetting.MOTION + 6] = displacement
         settings[KernelSetting.PRESSED_IN] = float(z <= self._first_height)
 
-    def _commit_bonds_and_get_step_result(self, displacement: Screw, iterations: int, change: float,
-                                          slipping: int) -> ContactStepResult:
+    def _commit_bonds_and_get_step_result(self, iterations: int, change: float, slipping: int) -> ContactStepResult:
         """Commit the bonds of a converged increment, and return its wrench and stiffness."""
         count = self._predicted_count
         self._sum[WrenchKernelEntryIndex.COUNT] = count
@@ -389,5 +375,4 @@ class CondensedStepper:
         else:
             stiffness = cast("Matrix", tuple(tuple(-rate for rate in answer[row:row + 6])
                                              for row in range(WrenchKernelEntryIndex.RATES, ANSWER_SIZE, 6)))
-        return ContactStepResult(True, iterations, (x, y, z, u, v, w), stiffness,
-                                 self.compute_max_contact_point_travel(displacement), change, count, slipping)
+        return ContactStepResult(True, iterations, (x, y, z, u, v, w), stiffness, change, count, slipping)

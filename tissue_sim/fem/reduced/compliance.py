@@ -15,11 +15,12 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import lapack
 
+from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.reduced.compliance_table import ContactNodeComplianceTable
 from tissue_sim.fem.reduced.contact import PenaltyContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.model import ReducedModel
-from tissue_sim.fem.solid.elastic import reset_and_compute_axial_compliance
+from tissue_sim.fem.solid.equations import SolidEquations
 from tissue_sim.fem.solid.solver import SolidSolver
 
 
@@ -90,14 +91,35 @@ def reset_and_compute_compliance_table(reduced: ReducedModel, solver: SolidSolve
         reduced: modes, sampled elements and material.
         solver: full-order solver with the same material; it is at rest afterwards.
         nodes: indices of the nodes that may touch the tool, shape (n,).
+
+    Raises:
+        ConvergenceError: the tangent at rest is singular or indefinite.
     """
     axis = np.array(reduced.model.experiment.tool_pose(0.0).rotation_matrix)[:, 2]
-    whole = reset_and_compute_axial_compliance(solver, nodes, axis)
+    whole = _reset_and_compute_axial_compliance(solver.equations, nodes, axis)
     free = slice(reduced.lifting, reduced.basis.shape[1] - reduced.watched)
     moved = reduced.basis.reshape(-1, 3, reduced.basis.shape[1])[nodes][:, :, free].transpose(0, 2, 1) @ axis
     stiffness = _compute_resting_modal_stiffness(reduced)[free, free]
     kept = moved @ np.linalg.solve(stiffness, moved.T)
     return ContactNodeComplianceTable(nodes, axis, whole, whole - 0.5 * (kept + kept.T), np.zeros(1), np.zeros(1))
+
+
+def _reset_and_compute_axial_compliance(equations: SolidEquations, nodes: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Return the compliance matrix of nodes of the resting solid along one axis, m/N, shape (n, n).
+
+    Column k contains the displacements of the nodes along the axis under a unit force on node k along the axis.
+
+    Raises:
+        ConvergenceError: the tangent at rest is singular or indefinite.
+    """
+    factor = equations.reset_and_factorise_or_none()
+    loads = np.zeros((equations.x.size, nodes.size))
+    loads[(3 * nodes[:, None] + np.arange(3)).ravel(), np.repeat(np.arange(nodes.size), 3)] = np.tile(axis, nodes.size)
+    loads = loads[equations.free]
+    if factor is None:
+        raise ConvergenceError("The tangent at rest is singular or indefinite. Hold the specimen, or use a finer mesh.")
+    moved = loads.T @ factor.solve(loads)
+    return 0.5 * (moved + moved.T)
 
 
 def _compute_resting_modal_stiffness(reduced: ReducedModel) -> np.ndarray:

@@ -16,8 +16,7 @@ from tissue_sim.fem.reduced.prediction import AmplitudePredictor
 from tissue_sim.fem.reduced.settings import BondedPlacementLimits
 from tissue_sim.fem.reduced.tool_motion import PrescribedModeAmplitudes
 from tissue_sim.fem.solid.frame import ToolFrame
-from tissue_sim.fem.solid.placement import FirstTouchHeightAndSolverMaker
-from tissue_sim.fem.solid.touch import find_first_touch
+from tissue_sim.fem.solid.touch import FirstTouchHeightAndSolverMaker, find_first_touch
 from tissue_sim.fem.solver import Solver
 from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.pose import Pose, compute_rigid_motion

@@ -13,10 +13,9 @@ from itertools import product
 
 import numpy as np
 
-from tissue_sim.fem.solid.elastic import get_held_component_mask_by_node
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.pose import Pose, Screw, compute_rigid_motion, rotate_pose_about_its_position
+from tissue_sim.pose import Pose, compute_rigid_motion, rotate_pose_about_its_position
 
 #: Relative tolerance for equal positions (times the size of the mesh) and equal directions.
 _TOLERANCE = 1e-9
@@ -56,11 +55,6 @@ class Symmetry:
         position = (x0 + offset[0], y0 + offset[1], z0 + offset[2])
         return rotate_pose_about_its_position(Pose(position, start.orientation), tuple(rotation.tolist()))
 
-    def map_wrench(self, wrench: Screw | np.ndarray) -> np.ndarray:
-        """Return the image of a wrench (force, N, and torque, N m), shape (6,)."""
-        force, torque = np.asarray(wrench[:3]), np.asarray(wrench[3:])
-        return np.concatenate([self.matrix @ force, np.linalg.det(self.matrix) * self.matrix @ torque])
-
 
 def find_symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:
     """Find the symmetries of a solid under a tool that begins at `start`.
@@ -71,6 +65,8 @@ def find_symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:
         The symmetry group, the identity first.
     """
     found = []
+    # Whether each node is held along x, y and z, by a bonded tool or by the base.
+    held = np.isin(np.arange(solver.x.size), solver.equations.free, invert=True).reshape(-1, 3)
     for matrix in _make_square_symmetries():
         axis = np.array(start.rotation_matrix)[:, 2]
         if np.abs(matrix @ axis - axis).max() > _TOLERANCE:
@@ -79,7 +75,7 @@ def find_symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:
         if nodes is None or not _maps_mesh_onto_itself(solver.mesh, nodes):
             continue
         # A support along an axis must have an image that is a support along the image of the axis.
-        held, image = get_held_component_mask_by_node(solver), np.empty((nodes.size, 3), dtype=bool)
+        image = np.empty((nodes.size, 3), dtype=bool)
         image[nodes] = held @ (np.abs(matrix.T) > 0.5)
         if (image == held).all():
             found.append(Symmetry(matrix, nodes))

@@ -26,8 +26,8 @@ from tissue_sim.fem.reduced.model import (
 from tissue_sim.fem.reduced.sampling import compute_sparse_weights
 from tissue_sim.fem.reduced.settings import TRAINING
 from tissue_sim.fem.reduced.symmetry import Symmetry, find_symmetries, split_into_involutions_and_cosets
-from tissue_sim.fem.solid import elastic
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
+from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.material.material import Material
@@ -98,9 +98,10 @@ def compute_lifting_modes(solver: SolidSolver) -> np.ndarray:
     """Compute the modes that a bonded tool prescribes: linear responses to 3 translations and 9 matrix entries.
 
     Returns:
-        Displacements per amplitude, shape (freedoms, 12); (freedoms, 0) for a tool that can lift off.
+        Displacements per amplitude, shape (freedoms, 12); (freedoms, 0) for a tool that can lift off. The free ones are
+        0 if the tangent at rest is singular.
     """
-    held = elastic.get_held_positions_in_tool_frame(solver)
+    equations, held = solver.equations, solver.equations.held_positions_in_tool
     if not held.size:
         return np.zeros((solver.x.size, 0))
     motions = np.zeros((*held.shape, LIFTING))
@@ -108,7 +109,17 @@ def compute_lifting_modes(solver: SolidSolver) -> np.ndarray:
     for i in range(3):
         for k in range(3):
             motions[:, i, 3 + 3 * i + k] = held[:, k]
-    return elastic.reset_and_solve_linear_response(solver, motions.reshape(-1, LIFTING))
+    factor, modes = equations.reset_and_factorise_or_none(), np.zeros((solver.x.size, LIFTING))
+    modes[equations.held_dofs] = motions.reshape(-1, LIFTING)
+    if factor is not None:
+        pushed = np.asarray(equations.matrix.all[:, equations.held_dofs] @ modes[equations.held_dofs])
+        modes[equations.free] = -factor.solve(pushed[equations.free])
+    return modes
+
+
+def _compute_lifting_amplitudes(solver: SolidSolver, pose: Pose) -> np.ndarray:
+    """Return the motion of the tool from its first touch to a pose: 3 displacements, m, and 9 matrix entries, (12,)."""
+    return ToolFrame(pose, solver.datum).compute_origin_and_matrix_change_from(solver.equations.first_frame)
 
 
 def compute_modes_and_singular_values(states: np.ndarray, group: Sequence[Symmetry],
@@ -227,15 +238,15 @@ def choose_sampled_elements(solver: SolidSolver, basis: np.ndarray, lifting: int
         len(mesh.connectivity), -1, basis.shape[1])
     lifted, rest = basis[:, :lifting], basis[:, lifting : basis.shape[1] - watched]
     # The forces at rest balance the self-weight and are not sampled.
-    borne = (elastic.compute_element_forces_at_displacement(solver, 0.0 * solver.x, bulk_ratio)
+    borne = (solver.equations.compute_element_forces_at_displacement(0.0 * solver.x, bulk_ratio)
              if solver.tissue.specific_weight else 0.0)
     contributions, before = [], solver.material
     for state, pose, force, material in looked_at:
         if material is not solver.material:
             solver.set_material(material)
-        moved = lifted @ elastic.compute_tool_displacement_and_matrix_change(solver, pose)[:lifting]
-        on_nodes = elastic.compute_element_forces_at_displacement(solver, moved + rest @ (rest.T @ (state - moved)),
-                                                                  bulk_ratio)
+        moved = lifted @ _compute_lifting_amplitudes(solver, pose)[:lifting]
+        on_nodes = solver.equations.compute_element_forces_at_displacement(
+            moved + rest @ (rest.T @ (state - moved)), bulk_ratio)
         contributions.append(np.einsum("eir,ei->re", rows, on_nodes - borne) / force)
     solver.set_material(before)
     weights = compute_sparse_weights(np.concatenate(contributions), tolerance, progress=progress)
@@ -269,7 +280,7 @@ def build_reduced_model(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequ
     ways = [pose for each in poses for pose in each]
     lifted = compute_lifting_modes(solver)
     lifting = lifted.shape[1]
-    amplitudes = np.array([elastic.compute_tool_displacement_and_matrix_change(solver, pose)
+    amplitudes = np.array([_compute_lifting_amplitudes(solver, pose)
                            for pose in ways])[:, :lifting]
     # The prescribed part commutes with the symmetries, so the images of the remainder need no new subtraction.
     found, singular = compute_modes_and_singular_values(states - amplitudes @ lifted.T, group,

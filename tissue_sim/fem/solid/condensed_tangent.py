@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim.fem.condensed.model import Executor
 from tissue_sim.fem.linear.sparse import CondensedFactor, SparseSolver
-from tissue_sim.fem.solid.free_dofs import FreeDofSubmatrix
+from tissue_sim.fem.solid.equations import FreeDofSubmatrix
 from tissue_sim.pose import Pose
 
 

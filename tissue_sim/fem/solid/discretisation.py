@@ -14,12 +14,11 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.fem.contact.pairs import ContactPair, ContactPairs, SurfaceParts, build_contact_pairs
 from tissue_sim.fem.contact.settings import TOLERANCES
 from tissue_sim.fem.solid.contact_laws import NodalContactLaws
-from tissue_sim.fem.solid.placement import PLACEMENT, FirstTouchHeightAndSolverMaker
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives
 from tissue_sim.fem.solid.settling import SolidSelfWeightProblem, solve_solid_self_weight_equilibrium
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solid.tissue import find_element_layer_indices
-from tissue_sim.fem.solid.touch import FirstTouch, find_first_touch
+from tissue_sim.fem.solid.touch import PLACEMENT, FirstTouch, FirstTouchHeightAndSolverMaker, find_first_touch
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh.grading import O_GRID, Grading
@@ -120,8 +119,9 @@ def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datu
     solver = SolidSolver(mesh, model.material, _map_fixed_node_set_to_axes(experiment), bonded, pairs=pairs,
                          laws=laws, tolerance=contact.tolerance, largest_motion=contact.largest_depth, start=start,
                          datum=datum, contact_radius=experiment.contact_radius,
-                         pins=_choose_rigid_motion_pins(experiment, mesh), element_layers=layers, settled=settled,
-                         specific_weight=weight, lift=lift, start_rates=rates)
+                         pins=_choose_rigid_motion_pins(experiment, mesh), element_layers=layers,
+                         settled=None if settled is None else settled.equations, specific_weight=weight, lift=lift,
+                         start_rates=rates)
     solver.placement = FirstTouchHeightAndSolverMaker(
         top, pairs, datum, is_level=experiment.specimen.is_flat and settled is None, margin=experiment.specimen.margin,
         touch_height=lambda pose: find_first_touch(mesh, places, pairs, pose).height,

@@ -49,12 +49,8 @@ class ToolFrame:
         Returns:
             Derivatives by displacement (columns 0 to 2, 1) and rotation vector (columns 3 to 5, m), shape (n, 3, 6).
         """
-        rates = np.zeros((len(points), 3, 6))
+        rates = differentiate_rotated_forces(points - self.origin)
         rates[:, 0, 0] = rates[:, 1, 1] = rates[:, 2, 2] = 1.0
-        x, y, z = (points - self.origin).T
-        rates[:, 0, 4], rates[:, 0, 5] = z, -y
-        rates[:, 1, 3], rates[:, 1, 5] = -z, x
-        rates[:, 2, 3], rates[:, 2, 4] = y, -x
         return rates
 
 
@@ -66,3 +62,14 @@ def differentiate_rotated_forces(forces: np.ndarray) -> np.ndarray:
     rates[:, 1, 3], rates[:, 1, 5] = -z, x
     rates[:, 2, 3], rates[:, 2, 4] = y, -x
     return rates
+
+
+def differentiate_torque_by_levers(motions: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Differentiate the torque of constant forces whose points move relative to the tool, N and N m, shape (3, 6).
+
+    Args:
+        motions: derivatives of the points with respect to the pose of the tool, shape (n, 3, 6).
+        forces: forces at the points, N, shape (n, 3).
+    """
+    apart = motions - np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)
+    return np.cross(apart, forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)

@@ -8,19 +8,17 @@ derivative of the displacements is solved with the tangent at the converged stat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
 
 from tissue_sim.fem.linear.sparse import SparseSolver
-from tissue_sim.fem.solid.contact import ContactNodes
 from tissue_sim.fem.solid.contact_law_rates import LawDerivativesByPositionSlipForce
+from tissue_sim.fem.solid.equations import SolidEquations
 from tissue_sim.fem.solid.frame import ToolFrame
-from tissue_sim.fem.solid.free_dofs import FreeDofSubmatrix
 from tissue_sim.fem.solid.memory_rates import HistoryDerivatives
-from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.material import Material
 
@@ -44,31 +42,6 @@ class IterativeRefinementSettings:
 
 
 _SETTINGS = IterativeRefinementSettings()
-
-
-@dataclass(frozen=True, eq=False)
-class SolverDataForSensitivity:
-    """Data of a solver from which its derivatives are computed.
-
-    Attributes:
-        nodes: undeformed positions of the nodes, m, shape (nodes, 3).
-        x: displacements, m, shape (freedoms,).
-        free: indices of the free degrees of freedom.
-        moved: indices of the degrees of freedom that the tool holds.
-        tissue, contact, matrix: the objects of the solver, not copies.
-        first: frame of the tool at its first touch.
-        assemble: assembles forces and matrix of the tissue at the present state.
-    """
-
-    nodes: np.ndarray
-    x: np.ndarray
-    free: np.ndarray
-    moved: np.ndarray
-    tissue: Tissue
-    contact: ContactNodes
-    matrix: FreeDofSubmatrix
-    first: ToolFrame
-    assemble: Callable[[], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +73,7 @@ class SolidSensitivity:
     """Derivatives of a solver's state with respect to m parameters, at its last committed step.
 
     Args:
-        parts: parts of a solver before its first step.
+        equations: equations of a solver before its first step.
         input_rates: derivatives of each region's inputs, in their order, shape (m, ...).
         memories: derivatives of the history of each region.
         widths: distance of each parameter's neighbours, shape (m,).
@@ -110,52 +83,49 @@ class SolidSensitivity:
         vector: derivatives of all three components of this force, shape (m, 3).
     """
 
-    def __init__(self, parts: SolverDataForSensitivity, input_rates: Sequence[Sequence[np.ndarray]],
+    def __init__(self, equations: SolidEquations, input_rates: Sequence[Sequence[np.ndarray]],
                  memories: Sequence[HistoryDerivatives], widths: np.ndarray):
-        self._parts, self._memories, self._half = parts, memories, _WIDTH * widths
+        self._equations, self._memories, self._half = equations, memories, _WIDTH * widths
         self._regions = range(len(memories))
-        m, n = widths.size, parts.contact.nodes.size
+        m, n = widths.size, equations.contact.nodes.size
         #: For each parameter and region: input arrays and their derivatives.
         self._inputs = [[[(array, rate[k]) for array, rate in zip(region.inputs, rates, strict=True) if rate[k].any()]
-                         for region, rates in zip(parts.tissue.region_material_arrays, input_rates, strict=True)]
+                         for region, rates in zip(equations.tissue.region_material_arrays, input_rates, strict=True)]
                         for k in range(m)]
         self.vector = np.zeros((m, 3))
         self.force = self.vector[:, 2]
         #: Derivatives of: the anchors, in the frames of their bodies; the undeformed positions relative to the bodies;
         #: the held nodes in the frame of the tool; its origin, and the undeformed positions, in the frame of the mesh.
         self._anchors, self._apart = np.zeros((2, n, 3, m))
-        self._held = np.zeros((parts.moved.size // 3, 3, m))
-        self._origin, self._undeformed = np.zeros((3, m)), np.zeros((*parts.nodes.shape, m))
-        self._stretch, self._motion = np.zeros(m), np.zeros((parts.x.size, m))
+        self._held = np.zeros((equations.held_dofs.size // 3, 3, m))
+        self._origin, self._undeformed = np.zeros((3, m)), np.zeros((*equations.mesh.nodes.shape, m))
+        self._stretch, self._motion = np.zeros(m), np.zeros((equations.x.size, m))
         self._laws: LawDerivativesByPositionSlipForce | None = None
         self._added, self._sparse = np.zeros((n, 3, 3)), SparseSolver()
         self._stretched: list[tuple[np.ndarray, np.ndarray]] = []
         self._kinds, self._changed = np.zeros((5, n), dtype=bool), False
 
     @classmethod
-    def from_perturbed_materials(cls, parts: SolverDataForSensitivity, neighbours: Neighbours, here: Material,
-                                 set_material: Callable[[Material], None]) -> SolidSensitivity:
+    def from_perturbed_materials(cls, equations: SolidEquations, neighbours: Neighbours) -> SolidSensitivity:
         """Make the derivatives from materials with increased and decreased parameters, set one after the other.
 
         The material of the solver is restored.
 
         Args:
-            parts: parts of a solver before its first step.
+            equations: equations of a solver before its first step.
             neighbours: see `tissue_sim.fem.solver.Neighbours`.
-            here: present material of the solver, which is restored.
-            set_material: sets the material of the solver.
         """
         def set_material_and_copy_inputs(material: Material) -> list[list[np.ndarray]]:
             """Set a material, and return copies of the arrays that it sets, for each region."""
-            set_material(material)
+            equations.set_material(material)
             return [[array.copy() for array in (*region.inputs, region.memory.past)] for region in regions]
 
-        regions = parts.tissue.region_material_arrays
+        regions, here = equations.tissue.region_material_arrays, equations.material
         try:
             sides = [(set_material_and_copy_inputs(more), set_material_and_copy_inputs(less)) for more, less,
                      _ in neighbours]
         finally:
-            set_material(here)
+            equations.set_material(here)
         widths = np.array([width for *_, width in neighbours])
         rates, memories = [], []
         for number, region in enumerate(regions):
@@ -167,21 +137,22 @@ class SolidSensitivity:
             rates.append(found[:-1])
             relaxations = [(region.relaxation(more), region.relaxation(less)) for more, less, _ in neighbours]
             memories.append(HistoryDerivatives(region.memory, found[-1], relaxations, widths))
-        return cls(parts, rates, memories, widths)
+        return cls(equations, rates, memories, widths)
 
     def set_first_touch_derivatives(self, start: FirstTouchDerivatives) -> None:
         """Set the derivatives of the state of the first touch, before the first step."""
-        parts, contact, first = self._parts, self._parts.contact, self._parts.first
+        equations, contact, first = self._equations, self._equations.contact, self._equations.first_frame
         self._stretch[:] = start.stretch
-        self._stretched = parts.tissue.batches.array_pairs_with_log_height_derivatives if start.stretch.any() else []
-        self._undeformed[:, 2] = parts.nodes[:, 2, None] * start.stretch
+        self._stretched = (equations.batches.array_pairs_with_log_height_derivatives if start.stretch.any()
+                           else [])
+        self._undeformed[:, 2] = equations.mesh.nodes[:, 2, None] * start.stretch
         self._origin[2] = start.datum
         self._apart[:] = self._undeformed[contact.nodes]
         if start.lift is not None:
             self._apart[contact.moves, 2] -= start.lift[contact.nodes[contact.moves]]
         # The base is under the lowest nodes.
         self._apart[contact.moves] -= self._origin
-        self._apart[~contact.moves, 2] -= parts.nodes[:, 2].min() * start.stretch
+        self._apart[~contact.moves, 2] -= equations.mesh.nodes[:, 2].min() * start.stretch
         if start.settled is not None:
             motion, anchors, *remembered = start.settled
             self._motion[:] = motion.T
@@ -195,7 +166,7 @@ class SolidSensitivity:
                                             return_indices=True)
             self._anchors[here] = np.moveaxis(anchors, 0, -1)[there]
         places = self._undeformed + self._motion.reshape(self._undeformed.shape)
-        self._held[:] = turned @ (places[parts.moved[::3] // 3] - self._origin)
+        self._held[:] = turned @ (places[equations.held_dofs[::3] // 3] - self._origin)
 
     @property
     def state_derivatives(self) -> list[np.ndarray]:
@@ -217,38 +188,38 @@ class SolidSensitivity:
         Args:
             frame: frame of the tool.
         """
-        parts, m = self._parts, self._half.size
-        state = parts.contact.state
+        equations, m = self._equations, self._half.size
+        state = equations.contact.state
         self._changed |= not np.array_equal(state.discrete_contact_flags, self._kinds)
         self._kinds = state.discrete_contact_flags
         if not m:
             return
-        residual = parts.tissue.batches.residual.copy()
+        residual = equations.batches.residual.copy()
         aside = [each for each in self._memories if each.begin_shift_from_kink()]
         if aside:
-            parts.assemble()
+            equations.assemble_and_get_least_volume_ratio()
         for each in self._memories:
             each.compute_inherited_derivatives()
         rates = np.stack([self._differentiate_forces_by_one_parameter(k) for k in range(m)], axis=1)
-        follows = frame.rotation @ self._held + self._origin - self._undeformed[parts.moved[::3] // 3]
+        follows = frame.rotation @ self._held + self._origin - self._undeformed[equations.held_dofs[::3] // 3]
         self._laws = LawDerivativesByPositionSlipForce.make_from_differences_or_none(
-            parts.contact, parts.x.reshape(-1, 3)[parts.contact.nodes], frame)
+            equations.contact, equations.x.reshape(-1, 3)[equations.contact.nodes], frame)
         motion, forces = self._solve_displacement_and_force_derivatives(rates, follows.reshape(-1, m))
-        held = -(rates + self._multiply_by_tissue_tangent(motion))[parts.moved].reshape(-1, 3, m)
-        self.vector[:] = held.sum(axis=0).T + forces[parts.contact.moves].sum(axis=0).T
+        held = -(rates + self._multiply_by_tissue_tangent(motion))[equations.held_dofs].reshape(-1, 3, m)
+        self.vector[:] = held.sum(axis=0).T + forces[equations.contact.moves].sum(axis=0).T
         self._update_history_rates(motion)
         self._anchors = state.differentiate_anchors(self._select_contact_rows(motion) + self._apart, self._anchors)
         self._motion = motion
         for each in aside:
             each.end_shift_from_kink()
-        parts.tissue.batches.residual[:] = residual
+        equations.batches.residual[:] = residual
 
     def _differentiate_forces_by_one_parameter(self, k: int) -> np.ndarray:
         """Return d forces / d parameter k at constant displacements, N per unit, shape (freedoms,)."""
         acting = {number: [(array, rate) for array,
                            rate in self._get_material_input_and_derivative_pairs(k, number) if rate.any()]
                   for number in self._regions}
-        stretched, tissue = self._get_mesh_input_and_derivative_pairs(k), self._parts.tissue
+        stretched, tissue = self._get_mesh_input_and_derivative_pairs(k), self._equations.tissue
         regions = [number for number in self._regions if acting[number] or stretched]
         directions = [*stretched, *chain(*acting.values())]
         forces, = self._differentiate_assembly_along_direction(k, regions, directions, [tissue.batches.residual])
@@ -261,7 +232,8 @@ class SolidSensitivity:
             memory = each.memory
             for k in range(motion.shape[1] if memory.works else 0):
                 directions = [*self._get_mesh_input_and_derivative_pairs(k),
-                              *self._get_material_input_and_derivative_pairs(k, number), (self._parts.x, motion[:, k])]
+                              *self._get_material_input_and_derivative_pairs(k, number),
+                              (self._equations.x, motion[:, k])]
                 each.commit_derivatives_for_parameter(k, *self._differentiate_assembly_along_direction(
                     k, [number], directions, [memory.stresses, memory.energies]))
 
@@ -285,7 +257,7 @@ class SolidSensitivity:
             results: arrays that the assembly writes and whose derivatives are returned. All arrays are restored.
         """
         arrays = [array for array, _ in directions]
-        written: list[np.ndarray] = [self._parts.tissue.batches.residual]
+        written: list[np.ndarray] = [self._equations.batches.residual]
         for number in regions:
             written += [self._memories[number].memory.stresses, self._memories[number].memory.energies]
         kept = [(array, array.copy()) for array in arrays + written]
@@ -294,7 +266,7 @@ class SolidSensitivity:
             for step in (self._half[k], -self._half[k]):
                 for (array, rate), value in zip(directions, here, strict=False):
                     array[:] = value + step * rate
-                self._parts.tissue.set_residual_to_regions_forces(regions)
+                self._equations.tissue.set_residual_to_regions_forces(regions)
                 found.append([result.copy() for result in results])
         finally:
             for array, value in kept:
@@ -313,14 +285,14 @@ class SolidSensitivity:
             Derivatives of displacements, m per unit, shape (freedoms, m), and of contact forces, N per unit, shape
             (n, 3, m); NaN if the tangent is singular or the refinement does not reach the acceptable residual.
         """
-        parts, contact = self._parts, self._parts.contact
+        equations, contact = self._equations, self._equations.contact
         state, m, own = contact.state, rates.shape[1], contact.rates - contact.law_rates
         motion, forces = np.zeros_like(rates), np.zeros((contact.nodes.size, 3, m))
-        motion[parts.moved] = follows
+        motion[equations.held_dofs] = follows
         self._added = own if self._laws is None else own + self._laws.differentiate_law_forces_by_displacement(own)
-        parts.matrix.add_contact_stiffness(self._added)
+        equations.matrix.add_contact_stiffness(self._added)
         symmetric = not state.slides.any() and _are_symmetric(self._added)
-        factor = self._sparse.factorise_or_none(parts.matrix.free, symmetric=symmetric)
+        factor = self._sparse.factorise_or_none(equations.matrix.free, symmetric=symmetric)
         if factor is None:
             return np.full_like(motion, np.nan), np.full_like(forces, np.nan)
         # Reference: forces of tissue and contact; the penalty forces of the contact are much larger.
@@ -329,12 +301,12 @@ class SolidSensitivity:
             found, missing, acting = self._differentiate_contact_forces_and_residuals(motion, forces)
             right = rates + self._multiply_by_tissue_tangent(motion)
             np.add.at(right.reshape(-1, 3, m), contact.nodes, acting)
-            left = np.linalg.norm(right[parts.free], axis=0)
+            left = np.linalg.norm(right[equations.free], axis=0)
             size = np.maximum(size, np.linalg.norm(found.reshape(-1, m), axis=0))
             if (left <= _SETTINGS.tolerance * size).all():
                 return motion, acting - missing
             change = np.zeros_like(motion)
-            change[parts.free] = -factor.solve(np.asfortranarray(right[parts.free])).reshape(-1, m)
+            change[equations.free] = -factor.solve(np.asfortranarray(right[equations.free])).reshape(-1, m)
             motion += change
             forces = found + missing + own @ self._select_contact_rows(change)
         _, missing, acting = self._differentiate_contact_forces_and_residuals(motion, forces)
@@ -350,7 +322,7 @@ class SolidSensitivity:
             Derivatives of the contact forces, of the residuals of the constraints, and of all acting forces with those
             of the laws, N, shape (n, 3, m) each.
         """
-        state, against = self._parts.contact.state, self._select_contact_rows(motion) + self._apart
+        state, against = self._equations.contact.state, self._select_contact_rows(motion) + self._apart
         found, missing = state.differentiate_forces_and_residuals(against, self._anchors, forces)
         acting = found + missing
         if self._laws is not None:
@@ -360,14 +332,14 @@ class SolidSensitivity:
 
     def _multiply_by_tissue_tangent(self, motion: np.ndarray) -> np.ndarray:
         """Return the tissue's stiffness times displacements, N per unit; the contact stiffness is excluded."""
-        product = self._parts.matrix.all @ motion
-        np.add.at(product.reshape(-1, 3, motion.shape[1]), self._parts.contact.nodes,
+        product = self._equations.matrix.all @ motion
+        np.add.at(product.reshape(-1, 3, motion.shape[1]), self._equations.contact.nodes,
                   -(self._added @ self._select_contact_rows(motion)))
         return product
 
     def _select_contact_rows(self, motion: np.ndarray) -> np.ndarray:
         """Return the rows of the contact nodes, shape (n, 3, m), of an array of shape (freedoms, m)."""
-        return motion.reshape(-1, 3, motion.shape[1])[self._parts.contact.nodes]
+        return motion.reshape(-1, 3, motion.shape[1])[self._equations.contact.nodes]
 
 
 def _are_symmetric(blocks: np.ndarray) -> bool:

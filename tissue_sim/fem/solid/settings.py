@@ -54,7 +54,6 @@ class LinearisationSettings:
         old_fractions: the same with an earlier tangent, which would overshoot where the tissue has become more than
             twice as stiff, 1.
         rounding: length of a step over that of the displacement below which the step is zero, 1.
-        on_axis: radius over the length of a segment of the outline below which a point is on the axis, 1.
     """
 
     more: int = 3
@@ -62,7 +61,6 @@ class LinearisationSettings:
     fractions: tuple[float, ...] = (1.0, 0.5, 0.25)
     old_fractions: tuple[float, ...] = (0.8, 0.4, 0.2)
     rounding: float = 1e-5
-    on_axis: float = 1e-9
 
 
 #: Settings of every solid.

@@ -46,7 +46,7 @@ class SolidSelfWeightProblem:
     def __init__(self, stand: Callable[[SolidMesh], SolidSolver], mesh: SolidMesh, specimen: Specimen):
         self._stand, self._stated_mesh, self._specimen = stand, mesh, specimen
         self.mesh = mesh
-        self.steps: list[tuple[float, list[np.ndarray]]] = []
+        self.steps: list[tuple[float, tuple[np.ndarray, ...]]] = []
 
     def make_solver(self, stretch: float) -> SolidSolver:
         """See `SelfWeightProblem.make_solver`."""
@@ -59,12 +59,12 @@ class SolidSelfWeightProblem:
         solver.tissue.specific_weight = specific_weight
         step = solver.step(solver.pose, np.inf)
         if step.status is StepStatus.CONVERGED:
-            self.steps.append((specific_weight, [array.copy() for array in _get_iterate_arrays(solver)]))
+            self.steps.append((specific_weight, solver.equations.copy_iterate()))
         return step
 
     def store_resting_state(self, solver: SolidSolver) -> None:
         """See `SelfWeightProblem.store_resting_state`."""
-        solver.make_committed_state_the_resting_state()
+        solver.equations.make_committed_state_the_resting_state()
 
     def differentiate_state_settled_by_weight_or_none(self, neighbours: Neighbours) -> SettledStateDerivatives | None:
         """Repeat the load steps from their stored equilibria, and differentiate the last one.
@@ -82,14 +82,12 @@ class SolidSelfWeightProblem:
         derivatives = solver.enable_force_derivatives([*neighbours, *more])
         if derivatives is None:
             return None
-        derivatives.set_first_touch_derivatives(FirstTouchDerivatives.from_undeformed_specimen(np.repeat([0.0, 1.0],
-                                                                                                         [m,
-                                                                                                          len(more)])))
+        stretches = np.repeat([0.0, 1.0], [m, len(more)])
+        derivatives.set_first_touch_derivatives(FirstTouchDerivatives.from_undeformed_specimen(stretches))
         for weight, state in self.steps:
             solver.tissue.specific_weight = weight
             solver.contact.copy_committed_bonds_to_step()
-            for array, left in zip(_get_iterate_arrays(solver), state, strict=True):
-                array[:] = left
+            solver.equations.set_iterate(state)
             if solver.step(solver.pose, np.inf, resumes=True).status is not StepStatus.CONVERGED:
                 return None
         carried, stretch = derivatives.state_derivatives, np.zeros(m)
@@ -117,8 +115,3 @@ def solve_solid_self_weight_equilibrium(stand: Callable[[SolidMesh], SolidSolver
     """
     problem = SolidSelfWeightProblem(stand, mesh, specimen)
     return solve_self_weight_equilibrium(problem, specimen, float(np.ptp(mesh.nodes[:, 2]))), problem
-
-
-def _get_iterate_arrays(solver: SolidSolver) -> tuple[np.ndarray, ...]:
-    """Return displacements, pressures and contact forces of the present iterate, not copied."""
-    return solver.x, solver.batches.pressures, solver.contact.forces

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.linear.sparse import Factor, SparseSolver
-from tissue_sim.fem.solid.contact import ContactNodes
-from tissue_sim.fem.solid.free_dofs import FreeDofSubmatrix
-from tissue_sim.fem.solid.tissue import Tissue
+from tissue_sim.fem.linear.sparse import Factor
+from tissue_sim.fem.solid.equations import SolidEquations
 
 
 @dataclass(frozen=True)
@@ -41,20 +39,15 @@ class ReusableTangentFactor:
     """Factor of an assembled tangent that several Newton iterations use (modified Newton method).
 
     Args:
-        tissue: tissue whose stiffness is in `matrix`.
-        contact: contact whose stiffness is added.
-        matrix: matrix of all and of the free degrees of freedom.
-        sparse: sparse solver.
-        free: indices of the free degrees of freedom.
+        equations: assembled equations, whose matrix gets the contact stiffness.
 
     Attributes:
         factor: factor of the free part of the matrix; None before the first factorisation, or if singular.
         stale: whether the factor belongs to an earlier iterate.
     """
 
-    def __init__(self, tissue: Tissue, contact: ContactNodes, matrix: FreeDofSubmatrix, sparse: SparseSolver,
-                 free: np.ndarray):
-        self._tissue, self._contact, self._matrix, self._sparse, self._free = tissue, contact, matrix, sparse, free
+    def __init__(self, equations: SolidEquations):
+        self._equations = equations
         self.factor: Factor | None = None
         self.stale, self._before = False, np.inf
 
@@ -63,9 +56,10 @@ class ReusableTangentFactor:
 
         The factor is also stored in `factor`; it is None if the matrix is singular.
         """
-        self._matrix.add_contact_stiffness(self._contact.rates)
-        self._contact.store_assembled_contact_rates()
-        self.factor, self.stale = self._sparse.factorise_or_none(self._matrix.free, symmetric=symmetric), False
+        contact = self._equations.contact
+        self._equations.matrix.add_contact_stiffness(contact.rates)
+        contact.store_assembled_contact_rates()
+        self.factor, self.stale = self._equations.factorise_or_none(symmetric), False
         return self.factor
 
     def solve_increment(self, right: np.ndarray, way: np.ndarray | None, apart: np.ndarray) -> np.ndarray:
@@ -77,16 +71,16 @@ class ReusableTangentFactor:
             apart: additional increments of the contact nodes relative to their bodies, m, shape (n, 3).
         """
         assert self.factor is not None
-        contact, motion = self._contact, np.zeros_like(right)
+        equations, contact, motion = self._equations, self._equations.contact, np.zeros_like(right)
         if self.stale:
-            self._tissue.correct_forces_for_reused_matrix(right)
+            equations.tissue.correct_forces_for_reused_matrix(right)
         pushed = np.einsum("nij,nj->ni", contact.known_rates, contact.missed)
         if way is not None:
             motion += way
             pushed = pushed + np.einsum("nij,nj->ni", contact.rates, apart)
-            right += self._matrix.all @ way
+            right += equations.matrix.all @ way
         np.add.at(right.reshape(-1, 3), contact.nodes, pushed)
-        motion[self._free] = -self.factor.solve(right[self._free])
+        motion[equations.free] = -self.factor.solve(right[equations.free])
         return motion
 
     def record_residual_and_set_stale(self, ratio: float, far: bool) -> None:

@@ -121,11 +121,6 @@ class Tissue:
         self.effects = SolidPointEffects(self.batches, mesh.connectivity, named.get("", np.zeros(0, dtype=np.intp)))
 
     @property
-    def first_region_history(self) -> MaterialMemory:
-        """Material history of the elements of the first region; these are all elements if there is one region only."""
-        return self._regions[0].memory
-
-    @property
     def element_bulk_moduli(self) -> np.ndarray:
         """Bulk modulus of each element's material, Pa, shape (elements,)."""
         return np.repeat(self.bulk_moduli, LANES)[self.batches.lane_of]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from tissue_sim.fem.contact.surface_geometry import NearestSurfaceGeometry, find
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.mesh.side_points import FacePolynomialMaps
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.pose import Pose
+from tissue_sim.pose import Pose, compute_pose_distance
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,24 @@ class TouchSettings:
     sharp: float = 1e4
 
 
+@dataclass(frozen=True)
+class FirstTouchPositionTolerances:
+    """Largest distances between the first touch of the tool and the position of the mesh.
+
+    Attributes:
+        same_position: distance between two first touches, over the radius of the tool, below which they are the same,
+            1.
+        face_offset: largest distance of a flat tool from the position of a mesh that cannot be moved, over the radius
+            of the tool, 1.
+    """
+
+    same_position: float = 1e-6
+    face_offset: float = 0.01
+
+
 _SETTINGS = TouchSettings()
+#: Tolerances of every solid.
+PLACEMENT = FirstTouchPositionTolerances()
 
 
 @dataclass(frozen=True)
@@ -127,6 +146,61 @@ def find_first_touch(mesh: SolidMesh, places: np.ndarray, pairs: Sequence[Contac
         slope = max((missed - before) / lift, _SETTINGS.least_slope)
     raise ConvergenceError(f"the search for the first touch ended with a gap of {abs(missed) * 1e3:.2g} mm. Check "
                            "whether the top of the mesh is folded")
+
+
+class FirstTouchHeightAndSolverMaker:
+    """Height of the first touch of a tool on the top of a solid, and the solver for a first touch at another pose.
+
+    Args:
+        places: positions of the nodes of the top without a tool, m, shape (n, 3).
+        pairs: contact pairs; the last one has the outline of the whole tool.
+        datum: height of the scene's origin in the frame of the mesh, m.
+        is_level: whether the top is flat and has not settled.
+        margin: returns the distance of a point from the edge of the top, m.
+        touch_height: returns the height of the scene's origin at which a tool at a pose touches, m; raises InputError
+            outside of the top.
+        remake: returns the solver for a first touch at a pose, or None if no solver can be made; None: never remake.
+    """
+
+    def __init__(self, places: np.ndarray, pairs: Sequence[ContactPair], datum: float, is_level: bool,
+                 margin: Callable[[float, float], float], touch_height: Callable[[Pose], float],
+                 remake: Callable[[Pose, Any], Any] | None):
+        profiles = [pair.profile for pair in pairs if pair.moves][-1:]
+        self.radius = max((float(each.vertices[:, 0].max()) + each.rounding for each in profiles), default=0.0)
+        self._highest = float(places[:, 2].max()) - datum
+        self._datum, self._is_level, self._margin = datum, is_level, margin
+        self._touch_height, self._remake = touch_height, remake
+
+    def is_at_mesh_position(self, start: Pose, pose: Pose) -> bool:
+        """Whether a first touch at a pose needs no other mesh than the first touch at `start`."""
+        return compute_pose_distance(start, pose, self.radius) <= PLACEMENT.same_position * self.radius
+
+    def height_above_tissue(self, pose: Pose) -> float:
+        """Return the distance that the tool must go down until it touches the undeformed tissue, m.
+
+        See `ToolInAirInterface.height_above_tissue`.
+        """
+        x, y, z = pose.position
+        _, a, b, _ = pose.orientation
+        sine = 2.0 * math.sqrt(max(0.0, (a * a + b * b) * (1.0 - a * a - b * b)))
+        lowest = z - self.radius * sine - self._highest
+        if lowest > 0.0:
+            return lowest
+        if self._is_level and sine == 0.0 and self._margin(x, y) >= self.radius:
+            return z
+        try:
+            return z + self._datum - self._touch_height(Pose((x, y, 0.0), pose.orientation))
+        except InputError:
+            return math.inf  # outside the top
+
+    def make_solver_for_touch_pose_or_none(self, pose: Pose, solver: Any) -> Any:
+        """Return the solver for a first touch at a pose; None if no such solver can be made.
+
+        Args:
+            pose: pose of the tool at the first touch.
+            solver: solver whose material and density are copied to the new solver.
+        """
+        return None if self._remake is None else self._remake(pose, solver)
 
 
 class _ConvexTool:

@@ -1,5 +1,6 @@
-"""Error of the force that is due to waves which the time steps do not resolve, in tissue with mass.
+"""Limits of steps in which the mass of the tissue acts: unresolved waves, and light tools in an explicit coupling.
 
+**Unresolved waves.** The force has an error by waves that the time steps do not resolve.
 The tissue that moves with the tool has the mass m = (k_step - k) dt2, with the stiffness k_step within a step and the
 stiffness k without mass. The inertial force of a step is f = d(m v)/dt. Backward differences of second order resolve f
 if f changes evenly from step to step. Otherwise a wave begins within the step: an impact, a stop, or nodes that come
@@ -19,12 +20,29 @@ strain of the order v / c_s >= 1, which no mesh of finite elements resolves, so 
 Sources: Achenbach, Wave Propagation in Elastic Solids (1973), sections 1.3 and 2.10, for the impulse of a front and
 the speeds of waves; Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, sections II.4 and III.7, for
 error estimates from differences between steps and from the order with the smallest one.
+
+**Stability of an explicit coupling** between a rigid tool and the tissue: pose in, force out, once per step.
+A coupling by hand holds the force of one step during the next one. Tissue that moves with the tool then acts as an
+added mass m_a whose force comes one step late. With the backward differences of `tissue_sim.fem.inertia` and steps of
+dt, a tool of mass m with semi-implicit Euler steps on a tissue of stiffness k obeys
+
+    m (x[n+1] - 2 x[n] + x[n-1]) = - k dt2 x[n] - m_a (9/4 x[n] - 6 x[n-1] + 11/2 x[n-2] - 2 x[n-3] + 1/4 x[n-4]).
+
+The solution that alternates from step to step, x[n] = (-1)^n, is the first one that grows. Inserting it gives
+4 m = k dt2 + 16 m_a. A step answers the stiffness k + (9/4) m_a / dt2, so that
+
+    m > k dt2 / 4 + (16/9) (k_step - k) dt2,
+
+with the largest value of the three translations. Source of the added-mass instability of explicit couplings: Causin,
+Gerbeau and Nobile, Comput. Methods Appl. Mech. Eng. 194 (2005) 4506.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
+from typing import ClassVar
 
 from tissue_sim.model import Model
 from tissue_sim.pose import Screw, Vector, scale_screw
@@ -35,6 +53,22 @@ from tissue_sim.tool_force import ERROR_SHARE, Matrix
 REVERBERATION = 0.3
 _AT_REST: Vector = (0.0, 0.0, 0.0)
 _STANDS: Screw = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class StabilityFactors:
+    """Factors of the smallest tool mass of a stable explicit coupling; the derivation is above.
+
+    Attributes:
+        added_mass: tool mass over the added mass (k_step - k) dt2 of the tissue, 1.
+        stiffness: tool mass over the stiffness of the tissue times dt2, 1.
+    """
+
+    added_mass: float = 16.0 / 9.0
+    stiffness: float = 0.25
+
+
+_STABILITY = StabilityFactors()
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +100,7 @@ class ContactWaveTimeAndShearSpeed:
         return cls(experiment.specimen.height / pressure_speed, speed, floor)
 
 
+@dataclass(slots=True)
 class UnresolvedWaveErrorEstimator:
     """Estimate of the error of the force that is due to waves which the steps do not resolve.
 
@@ -74,19 +109,14 @@ class UnresolvedWaveErrorEstimator:
         is_supersonic: whether the tool was faster than the shear waves in the last step.
     """
 
-    __slots__ = ("_dt", "_inertial", "_moving_momentum", "_slope", "_square", "_velocity", "force", "is_supersonic")
-
-    def __init__(self) -> None:
-        self.force, self._square, self._dt, self.is_supersonic = 0.0, 0.0, math.inf, False
-        self._moving_momentum: Vector | None = None
-        self._inertial, self._slope, self._velocity = _AT_REST, _AT_REST, _STANDS
-
-    def copy(self) -> UnresolvedWaveErrorEstimator:
-        """Return an independent copy, for saved states."""
-        other = UnresolvedWaveErrorEstimator()
-        for name in self.__slots__:
-            setattr(other, name, getattr(self, name))
-        return other
+    force: float = 0.0
+    is_supersonic: bool = False
+    _square: float = 0.0
+    _dt: float = math.inf
+    _moving_momentum: Vector | None = None
+    _inertial: Vector = _AT_REST
+    _slope: Vector = _AT_REST
+    _velocity: Screw = _STANDS
 
     def reset_error_at_step_without_mass(self, way: Screw | None, dt: float) -> None:
         """Set the error to zero after a quasi-static step, in which the inertia of the tissue does not act.
@@ -141,3 +171,79 @@ def _compute_momentum_from_stiffnesses(stiffness: Matrix, step_stiffness: Matrix
 def _compute_rate_of_change(now: Vector, before: Vector, dt: float) -> Vector:
     """Return the change of a vector per time."""
     return (now[0] - before[0]) / dt, (now[1] - before[1]) / dt, (now[2] - before[2]) / dt
+
+
+def minimum_stable_tool_mass(stiffness: Matrix, step_stiffness: Matrix | None, dt: float) -> float:
+    """Smallest tool mass, kg, of a stable explicit coupling.
+
+    The diagonal entries of the three translations are used, as for a tool that moves along an axis of the scene.
+
+    Args:
+        stiffness: of the tissue without its mass, N/m.
+        step_stiffness: within the step, with the mass of the tissue; None if the mass takes no part.
+        dt: step, s.
+    """
+    (kx, _, _, _, _, _), (_, ky, _, _, _, _), (_, _, kz, _, _, _), *_ = stiffness
+    if step_stiffness is None:
+        return _STABILITY.stiffness * dt * dt * max(kx, ky, kz, 0.0)
+    (sx, _, _, _, _, _), (_, sy, _, _, _, _), (_, _, sz, _, _, _), *_ = step_stiffness
+    added_mass = _STABILITY.added_mass
+    own = _STABILITY.stiffness - added_mass
+    return dt * dt * max(own * kx + added_mass * sx, own * ky + added_mass * sy, own * kz + added_mass * sz, 0.0)
+
+
+class LightToolWarning(UserWarning):
+    """A tool that is coupled explicitly is too light for the tissue that moves with it."""
+
+
+def issue_light_tool_warning(least_mass: float) -> None:
+    """Warn that the tool reverses its motion in every step (`LightToolWarning`).
+
+    The remedies in the warning are an implicit coupling with looks_ahead=True, inertia='off', or a heavier tool.
+
+    Args:
+        least_mass: `ToolForce.least_tool_mass` of the last step, kg.
+    """
+    warnings.warn(LightToolWarning(
+        f"the tool reverses its motion in every step, as a tool lighter than {1e3 * least_mass:.2g} g does if coupled "
+        "by pose and force. Use looks_ahead=True with an implicit coupling, inertia='off', or a heavier tool; see "
+        "docs/realtime.md."), stacklevel=2)
+
+
+@dataclass(slots=True)
+class ToolReversalDetector:
+    """Detector of motions of the tool that the time steps do not resolve.
+
+    Backward differences resolve the acceleration of a motion only if it takes several steps to reverse. A tool that is
+    coupled explicitly and too light reverses in every step (see above), which is an artefact of the coupling. With
+    ``inertia="auto"`` the mass of the tissue is ignored for such a motion.
+
+    Attributes:
+        quiet: time since the last oscillation of the tool, s.
+    """
+
+    #: The tool oscillates if its motion reverses in this many successive steps.
+    MOST_TURNS: ClassVar[int] = 3
+    quiet: float = math.inf
+    _turns: int = 0
+    _x: float = 0.0
+    _y: float = 0.0
+    _z: float = 0.0
+
+    def register_translation_and_detect_oscillation(self, x: float, y: float, z: float, dt: float,
+                                                    is_fast: bool) -> None:
+        """Register the motion of the tool in a step; set `quiet` to 0 after `MOST_TURNS` successive reversals.
+
+        Args:
+            x: translation of the tool in this step along x, m.
+            y: translation of the tool in this step along y, m.
+            z: translation of the tool in this step along z, m.
+            dt: duration of the step, s.
+            is_fast: whether the motion is fast enough to count as a reversal.
+        """
+        self.quiet += dt
+        turns = is_fast and x * self._x + y * self._y + z * self._z < 0.0
+        self._turns = self._turns + 1 if turns else 0
+        self._x, self._y, self._z = x, y, z
+        if self._turns >= self.MOST_TURNS:
+            self.quiet = 0.0
