@@ -23,9 +23,9 @@ from tissue_sim.fem.axisymmetric.numbering import number_equations
 from tissue_sim.fem.axisymmetric.reference import compute_undeformed_mesh_quadrature
 from tissue_sim.fem.axisymmetric.state import SolverState
 from tissue_sim.fem.axisymmetric.touch import bind_no_slip_points_where_they_touch
+from tissue_sim.fem.elements.point_effects import PointEffects
 from tissue_sim.fem.history import MaterialMemory
 from tissue_sim.fem.linear import band
-from tissue_sim.fem.point_effects import PointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LOCK

@@ -9,7 +9,12 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
-from tissue_sim.fem.fields import FIELD_UNITS, TAIL, compute_volume_weighted_quantile, extrapolate_to_nodes_and_average
+from tissue_sim.fem.elements.fields import (
+    FIELD_UNITS,
+    TAIL,
+    compute_volume_weighted_quantile,
+    extrapolate_to_nodes_and_average,
+)
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 

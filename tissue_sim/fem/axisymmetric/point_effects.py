@@ -19,7 +19,7 @@ def make_effect_stress_function(formulas: tuple[FormulaClassAndConstants, ...]):
     """Return the Taichi function ``add_effect_stresses(F, P, A, states, settings) -> (S, P, A, states)``.
 
     The function adds the first Piola stress F S of the effects to P and its derivative to A. S is the second Piola
-    stress of the effects. All arguments are vectors; see `tissue_sim.fem.point_effects.PointEffects`.
+    stress of the effects. All arguments are vectors; see `tissue_sim.fem.elements.point_effects.PointEffects`.
     """
     ti = get_initialised_taichi()
     count = 1 + sum(len(formula.parameter_names) for formula in formulas)

@@ -10,7 +10,7 @@ Every function works on vectors, one point in each lane.
 from functools import cache
 from typing import TYPE_CHECKING
 
-from tissue_sim.fem.energy import (
+from tissue_sim.fem.elements.energy import (
     list_lower_triangle_index_pairs,
     make_energy_derivatives_by_invariants,
     make_energy_derivatives_by_stretch,

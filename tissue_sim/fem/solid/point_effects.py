@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tissue_sim.fem.point_effects import LONGEST, require_valid_formula
+from tissue_sim.fem.elements.point_effects import LONGEST, require_valid_formula
 from tissue_sim.fem.solid.batches import ElementBatches, find_sparse_entry_indices
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
 from tissue_sim.material.effect import PointEffect, TissueEffect
