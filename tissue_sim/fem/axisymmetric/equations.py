@@ -148,7 +148,7 @@ class EquilibriumEquations:
                              f"{ratio:g}.", field="bulk")
         self.material, self.bulk_modulus = material, bulk_modulus
         self.moduli[:] = moduli
-        self.batches.set_element_modulus_ratios(moduli)
+        self.batches.set_modulus_ratios(moduli)
         if len(coefficients) == self._coefficients.size:
             self._coefficients[:] = coefficients
         else:
