@@ -73,7 +73,7 @@ class EquilibriumEquations:
         self.batches = ElementBatches(mesh, reference.node_gradients, reference.weights, reference.pressure_modes,
                                       reference.volumes)
         self.surface, self.memory = ContactPoints(mesh, contact), MaterialMemory(reference.weights.shape, 4)
-        self.effects = PointEffects(reference.weights.shape)
+        self.effects = PointEffects(reference.weights.shape, 4)
         self._allocate_tangent_arrays()
         elements, freedoms = len(mesh.connectivity), 2 * len(mesh.nodes)
         self._element_layers, self._contact_radius, self.moduli = element_layers, contact_radius, np.ones(elements)
