@@ -9,6 +9,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.elements.lanes import ElementLanes
+from tissue_sim.fem.elements.quadrature import compute_isoparametric_map, compute_orthonormal_pressure_modes
 from tissue_sim.fem.taichi.origins import allocate_array
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.mesh.solid import SolidMesh
@@ -24,22 +25,13 @@ def compute_quadrature_volumes_gradients_modes(mesh: SolidMesh) -> tuple[np.ndar
     Raises:
         InputError: an element of zero or negative volume.
     """
-    points, shares = mesh.element.quadrature
-    values, slopes = mesh.element.evaluate_shape_functions_and_gradients(points)
-    X = mesh.nodes[mesh.connectivity]
-    jacobian = np.einsum("eai,qaj->eqij", X, slopes)
-    weights = np.linalg.det(jacobian) * shares
+    positions, determinants, gradients = compute_isoparametric_map(mesh)
+    weights = determinants * mesh.element.quadrature[1]
     if not (weights > 0.0).all():
         worst = int(np.argmin(weights.min(axis=1)))
         raise InputError(f"must have elements of positive volume; element {worst} is inside out or has no volume. "
                          "Correct the order of its nodes, or remove it", field="mesh")
-    modes = np.ones((*weights.shape, mesh.element.pressure_modes))
-    if mesh.element.pressure_modes == 4:
-        position = np.einsum("qa,eai->eqi", values, X)
-        modes[..., 1:] = (position - position.mean(axis=1, keepdims=True)) / np.ptp(X, axis=1)[:, None]
-    gram = np.einsum("eq,eqm,eqn->emn", weights, modes, modes)
-    return (weights, np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian)),
-            np.einsum("eqm,enm->eqn", modes, np.linalg.inv(np.linalg.cholesky(gram))))
+    return weights, gradients, compute_orthonormal_pressure_modes(mesh, positions, weights)
 
 
 class ElementBatches(ElementLanes):
