@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from scenes.field_labels import LABELS
-from tissue_sim.fem.fields import FIELD_UNITS
+from tissue_sim.fem.elements.fields import FIELD_UNITS
 
 #: A range of values below this fraction of their largest magnitude, or of mu0 for stresses, is rounding error.
 _ROUNDING = 1e-6

@@ -14,7 +14,7 @@ from scenes.viewer.tool_picture import find_tool_contact
 from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.axisymmetric.fields import Fields
-from tissue_sim.fem.fields import extrapolate_to_nodes_and_average
+from tissue_sim.fem.elements.fields import extrapolate_to_nodes_and_average
 from tissue_sim.fem.solid.fields import SolidFields
 
 

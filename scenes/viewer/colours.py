@@ -11,7 +11,7 @@ import numpy as np
 
 from scenes.colour_scale import compute_volume_weighted_quantiles
 from tissue_sim.errors import InputError
-from tissue_sim.fem.fields import FIELD_UNITS
+from tissue_sim.fem.elements.fields import FIELD_UNITS
 
 if TYPE_CHECKING:
     from tissue_sim.fem.axisymmetric.fields import Fields

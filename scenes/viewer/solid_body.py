@@ -14,7 +14,7 @@ from scenes.viewer.bands import TriangleConnectivity, renumber_triangles_for_ban
 from scenes.viewer.revolution import EDGE_ANGLE, TriangulatedSurface
 from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.fem.fields import extrapolate_to_nodes_and_average
+from tissue_sim.fem.elements.fields import extrapolate_to_nodes_and_average
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.sections import (
     intersect_tetrahedra_at_zero_level,

@@ -63,9 +63,9 @@ class Bare(Spring):
         return Snapshot(Pose.at_depth(0.0), 0.0, None)
 
 
-def gel_fields(material, states, stresses=None):
+def gel_fields(material, displacements, stresses=None):
     empty = np.zeros(0)
-    return Fields(None, material, 0.0, np.array(states), empty, empty, empty, empty, stresses)
+    return Fields(None, material, 0.0, np.array(displacements), None, empty, empty, empty, empty, stresses)
 
 
 class Fuse(Spring):

@@ -454,7 +454,8 @@ def test_snapshots_are_published_and_follow_the_material(tissues):
         with loop.open_snapshot_reader() as snapshots, loop.open_ring_reader() as ring:
             wait_until(lambda: snapshots.written_count > 3)
             seen = snapshots.latest()
-            np.testing.assert_array_equal(seen.snapshot.fields.states, [[seen.snapshot.depth, 2 * seen.snapshot.depth]])
+            depth = seen.snapshot.depth
+            np.testing.assert_array_equal(seen.snapshot.fields.displacements, [[depth, 2 * depth]])
             assert seen.snapshot.fields.material == 200.0 and snapshots.latest(after=10**9) is None
             loop.set_parameters(stiffness=300.0)
             assert loop.pattern.fields.material == 300.0

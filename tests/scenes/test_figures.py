@@ -6,7 +6,7 @@ import tissue_sim as ts
 from scenes import SCENES, draw_simulation
 from scenes.field_labels import LABELS
 from scenes.figures import RIGID, draw_section, draw_tool_edge_closeup
-from tissue_sim.fem.fields import FIELD_UNITS
+from tissue_sim.fem.elements.fields import FIELD_UNITS
 
 STUDY = ts.Specimen(0.04, 0.07)
 

@@ -24,7 +24,7 @@ def material(tmp_path_factory):
 
 
 def test_field_names_are_those_of_the_fields():
-    from tissue_sim.fem.fields import FIELD_UNITS
+    from tissue_sim.fem.elements.fields import FIELD_UNITS
 
     assert set(LABELS) == set(FIELD_UNITS)
 

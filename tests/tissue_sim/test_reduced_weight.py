@@ -86,9 +86,8 @@ def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bu
         [0.0, 0.0, 1.0], len(mesh.nodes)))
     stiff = solver.tissue.compute_element_forces_limiting_bulk(bulk_ratio, solver.batches.pressures.copy())
     solver.x[:] = rest + basis @ amplitudes
-    expected = solver.tissue.compute_element_forces_limiting_bulk(bulk_ratio,
-                                                                  solver.batches.convert_pressures_to_lanes(
-                                                                      standing.pressures))
+    expected = solver.tissue.compute_element_forces_limiting_bulk(
+        bulk_ratio, solver.batches.arrange_in_lanes(standing.pressures))
     rows = basis.reshape(-1, 3, 5)[mesh.connectivity].reshape(count, -1, 5)
     on_modes = np.einsum("ei,eir->r", expected, rows)
     largest = np.abs(found.modal_forces).max()

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.fem.fields import FIELD_UNITS, extrapolate_to_nodes_and_average
+from tissue_sim.fem.elements.fields import FIELD_UNITS, extrapolate_to_nodes_and_average
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.fem.stepping.steps_to_pose import iterate_adaptive_steps_to_pose
 from tissue_sim.mesh import cylinder_mesh

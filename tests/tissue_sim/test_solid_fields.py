@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.fields import FIELD_UNITS
+from tissue_sim.fem.elements.fields import FIELD_UNITS
 from tissue_sim.fem.solid.fields import SOLID_UNITS, compute_stretches_of_cauchy_green_tensors
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import SharedFields

@@ -23,7 +23,7 @@ class Fields(Protocol):
 
     @property
     def names(self) -> Collection[str]:
-        """Names of the available fields; see `tissue_sim.fem.fields.FIELD_UNITS`."""
+        """Names of the available fields; see `tissue_sim.fem.elements.fields.FIELD_UNITS`."""
 
     def displacement(self, sample: int = -1) -> np.ndarray:
         """Return the displacements of the nodes, m, shape (nodes, coordinates of a node)."""

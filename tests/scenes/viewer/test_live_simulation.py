@@ -208,7 +208,7 @@ class Written:
         self.ring_path, self.snapshot_path = folder / "ring", folder / "snapshots"
         self.writer = RingWriter(self.ring_path)
         empty = np.zeros(0)
-        fields = Fields(None, None, 0.0, np.zeros((1, 2)), empty, empty, empty, empty)
+        fields = Fields(None, None, 0.0, np.zeros((1, 2)), None, empty, empty, empty, empty)
         self.pattern = Snapshot(Pose.at_depth(0.0), 0.0, fields)
         self.board = SnapshotWriter(self.snapshot_path, self.pattern)
         self.message, self.report, self.now, self.number = "running", None, 100.0, 0

@@ -21,7 +21,7 @@ ELEMENT_ARRAYS = ArrayLayout(
     force_z=LANE_REALS)
 
 #: Law, material history and effects at the quadrature points, see `tissue_sim.fem.history.MaterialMemory` and
-#: `tissue_sim.fem.point_effects.PointEffects`.
+#: `tissue_sim.fem.elements.point_effects.PointEffects`.
 TISSUE_ARRAYS = ArrayLayout(
     **MATERIAL_ARRAYS.types, effect_settings=real_array_type(), effect_states=real_array_type(3),
     effect_states_found=real_array_type(3))

@@ -17,7 +17,7 @@ from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.kinematics import make_kinematic_functions
 from tissue_sim.fem.axisymmetric.point_effects import make_effect_stress_function
 from tissue_sim.fem.axisymmetric.scratch import AT, get_axisymmetric_scratch_field
-from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
+from tissue_sim.fem.elements.energy import make_inverse_cube_root_function, make_softening_function
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES

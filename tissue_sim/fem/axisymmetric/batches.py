@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissue_sim.fem.elements.lanes import ElementLanes
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.mesh import Mesh
 
 
-class ElementBatches:
+class ElementBatches(ElementLanes):
     """Element data in SIMD batches: lane l of batch b is element LANES b + l.
 
-    Surplus lanes of the last batch repeat the last element and write to an unused entry. Arrays of vectors have one row
-    of `LANES` numbers for each batch and each combination of the axes in brackets. Pairs are pairs (c, a), a <= c, of
-    shared nodes, with index c (c + 1) / 2 + a.
+    Surplus lanes write to an unused entry. Arrays in lanes have one row for each batch and each combination of the axes
+    in brackets. Pairs are pairs (c, a), a <= c, of shared nodes, with index c (c + 1) / 2 + a.
 
     Attributes:
-        elements: element numbers.
-        real: 1, or 0 in surplus lanes.
-        moduli: moduli in units of the material's modulus.
         dofs: first degree of freedom of each node [nodes].
         equations: indices into the residual for r and for z [shared nodes]; the last entry of the residual is unused.
         gradients: derivatives of the shape functions along r and z, and shape functions over r [points, nodes].
@@ -57,16 +54,12 @@ class ElementBatches:
         count, nodes = mesh.connectivity.shape
         shared = mesh.element.boundary_nodes
         pairs = shared * (shared + 1) // 2
-        batches = -(-count // LANES)
-        self.count, self.batches, self.pairs = count, batches, pairs
-        numbers = np.arange(batches * LANES).reshape(batches, LANES)
-        self.elements = copy_to_addressable_array(np.minimum(numbers, count - 1).astype(np.int32))
-        self.real = copy_to_addressable_array((numbers < count).astype(float))
-        self.moduli = copy_to_addressable_array(np.ones((batches, LANES)))
-        self.dofs = self._arrange_in_lanes(2 * mesh.connectivity.astype(np.int32))
-        self.gradients = tuple(self._arrange_in_lanes(gradients[..., i]) for i in range(3))
-        self.weights, self.modes, self.volumes = (
-            self._arrange_in_lanes(values) for values in (weights, modes, volumes))
+        super().__init__([np.arange(count)])
+        self.pairs, batches = pairs, self.batches
+        self._real = copy_to_addressable_array(self.is_real.astype(float))
+        self.dofs = self.arrange_in_lanes(2 * mesh.connectivity.astype(np.int32))
+        self.gradients = tuple(self.arrange_in_lanes(gradients[..., i]) for i in range(3))
+        self.weights, self.modes, self.volumes = (self.arrange_in_lanes(values) for values in (weights, modes, volumes))
         self.stiffness = allocate_array((4 * pairs, LANES))
         m = mesh.element.pressure_modes
         self.volume, self.known_volume = (
@@ -76,21 +69,9 @@ class ElementBatches:
         self.centre_inverse = tuple(allocate_array((batches, LANES)) for _ in range(3))
         self.centre_force = tuple(allocate_array((batches, LANES)) for _ in range(2))
 
-    def _arrange_in_lanes(self, values: np.ndarray) -> np.ndarray:
-        """Return element values in SIMD order.
-
-        Args:
-            values: one array for each element, shape (elements, ...).
-
-        Returns:
-            Shape (rows, `LANES`); the rows are numbered by batch and by the entries of an element, the last fastest.
-        """
-        taken = values[self.elements]
-        return copy_to_addressable_array(np.moveaxis(taken, 1, -1).reshape(-1, LANES))
-
     def collect_arrays_by_name(self) -> dict[str, np.ndarray]:
         """Return all arrays by their names in `tissue_sim.fem.axisymmetric.array_layouts.ELEMENT_ARRAYS`."""
-        named = {"numbers": self.elements, "dofs": self.dofs, "real": self.real, "point_weights": self.weights,
+        named = {"numbers": self.numbers, "dofs": self.dofs, "real": self._real, "point_weights": self.weights,
                  "mode_values": self.modes, "volumes": self.volumes, "moduli": self.moduli, "places": self.places,
                  "pull_starts": self.pull_starts, "pulls": self.pulls, "pull_factors": self.pull_factors,
                  "stiffness": self.stiffness, "stiffness_numbers": self.stiffness.reshape(-1), "gap": self.gap}
@@ -122,10 +103,6 @@ class ElementBatches:
             moved = (on_r * along_r + on_z * along_z).reshape(self.batches, shared, LANES).sum(axis=1)
             displacement[target] = -moved.reshape(-1)[:count]
 
-    def set_element_modulus_ratios(self, moduli: np.ndarray) -> None:
-        """Set the moduli of the elements, in units of the material's modulus, shape (elements,)."""
-        self.moduli[:] = moduli[self.elements]
-
     def store_scatter_indices(self, mesh: Mesh, equation: np.ndarray, free: int, direction: np.ndarray,
                               shape: tuple[int, int]) -> None:
         """Store the indices with which kernels add forces and stiffnesses to the residual and the matrix.
@@ -140,9 +117,7 @@ class ElementBatches:
         shared = mesh.element.boundary_nodes
         unused = max(shape[0] * band.BLOCK, int(equation.max()) + 1)
         own = equation.reshape(-1, 2)[mesh.connectivity[:, :shared]]  # (elements, shared, 2)
-        lanes = np.where(self.real[:, :, None, None] > 0, own[self.elements], unused)
-        self.equations = tuple(copy_to_addressable_array(
-            np.moveaxis(lanes[..., i], 1, -1).reshape(-1, LANES).astype(np.int32)) for i in range(2))
+        self.equations = tuple(self.arrange_indices_in_lanes(own[..., i], unused) for i in range(2))
         c, a = np.array([(c, a) for c in range(shared) for a in range(c + 1)]).T
         # Force on node a along i per displacement of node c along k: rr, zr, rz, zz.
         i, k = np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])
@@ -151,9 +126,7 @@ class ElementBatches:
         twice = (c == a) & ((i == 0) & (k == 1))[:, None]
         places = np.where(twice, -1, _compute_band_indices(rows, columns, free, shape))
         last = shape[0] * shape[1] * band.BLOCK**2
-        places = np.where(places < 0, last, places)
-        lanes = np.where(self.real[:, :, None, None] > 0, places[self.elements], last)
-        self.places = copy_to_addressable_array(np.moveaxis(lanes, 1, -1).reshape(-1, LANES).astype(np.int32))
+        self.places = self.arrange_indices_in_lanes(np.where(places < 0, last, places), last)
         self._store_force_per_depth_table(mesh, own, direction, rows, columns, twice, free)
 
     def _store_force_per_depth_table(self, mesh, own, direction, rows, columns, twice, free) -> None:

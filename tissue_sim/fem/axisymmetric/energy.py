@@ -8,22 +8,16 @@ Every function works on lists of numbers (one point) and on lists of vectors (se
 """
 
 from functools import cache
-from typing import TYPE_CHECKING
 
-from tissue_sim.fem.energy import (
+from tissue_sim.fem.elements.energy import (
     list_lower_triangle_index_pairs,
     make_energy_derivatives_by_invariants,
-    make_energy_derivatives_by_stretch,
-    make_taichi_expression_builder,
+    make_isochoric_chain_rule,
+    make_principal_plane_moduli_function,
+    make_stretch_derivatives_function,
 )
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.public_names import LazyModule
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = LazyModule("sympy")
 
 #: Row and column of each entry of the packed symmetric 5 x 5 tangent.
 PACKED = list_lower_triangle_index_pairs(5)
@@ -33,42 +27,6 @@ COFACTOR_SIGNS = {(3, 0): 1.0, (2, 1): -1.0}
 
 #: Index of entry (i, k) in the packed tangent.
 PLACE = tuple(tuple(PACKED.index((max(i, k), min(i, k))) for k in range(5)) for i in range(5))
-
-
-@cache
-def _make_isochoric_chain_rule(tangents: bool):
-    """Return the function (a, j, c, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
-
-    In axisymmetry the invariants are functions of three scalars: a, the sum of squares of the in-plane deformation
-    gradient; j, its determinant; c, the hoop stretch: I1 = a + c^2, I2 = j^2 + a c^2, J = j c. Derivatives are taken
-    with respect to a, j and c; s = J^(-2/3) is an argument, so that the function evaluates no power.
-
-    Args:
-        tangents: whether the function returns the Hessian besides the gradient.
-    """
-    return make_taichi_expression_builder(lambda: _derive_isochoric_chain_rule(tangents), ("chain", tangents), __file__)
-
-
-def _derive_isochoric_chain_rule(tangents: bool):
-    """Return the arguments and the symbolic (sympy) results of the function of `_make_isochoric_chain_rule`."""
-    a, j, c = v = sp.symbols("a j c", positive=True)
-    s = sp.Symbol("s", positive=True)
-    first = sp.symbols("W1 W2", real=True)
-    second = sp.symbols("W11 W12 W22", real=True)
-    hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
-
-    def differentiate_including_isochoric_scale(expression, x):
-        """Return the total derivative of an expression with respect to x, where s = J^(-2/3) depends on x."""
-        inner = 0 if x is a else -sp.Rational(2, 3) * s / x
-        return sp.diff(expression, x) + sp.diff(expression, s) * inner
-
-    bars = (s * (a + c**2), s**2 * (j**2 + a * c**2))
-    slopes = [[differentiate_including_isochoric_scale(bar, x) for x in v] for bar in bars]
-    gradient = [sum(first[m] * slopes[m][i] for m in range(2)) for i in range(3)]
-    curvature = [sum(first[m] * differentiate_including_isochoric_scale(slopes[m][i], v[k]) for m in range(2))
-                 + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
-                 for i in range(3) for k in range(i + 1)]
-    return (*v, s, *first, *second), [*gradient, *curvature] if tangents else gradient
 
 
 @cache
@@ -148,7 +106,9 @@ def _make_stress_function_of_invariants(energy: KernelEnergy, tangents: bool):
     count = energy.coefficient_count
 
     derivatives = make_energy_derivatives_by_invariants(energy, tangents)
-    chain = _make_isochoric_chain_rule(tangents)
+    # In axisymmetry the invariants are functions of a, the sum of squares of the in-plane deformation gradient, j, its
+    # determinant, and c, the hoop stretch.
+    chain = make_isochoric_chain_rule("a + c**2", "j**2 + a*c**2", "j*c", "a j c", tangents)
 
     @ti.func
     def compute_stress_and_tangent(F, root, coefficients: ti.template()):
@@ -183,9 +143,8 @@ def _make_stress_function_of_invariants(energy: KernelEnergy, tangents: bool):
 def _make_stress_function_of_stretches(energy: KernelEnergy, tangents: bool):
     """Return `compute_stress_and_tangent` of an energy that is a sum over the isochoric principal stretches."""
     ti = get_initialised_taichi()
-    count = energy.coefficient_count
-
-    derivatives = make_energy_derivatives_by_stretch(energy)
+    compute_stretch_derivatives = make_stretch_derivatives_function(energy)
+    compute_principal_plane_moduli = make_principal_plane_moduli_function()
 
     @ti.func
     def compute_stress_and_tangent(F, root, coefficients: ti.template()):
@@ -199,15 +158,7 @@ def _make_stress_function_of_stretches(energy: KernelEnergy, tangents: bool):
         cs, ss = e / q, h / q
         cd, sd = ti.select(turned, f / least, 0.0 * r + 1.0), ti.select(turned, g / least, 0.0 * r)
         s = [q + r, q - r, F[4]]
-        bars = [s[i] * root for i in ti.static(range(3))]
-        # First and second derivatives with respect to the logarithm of each isochoric stretch.
-        w = [[v + 0.0 * q for v in ti.static(derivatives(bars[i], [coefficients[m] for m in range(count)]))]
-             for i in ti.static(range(3))]
-        density = w[0][2] + w[1][2] + w[2][2]
-        t = [w[i][0] * bars[i] for i in ti.static(range(3))]
-        mean_t = (t[0] + t[1] + t[2]) / 3.0
-        # First derivatives with respect to the stretches themselves.
-        w1 = [(t[i] - mean_t) / s[i] for i in ti.static(range(3))]
+        density, w1, w2 = compute_stretch_derivatives(s, root, coefficients)
         # Directions of the in-plane stretches, as 4-vectors rR, rZ, zR, zZ.
         n1 = [0.5 * (cs + cd), 0.5 * (sd - ss), 0.5 * (sd + ss), 0.5 * (cs - cd)]
         n2 = [0.5 * (cs - cd), -0.5 * (sd + ss), -0.5 * (sd - ss), 0.5 * (cs + cd)]
@@ -215,15 +166,7 @@ def _make_stress_function_of_stretches(energy: KernelEnergy, tangents: bool):
              w1[0] * n1[3] + w1[1] * n2[3], 1.0 * w1[2]]
         A = [0.0 * q for _n in ti.static(range(15))]
         if ti.static(tangents):
-            u = [w[i][1] * bars[i] * bars[i] + t[i] for i in ti.static(range(3))]
-            mean_u = (u[0] + u[1] + u[2]) / 3.0
-            w2 = [[((-(u[i] + u[k]) / 3.0 + mean_u / 3.0
-                     + ti.static(float(i == k)) * (u[i] - (t[i] - mean_t))) / (s[i] * s[k]))
-                   for k in ti.static(range(3))] for i in ti.static(range(3))]
-            twist = (w1[0] + w1[1]) / (s[0] + s[1])
-            apart = s[0] - s[1] > 1e-5 * s[0]
-            flip = ti.select(apart, (w1[0] - w1[1]) / ti.select(apart, s[0] - s[1], s[0]),
-                             0.5 * (w2[0][0] + w2[1][1]) - w2[0][1])
+            twist, flip = compute_principal_plane_moduli(0, 1, s, w1, w2)
             # Directions of in-plane rotation and of in-plane shear of the principal axes.
             turn, shear = [ss, cs, -cs, ss], [-sd, cd, cd, sd]
             for i in ti.static(range(4)):

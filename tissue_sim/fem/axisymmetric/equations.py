@@ -24,9 +24,9 @@ from tissue_sim.fem.axisymmetric.reference import compute_undeformed_mesh_quadra
 from tissue_sim.fem.axisymmetric.state import SolverState
 from tissue_sim.fem.axisymmetric.touch import bind_no_slip_points_where_they_touch
 from tissue_sim.fem.contact.pairs import ContactPairs
+from tissue_sim.fem.elements.point_effects import PointEffects
 from tissue_sim.fem.history import MaterialMemory
 from tissue_sim.fem.linear import band
-from tissue_sim.fem.point_effects import PointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LOCK
@@ -74,7 +74,7 @@ class EquilibriumEquations:
         self.batches = ElementBatches(mesh, reference.node_gradients, reference.weights, reference.pressure_modes,
                                       reference.volumes)
         self.surface, self.memory = ContactPoints(mesh, contact), MaterialMemory(reference.weights.shape, 4)
-        self.effects = PointEffects(reference.weights.shape)
+        self.effects = PointEffects(reference.weights.shape, 4)
         self._allocate_tangent_arrays()
         elements, freedoms = len(mesh.connectivity), 2 * len(mesh.nodes)
         self._element_layers, self._contact_radius, self.moduli = element_layers, contact_radius, np.ones(elements)
@@ -149,7 +149,7 @@ class EquilibriumEquations:
                              f"{ratio:g}.", field="bulk")
         self.material, self.bulk_modulus = material, bulk_modulus
         self.moduli[:] = moduli
-        self.batches.set_element_modulus_ratios(moduli)
+        self.batches.set_modulus_ratios(moduli)
         if len(coefficients) == self._coefficients.size:
             self._coefficients[:] = coefficients
         else:

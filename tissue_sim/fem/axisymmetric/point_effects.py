@@ -4,9 +4,9 @@ Six components are reduced to four (RR, RZ, ZZ, hoop); stress and tangent are ex
 """
 
 from functools import cache
-from typing import Any
 
 from tissue_sim.fem.axisymmetric.energy import PACKED
+from tissue_sim.fem.elements.point_effects import sum_effect_responses
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants, extract_expressions, wrap_as_traced_numbers
 
@@ -19,7 +19,7 @@ def make_effect_stress_function(formulas: tuple[FormulaClassAndConstants, ...]):
     """Return the Taichi function ``add_effect_stresses(F, P, A, states, settings) -> (S, P, A, states)``.
 
     The function adds the first Piola stress F S of the effects to P and its derivative to A. S is the second Piola
-    stress of the effects. All arguments are vectors; see `tissue_sim.fem.point_effects.PointEffects`.
+    stress of the effects. All arguments are vectors; see `tissue_sim.fem.elements.point_effects.PointEffects`.
     """
     ti = get_initialised_taichi()
     count = 1 + sum(len(formula.parameter_names) for formula in formulas)
@@ -41,19 +41,9 @@ def _add_effects_to_stress_expressions(formulas: tuple[FormulaClassAndConstants,
     Arguments and results are lists of Taichi expressions, as in `make_effect_stress_function`.
     """
     F, P, A = (wrap_as_traced_numbers(each, lanes=True) for each in (F, P, A))
-    states, (dt, *numbers) = wrap_as_traced_numbers(states, lanes=True), wrap_as_traced_numbers(settings, lanes=False)
+    states, settings = wrap_as_traced_numbers(states, lanes=True), wrap_as_traced_numbers(settings, lanes=False)
     C = [F[0] * F[0] + F[2] * F[2], F[1] * F[1] + F[3] * F[3], F[4] * F[4], F[0] * F[1] + F[2] * F[3], 0.0, 0.0]
-    S: list[Any] = [0.0] * 4
-    D: list[list[Any]] = [[0.0] * 4 for _ in range(4)]
-    found: list[Any] = []
-    for formula in formulas:
-        parameters, numbers = numbers[: len(formula.parameter_names)], numbers[len(formula.parameter_names):]
-        state, states = states[: len(formula.kind.rest)], states[len(formula.kind.rest):]
-        stress, tangent, new = formula.build_unchecked_instance(parameters).response(list(C), state, dt)
-        S = [S[i] + stress[place] for i, place in enumerate(_COMPONENTS)]
-        D = [[D[i][k] + tangent[row][column] for k, column in enumerate(_COMPONENTS)]
-             for i, row in enumerate(_COMPONENTS)]
-        found += new
+    S, D, found = sum_effect_responses(formulas, _COMPONENTS, C, states, settings)
     # Derivative of the Green strains RR, 2 RZ, ZZ and hoop with respect to F.
     B = [[F[0], 0.0, F[2], 0.0, 0.0], [F[1], F[0], F[3], F[2], 0.0], [0.0, F[1], 0.0, F[3], 0.0],
          [0.0, 0.0, 0.0, 0.0, F[4]]]

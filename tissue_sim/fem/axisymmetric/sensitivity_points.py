@@ -18,7 +18,7 @@ from tissue_sim.fem.axisymmetric.sensitivity_tables import (
     SensitivityControlIndex,
     StoredPointRecordOffset,
 )
-from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
+from tissue_sim.fem.elements.energy import make_inverse_cube_root_function, make_softening_function
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES

@@ -374,9 +374,11 @@ class AxisymmetricSolver(KernelOwner, Solver):
         equations = self.equations
         reference = equations.reference
         stresses = [sample.stresses for sample in samples if sample.stresses is not None]
-        return Fields(self.mesh, equations.material, equations.bulk_modulus,
-                      np.array([sample.state for sample in samples]), reference.node_gradients,
-                      reference.pressure_modes, reference.weights, equations.moduli,
+        states, (elements, _, modes) = np.array([sample.state for sample in samples]), reference.pressure_modes.shape
+        displacements, pressures, _ = np.split(states, np.cumsum([2 * len(self.mesh.nodes), elements * modes]), axis=1)
+        return Fields(self.mesh, equations.material, np.array(equations.bulk_modulus),
+                      displacements.reshape(len(states), -1, 2), pressures.reshape(len(states), elements, modes),
+                      reference.node_gradients, reference.pressure_modes, reference.weights, equations.moduli,
                       np.array(stresses) if stresses else None)
 
     def deformed_surface(self) -> DeformedSurface:

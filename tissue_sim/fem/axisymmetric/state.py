@@ -8,9 +8,9 @@ import numpy as np
 
 from tissue_sim.fem.axisymmetric.contact import ContactPoints
 from tissue_sim.fem.axisymmetric.predictor import KEPT
+from tissue_sim.fem.elements.point_effects import PointEffects
 from tissue_sim.fem.history import MaterialMemory
 from tissue_sim.fem.inertia import InertiaTimeIntegrator
-from tissue_sim.fem.point_effects import PointEffects
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 
 

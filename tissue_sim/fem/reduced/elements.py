@@ -80,8 +80,7 @@ class SampledElements:
         if rest is not None:
             self._at_rest = rest.displacement.reshape(-1, 3)[used].ravel()
             # The batches scale the pressure modes of an element by 1 / sqrt(weight).
-            self.rest_pressures = batches.convert_pressures_to_lanes(rest.pressures[elements]
-                                                                     * np.sqrt(shares)[:, None])
+            self.rest_pressures = batches.arrange_in_lanes(rest.pressures[elements] * np.sqrt(shares)[:, None])
         self._x_before[:] = self._at_rest
         self.at = np.zeros(modes)
         # Single precision halves the time; the stiffness is partly that of earlier steps anyway.
@@ -109,11 +108,6 @@ class SampledElements:
     def modal_forces(self) -> np.ndarray:
         """Modal forces of the last evaluation, N m per m, shape (modes,)."""
         return self._forces
-
-    def _view_rows_of_batch_range(self, lanes: np.ndarray, part: slice) -> np.ndarray:
-        """Return the rows of an array in the arrangement of `pressures` that belong to a range of batches, a view."""
-        rows = len(lanes) // self._batches.batches
-        return lanes[rows * part.start : rows * part.stop]
 
     @property
     def has_stiffness_of_all_groups(self) -> bool:
@@ -188,10 +182,10 @@ class SampledElements:
                                                      strict=True):
             blocks = self._blocks[LANES * part.start : LANES * part.stop]
             region.set_material(stated, bulk, self._contact_radius)
-            standing = self._view_rows_of_batch_range(self._standing, part)
+            standing = batches.get_rows_of_part(self._standing, part)
             # The pressures at rest belong to the bulk modulus of the full-order solid, not to the limited one.
             per_bulk = (1.0 / whole - 1.0 / bulk) / batches.moduli[part]
-            pressures = self._view_rows_of_batch_range(self.rest_pressures, part).reshape(len(per_bulk), -1, LANES)
+            pressures = batches.get_rows_of_part(self.rest_pressures, part).reshape(len(per_bulk), -1, LANES)
             standing[:] = (per_bulk[:, None] * pressures).reshape(-1, LANES)
             with LOCK:
                 kernel = make_sampled_elements_kernel(self._mesh.element.name, stated.energy_law.kernel_energy)

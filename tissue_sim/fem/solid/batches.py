@@ -8,7 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
+from tissue_sim.fem.elements.lanes import ElementLanes
+from tissue_sim.fem.elements.quadrature import compute_isoparametric_map, compute_orthonormal_pressure_modes
+from tissue_sim.fem.taichi.origins import allocate_array
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.mesh.solid import SolidMesh
 
@@ -23,28 +25,17 @@ def compute_quadrature_volumes_gradients_modes(mesh: SolidMesh) -> tuple[np.ndar
     Raises:
         InputError: an element of zero or negative volume.
     """
-    points, shares = mesh.element.quadrature
-    values, slopes = mesh.element.evaluate_shape_functions_and_gradients(points)
-    X = mesh.nodes[mesh.connectivity]
-    jacobian = np.einsum("eai,qaj->eqij", X, slopes)
-    weights = np.linalg.det(jacobian) * shares
+    positions, determinants, gradients = compute_isoparametric_map(mesh)
+    weights = determinants * mesh.element.quadrature[1]
     if not (weights > 0.0).all():
         worst = int(np.argmin(weights.min(axis=1)))
         raise InputError(f"must have elements of positive volume; element {worst} is inside out or has no volume. "
                          "Correct the order of its nodes, or remove it", field="mesh")
-    modes = np.ones((*weights.shape, mesh.element.pressure_modes))
-    if mesh.element.pressure_modes == 4:
-        position = np.einsum("qa,eai->eqi", values, X)
-        modes[..., 1:] = (position - position.mean(axis=1, keepdims=True)) / np.ptp(X, axis=1)[:, None]
-    gram = np.einsum("eq,eqm,eqn->emn", weights, modes, modes)
-    return (weights, np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian)),
-            np.einsum("eqm,enm->eqn", modes, np.linalg.inv(np.linalg.cholesky(gram))))
+    return weights, gradients, compute_orthonormal_pressure_modes(mesh, positions, weights)
 
 
-class ElementBatches:
-    """Elements in batches of `LANES`; each group of elements has its own batches.
-
-    Unused lanes repeat the last element of the group; their results are discarded.
+class ElementBatches(ElementLanes):
+    """Elements in batches of SIMD lanes as the arrays on which the kernels work.
 
     Args:
         mesh: undeformed mesh.
@@ -52,9 +43,6 @@ class ElementBatches:
         shares: weight of each element in units of its volume, shape (elements,); None: 1.
 
     Attributes:
-        parts: batches of each group.
-        lane_of: index of each element among all lanes, shape (elements,).
-        moduli: factor of each lane on the moduli of the material, shape (batches, LANES).
         weights: volumes of the quadrature points, m3, shape (elements, q).
         volumes: volume that each node represents, m3, shape (nodes,).
         pressures: amplitudes of the elements' pressure modes, Pa.
@@ -68,6 +56,7 @@ class ElementBatches:
     def __init__(self, mesh: SolidMesh, groups: Sequence[np.ndarray] | None = None,
                  shares: np.ndarray | None = None):
         count, nodes = mesh.connectivity.shape
+        super().__init__([np.arange(count)] if groups is None else groups)
         self._modes = mesh.element.pressure_modes
         self.weights, gradients, modes = compute_quadrature_volumes_gradients_modes(mesh)
         if shares is not None:
@@ -76,40 +65,17 @@ class ElementBatches:
         values, _ = mesh.element.evaluate_shape_functions_and_gradients(mesh.element.quadrature[0])
         self.volumes = np.bincount(mesh.connectivity.ravel(), np.einsum("eq,qa->ea", self.weights, values).ravel(),
                                    minlength=len(mesh.nodes))
-        groups = [np.arange(count)] if groups is None else groups
-        lanes = [np.arange(-(-len(group) // LANES) * LANES).reshape(-1, LANES) for group in groups]
-        self._local = np.concatenate([np.minimum(each, len(group) - 1) for each, group in zip(
-            lanes, groups, strict=True)]).astype(np.int32)
-        self._local = copy_to_addressable_array(self._local)
-        self._real = np.concatenate([each < len(group) for each, group in zip(lanes, groups, strict=True)])
-        ends = np.cumsum([len(each) for each in lanes]).tolist()
-        self.parts = tuple(slice(end - len(each), end) for each, end in zip(lanes, ends, strict=True))
-        self._elements = np.concatenate([np.asarray(group)[self._local[part]] for group, part in zip(
-            groups, self.parts, strict=True)]).astype(np.int32)
-        self.lane_of = np.zeros(count, dtype=np.intp)
-        self.lane_of[self._elements[self._real]] = np.flatnonzero(self._real)
-        self.count, self.batches = count, len(self._elements)
-        self.moduli = copy_to_addressable_array(np.ones((self.batches, LANES)))
         self.pressures, self.gaps = (allocate_array((self.batches * self._modes, LANES)) for _ in range(2))
         self.volume_rates, self.known_rates = (
             allocate_array((3 * self.batches * self._modes * nodes, LANES)) for _ in range(2))
         self.residual = np.zeros(3 * len(mesh.nodes) + 1)
         self._forces = allocate_array((3 * self.batches * nodes, LANES))
         self._dofs = 3 * mesh.connectivity.astype(np.int32)
-        own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(count, -1)
-        equations = np.where(self._real[..., None], own[self._elements], self.residual.size - 1)
-        self._equations = copy_to_addressable_array(np.moveaxis(equations, 1, -1).reshape(-1, LANES).astype(np.int32))
-        self._gradients = [self._arrange_in_lanes(gradients[..., i]) for i in range(3)]
-        self._weights, self._mode_values = self._arrange_in_lanes(self.weights), self._arrange_in_lanes(modes)
+        self._all_dofs = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(count, -1)
+        self._equations = self.arrange_indices_in_lanes(self._all_dofs, self.residual.size - 1)
+        self._gradients = [self.arrange_in_lanes(gradients[..., i]) for i in range(3)]
+        self._weights, self._mode_values = self.arrange_in_lanes(self.weights), self.arrange_in_lanes(modes)
         self._set_matrix_and_entry_indices(mesh.connectivity, len(mesh.nodes))
-
-    def _arrange_in_lanes(self, values: np.ndarray) -> np.ndarray:
-        """Rearrange values of the elements, shape (elements, ...), to lanes, shape (batches times the rest, LANES)."""
-        return copy_to_addressable_array(np.moveaxis(values[self._elements], 1, -1).reshape(-1, LANES))
-
-    def _arrange_by_element(self, lanes: np.ndarray, *inner: int) -> np.ndarray:
-        """Rearrange lanes to elements, shape (elements, *inner); the inverse of `_arrange_in_lanes`."""
-        return np.moveaxis(lanes.reshape(self.batches, *inner, LANES), -1, 1).reshape(-1, *inner)[self.lane_of]
 
     @cached_property
     def point_gradients_and_modes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -119,13 +85,13 @@ class ElementBatches:
             Gradients, 1/m, shape (elements, q, nodes, 3); orthonormal pressure modes, shape (elements, q, modes).
         """
         points, nodes = self.weights.shape[1], self._dofs.shape[1]
-        gradients = np.stack([self._arrange_by_element(each, points, nodes) for each in self._gradients], axis=-1)
-        return gradients, self._arrange_by_element(self._mode_values, points, self._modes)
+        gradients = np.stack([self.arrange_by_element(each, points, nodes) for each in self._gradients], axis=-1)
+        return gradients, self.arrange_by_element(self._mode_values, points, self._modes)
 
     @property
     def element_modulus_ratios(self) -> np.ndarray:
         """Ratio of the moduli of each element to those of the material, shape (elements,)."""
-        return self._arrange_by_element(self.moduli)
+        return self.arrange_by_element(self.moduli)
 
     def _set_matrix_and_entry_indices(self, connectivity: np.ndarray, nodes: int) -> None:
         """Set `matrix`, and the indices in its data of the stiffness entries of each pair of nodes of an element."""
@@ -155,8 +121,7 @@ class ElementBatches:
         direct = compute_block_entry_indices(places, connectivity[:, c], i, k)
         # A diagonal block has no mirror image.
         across = np.where((c == a)[:, None], unused, compute_block_entry_indices(mirrored, connectivity[:, a], k, i))
-        self._places, self._mirrored = (self._arrange_indices_in_lanes(each.reshape(len(connectivity), -1), unused)
-                                        for each in (direct, across))
+        self._places, self._mirrored = (self.arrange_indices_in_lanes(each, unused) for each in (direct, across))
         self._stiffness = allocate_array((9 * c.size, LANES))
         self._data = np.zeros(unused + 1)
         lengths = np.repeat(3 * blocks, 3)
@@ -164,11 +129,6 @@ class ElementBatches:
                                   for n in range(nodes) for _ in range(3)])
         self.matrix = sparse.csc_array((self._data[:-1], indices.astype(np.int32), np.concatenate(
             [[0], np.cumsum(lengths)])), shape=(3 * nodes, 3 * nodes))
-
-    def _arrange_indices_in_lanes(self, places: np.ndarray, unused: int) -> np.ndarray:
-        """Rearrange data indices, shape (elements, entries), to lanes; unused lanes get the index `unused`."""
-        lanes = np.where(self._real[..., None], places[self._elements], unused)
-        return copy_to_addressable_array(np.moveaxis(lanes, 1, -1).reshape(-1, LANES).astype(np.int32))
 
     def collect_arrays_by_name(self, part: slice) -> dict[str, np.ndarray]:
         """Return the arrays of `tissue_sim.fem.solid.element.ELEMENT_ARRAYS` for the batches of one group of elements.
@@ -178,18 +138,17 @@ class ElementBatches:
                 the group. Other groups have the same array ``stiffness``, that of one batch.
         """
         named = dict(zip(("gradient_x", "gradient_y", "gradient_z"), self._gradients, strict=True))
-        named |= {"numbers": self._local, "pressures": self.pressures, "dofs": self._first_dofs_in_lanes,
+        named |= {"numbers": self.numbers, "pressures": self.pressures, "dofs": self._first_dofs_in_lanes,
                   "equations": self._equations, "weights": self._weights, "mode_values": self._mode_values,
                   "moduli": self.moduli, "volume_rates": self.volume_rates, "gaps": self.gaps,
                   "forces": self._forces, "places": self._places, "mirrored": self._mirrored}
-        rows = {name: len(array) // self.batches for name, array in named.items()}
-        return {name: array[rows[name] * part.start : rows[name] * part.stop] for name, array in named.items()} | {
+        return {name: self.get_rows_of_part(array, part) for name, array in named.items()} | {
             "stiffness": self._stiffness}
 
     @cached_property
     def _first_dofs_in_lanes(self) -> np.ndarray:
         """First degree of freedom of each node of each element, shape (batches * nodes, LANES)."""
-        return copy_to_addressable_array(np.moveaxis(self._dofs[self._elements], 1, -1).reshape(-1, LANES))
+        return self.arrange_in_lanes(self._dofs)
 
     @property
     def matrix_data(self) -> np.ndarray:
@@ -199,7 +158,7 @@ class ElementBatches:
     @property
     def last_assembled_element_forces(self) -> np.ndarray:
         """Forces of each element on its degrees of freedom after the last assembly, N, shape (elements, freedoms)."""
-        return self._arrange_by_element(self._forces, 3 * self._dofs.shape[1])
+        return self.arrange_by_element(self._forces, 3 * self._dofs.shape[1])
 
     def compute_pressure_forces_by_element(self, pressures: np.ndarray) -> np.ndarray:
         """Compute the nodal forces of pressures on each element, at the last assembled displacements.
@@ -210,7 +169,7 @@ class ElementBatches:
         Returns:
             Forces, N, shape (elements, freedoms of an element).
         """
-        rates = self._arrange_by_element(self.volume_rates, self._modes, 3 * self._dofs.shape[1])
+        rates = self.arrange_by_element(self.volume_rates, self._modes, 3 * self._dofs.shape[1])
         return np.einsum("em,emi->ei", self.convert_pressures_to_element_order(pressures), rates)
 
     @property
@@ -219,17 +178,9 @@ class ElementBatches:
         return [(self._gradients[2], -self._gradients[2]), (self._weights, self._weights.copy()),
                 (self._mode_values, -0.5 * self._mode_values)]
 
-    def set_modulus_ratios(self, ratios: np.ndarray) -> None:
-        """Set the factor of each element on the moduli of its material, 1, shape (elements,)."""
-        self.moduli[:] = ratios[self._elements]
-
     def convert_pressures_to_element_order(self, amplitudes: np.ndarray) -> np.ndarray:
         """Convert amplitudes of the pressure modes from the arrangement in lanes to shape (elements, modes)."""
-        return self._arrange_by_element(amplitudes, self._modes)
-
-    def convert_pressures_to_lanes(self, amplitudes: np.ndarray) -> np.ndarray:
-        """Convert amplitudes of the pressure modes, shape (elements, modes), to the arrangement in lanes."""
-        return self._arrange_in_lanes(amplitudes)
+        return self.arrange_by_element(amplitudes, self._modes)
 
     def update_pressures_linearly(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
         """Update `pressures` by the linearised pressure equation after the displacements of a linear solution.
@@ -265,8 +216,7 @@ class ElementBatches:
     def _dof_numbers_in_lanes(self) -> np.ndarray:
         """Indices of the degrees of freedom of each element, fixed ones included, shape (batches, freedoms, LANES)."""
         # Unused lanes have the equations of the last element, so that they remain copies of it.
-        own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(self.count, -1)
-        return np.moveaxis(own[self._elements], 1, -1)
+        return self.arrange_in_lanes(self._all_dofs).reshape(self.batches, -1, LANES)
 
 
 def find_sparse_entry_indices(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

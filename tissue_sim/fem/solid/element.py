@@ -9,7 +9,7 @@ from enum import IntEnum
 from functools import cache
 from typing import Any, NamedTuple
 
-from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
+from tissue_sim.fem.elements.energy import make_inverse_cube_root_function, make_softening_function
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.solid import energy as point
 from tissue_sim.fem.taichi.array_tables import LANE_INTEGERS, LANE_REALS, ArrayLayout

@@ -8,22 +8,16 @@ Every function works on vectors, one point in each lane.
 """
 
 from functools import cache
-from typing import TYPE_CHECKING
 
-from tissue_sim.fem.energy import (
+from tissue_sim.fem.elements.energy import (
     list_lower_triangle_index_pairs,
     make_energy_derivatives_by_invariants,
-    make_energy_derivatives_by_stretch,
-    make_taichi_expression_builder,
+    make_isochoric_chain_rule,
+    make_principal_plane_moduli_function,
+    make_stretch_derivatives_function,
 )
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.public_names import LazyModule
-
-if TYPE_CHECKING:
-    import sympy as sp
-else:
-    sp = LazyModule("sympy")
 
 #: Row and column of every entry of a symmetric 9 x 9 tangent in packed storage.
 PACKED = list_lower_triangle_index_pairs(9)
@@ -49,37 +43,6 @@ COFACTOR = {(m, n): (3 * (3 - m // 3 - n // 3) + 3 - m % 3 - n % 3,
                      float(_levi_civita_symbol(m // 3, n // 3, 3 - m // 3 - n // 3)
                            * _levi_civita_symbol(m % 3, n % 3, 3 - m % 3 - n % 3)))
             for m, n in PACKED if m // 3 != n // 3 and m % 3 != n % 3}
-
-
-@cache
-def _make_isochoric_chain_rule_function():
-    """Return the Python function (I1, I2, J, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
-
-    The derivatives are with respect to the invariants of F; s = J^(-2/3) is an argument, so that no power is computed.
-    """
-    return make_taichi_expression_builder(_derive_solid_isochoric_chain_rule, ("solid chain",), __file__)
-
-
-def _derive_solid_isochoric_chain_rule():
-    """Return arguments and symbolic expressions of `_make_isochoric_chain_rule_function`, by the chain rule."""
-    I1, I2, J = v = sp.symbols("I1 I2 J", positive=True)
-    s = sp.Symbol("s", positive=True)
-    first = sp.symbols("W1 W2", real=True)
-    second = sp.symbols("W11 W12 W22", real=True)
-    hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
-
-    def differentiate_with_dependent_scale(expression, x):
-        """Differentiate an expression with respect to x, where s = J^(-2/3) depends on J."""
-        inner = -sp.Rational(2, 3) * s / x if x is J else 0
-        return sp.diff(expression, x) + sp.diff(expression, s) * inner
-
-    bars = (s * I1, s**2 * I2)
-    slopes = [[differentiate_with_dependent_scale(bar, x) for x in v] for bar in bars]
-    gradient = [sum(first[m] * slopes[m][i] for m in range(2)) for i in range(3)]
-    curvature = [sum(first[m] * differentiate_with_dependent_scale(slopes[m][i], v[k]) for m in range(2))
-                 + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
-                 for i in range(3) for k in range(i + 1)]
-    return (*v, s, *first, *second), [*gradient, *curvature]
 
 
 @cache
@@ -151,7 +114,7 @@ def _make_stress_function_by_invariants(energy: KernelEnergy):
     count = energy.coefficient_count
 
     derivatives = make_energy_derivatives_by_invariants(energy)
-    chain = _make_isochoric_chain_rule_function()
+    chain = make_isochoric_chain_rule("I1", "I2", "J", "I1 I2 J")
     compute_cofactor = make_cofactor_function()
 
     @ti.func
@@ -203,9 +166,8 @@ def _make_stress_function_by_invariants(energy: KernelEnergy):
 def _make_stress_function_by_stretches(energy: KernelEnergy):
     """Return the function of `make_stress_function` for an energy of the principal stretches."""
     ti = get_initialised_taichi()
-    count = energy.coefficient_count
-
-    derivatives = make_energy_derivatives_by_stretch(energy)
+    compute_stretch_derivatives = make_stretch_derivatives_function(energy)
+    compute_principal_plane_moduli = make_principal_plane_moduli_function()
 
     @ti.func
     def compute_stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
@@ -243,19 +205,7 @@ def _make_stress_function_by_stretches(energy: KernelEnergy):
         for i in ti.static(range(3)):
             for k in ti.static(range(3)):
                 U[i][k] = U[i][k] / stretch[k]
-        bars = [stretch[k] * root for k in ti.static(range(3))]
-        # First and second derivatives with respect to the logarithm of each isochoric stretch.
-        w = [[v + zero for v in ti.static(derivatives(bars[k], [coefficients[m] for m in range(count)]))]
-             for k in ti.static(range(3))]
-        t = [w[k][0] * bars[k] for k in ti.static(range(3))]
-        mean_t = (t[0] + t[1] + t[2]) / 3.0
-        # First and second derivatives with respect to the stretches themselves.
-        w1 = [(t[k] - mean_t) / stretch[k] for k in ti.static(range(3))]
-        u = [w[k][1] * bars[k] * bars[k] + t[k] for k in ti.static(range(3))]
-        mean_u = (u[0] + u[1] + u[2]) / 3.0
-        w2 = [[((-(u[i] + u[k]) / 3.0 + mean_u / 3.0
-                 + ti.static(float(i == k)) * (u[i] - (t[i] - mean_t))) / (stretch[i] * stretch[k]))
-               for k in ti.static(range(3))] for i in ti.static(range(3))]
+        density, w1, w2 = compute_stretch_derivatives(stretch, root, coefficients)
         # Dyads of spatial and material principal directions.
         N = [[U[ti.static(m // 3)][k] * V[ti.static(m % 3)][k] for m in ti.static(range(9))]
              for k in ti.static(range(3))]
@@ -267,10 +217,7 @@ def _make_stress_function_by_stretches(energy: KernelEnergy):
             A[ti.static(PLACE[m][n])] = N[0][m] * Q[0][n] + N[1][m] * Q[1][n] + N[2][m] * Q[2][n]
         for p, q in ti.static(_PAIRS if tangent else ()):
             # Contributions of rotation and shear of a pair of principal directions.
-            twist = (w1[p] + w1[q]) / (stretch[p] + stretch[q])
-            apart = ti.abs(stretch[p] - stretch[q]) > 1e-5 * stretch[p]
-            flip = ti.select(apart, (w1[p] - w1[q]) / ti.select(apart, stretch[p] - stretch[q], stretch[p]),
-                             0.5 * (w2[p][p] + w2[q][q]) - w2[p][q])
+            twist, flip = compute_principal_plane_moduli(p, q, stretch, w1, w2)
             one = [U[ti.static(m // 3)][p] * V[ti.static(m % 3)][q] for m in ti.static(range(9))]
             other = [U[ti.static(m // 3)][q] * V[ti.static(m % 3)][p] for m in ti.static(range(9))]
             # 1/2 twist (one - other)(one - other) + 1/2 flip (one + other)(one + other)
@@ -279,6 +226,6 @@ def _make_stress_function_by_stretches(energy: KernelEnergy):
             across = [cross * one[m] + same * other[m] for m in ti.static(range(9))]
             for m, n in ti.static(PACKED):
                 A[ti.static(PLACE[m][n])] += along[m] * one[n] + across[m] * other[n]
-        return w[0][2] + w[1][2] + w[2][2], P, A
+        return density, P, A
 
     return compute_stress_and_tangent

@@ -5,14 +5,10 @@ The formulas are evaluated on numpy arrays of all points, outside of the kernel 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
-from tissue_sim.fem.point_effects import LONGEST, require_valid_formula
+from tissue_sim.fem.elements.point_effects import PointEffects, sum_effect_responses
 from tissue_sim.fem.solid.batches import ElementBatches, find_sparse_entry_indices
-from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
-from tissue_sim.material.effect import PointEffect, TissueEffect
 
 #: Index pairs of the components of formulas: 11, 22, 33, 12, 13, 23.
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -22,58 +18,23 @@ _IN_MEMORY = [0, 3, 4, 1, 5, 2]
 _AT_ONCE = 200
 
 
-class SolidPointEffects:
+class SolidPointEffects(PointEffects):
     """Point effects of a material: additional stress at the quadrature points, with state variables.
+
+    The stresses in `states` have the components XX, XY, XZ, YY, YZ and ZZ.
 
     Args:
         batches: batches of the mesh.
         connectivity: indices of the nodes of each element of the mesh, shape (elements, nodes of an element).
         elements: indices of the elements of the material, shape (n,).
-
-    Attributes:
-        states: state variables of all effects at the last committed step, shape (n, q, variables).
-        stress: sum of their second Piola-Kirchhoff stresses there, Pa, shape (n, q, 6: XX, XY, XZ, YY, YZ, ZZ).
     """
 
     def __init__(self, batches: ElementBatches, connectivity: np.ndarray, elements: np.ndarray):
+        super().__init__((len(elements), batches.weights.shape[1]), 6)
         self._batches, self._elements = batches, elements
-        dofs = (3 * connectivity[elements][:, :, None] + np.arange(3)).reshape(
+        self._dofs = (3 * connectivity[elements][:, :, None] + np.arange(3)).reshape(
             len(elements), 3 * connectivity.shape[1])
-        self._dofs, self._dt = dofs, 0.0
-        self._effects: tuple[PointEffect, ...] = ()
-        self._makes: tuple[FormulaClassAndConstants, ...] = ()
-        points = (len(elements), batches.weights.shape[1])
-        self.states, self.stress = np.zeros((*points, 0)), np.zeros((*points, 6))
-        self._found, self._stress = self.states.copy(), self.stress.copy()
         self._places: np.ndarray | None = None
-
-    def __bool__(self) -> bool:
-        return bool(self._effects) and len(self._elements) > 0
-
-    def set_effects(self, effects: Iterable[TissueEffect]) -> None:
-        """Set the effects of a material; state variables are kept if the formulas are the same.
-
-        Raises:
-            InputError: see `require_valid_formula`.
-        """
-        points = tuple(effect for effect in effects if isinstance(effect, PointEffect))
-        makes = tuple(FormulaClassAndConstants.from_law_or_effect(effect) for effect in points)
-        if makes != self._makes:
-            for make in makes:
-                require_valid_formula(make)
-            rest = [value for effect in points for value in effect.rest]
-            self.states = np.broadcast_to(rest, (*self.stress.shape[:2], len(rest))).copy()
-            self.stress[:] = 0.0
-            self._found, self._makes = self.states.copy(), makes
-        self._effects = points
-
-    def set_step_duration(self, dt: float) -> None:
-        """Set the duration dt of the next step, s."""
-        self._dt = min(dt, LONGEST)
-
-    def commit_step(self) -> None:
-        """Make state variables and stresses of the converged step the committed ones."""
-        self.states[:], self.stress[:] = self._found, self._stress
 
     def add_forces_and_stiffness(self, x: np.ndarray, tangent: bool) -> None:
         """Add forces, and if `tangent` stiffness, at displacements x, m, shape (freedoms,), to those of the batches."""
@@ -123,17 +84,14 @@ class SolidPointEffects:
             to the Green strains (shears doubled), Pa, shape (e, q, 6, 6).
         """
         C = [np.einsum("eqi,eqi->eq", F[..., I], F[..., J]) for I, J in _PAIRS]
-        S, D, at = np.zeros((*F.shape[:2], 6)), np.zeros((*F.shape[:2], 6, 6)), 0
-        for effect in self._effects:
-            # Copies, because a formula may change its arguments, and the committed states must not change.
-            state = [self.states[part, :, at + i].copy() for i in range(len(effect.rest))]
-            stress, tangent, found = effect.response([each.copy() for each in C], state, self._dt)
-            for i in range(6):
-                S[..., i] += stress[i]
-                for j in range(6):
-                    D[..., i, j] += tangent[i][j]
-            for i, value in enumerate(found):
-                self._found[part, :, at + i] = value
-            at += len(state)
-        self._stress[part] = S[..., _IN_MEMORY]
+        states = list(np.moveaxis(self.states[part, :, :-6], -1, 0))
+        stress, tangent, found = sum_effect_responses(self.formulas, range(6), C, states, self.settings.tolist())
+        S, D = np.empty((*F.shape[:2], 6)), np.empty((*F.shape[:2], 6, 6))
+        for i in range(6):
+            S[..., i] = stress[i]
+            for k in range(6):
+                D[..., i, k] = tangent[i][k]
+        for i, value in enumerate(found):
+            self.found[part, :, i] = value
+        self.found[part, :, -6:] = S[..., _IN_MEMORY]
         return S, D

@@ -233,7 +233,7 @@ class Tissue:
     @property
     def state_arrays(self) -> tuple[np.ndarray, ...]:
         """Arrays of the committed material history; writing saved copies into them restores an earlier state."""
-        added = (self.effects.states, self.effects.stress) if self.effects else ()
+        added = (self.effects.states,) if self.effects else ()
         return (*(array for region in self._regions for array in region.memory.state_arrays), *added)
 
     @property
@@ -252,7 +252,7 @@ class Tissue:
         for region in self._regions:
             found[region.elements] = region.memory.compute_committed_stress_with_relaxation()
             if self.effects and region.name == "":
-                found[region.elements] += self.effects.stress
+                found[region.elements] += self.effects.committed_effect_stress
         return found
 
 

@@ -66,6 +66,97 @@ def make_energy_derivatives_by_stretch(energy: KernelEnergy):
                                           __file__)
 
 
+@cache
+def make_stretch_derivatives_function(energy: KernelEnergy):
+    """Return the Taichi function ``compute_stretch_derivatives(stretches, root, coefficients) -> (W, w1, w2)``.
+
+    The energy is a sum over the isochoric principal stretches; root is J^(-1/3). W is the energy density, w1 (3) its
+    derivatives with respect to the principal stretches and w2 (3 x 3) the second derivatives.
+    """
+    ti = get_initialised_taichi()
+    count = energy.coefficient_count
+    derivatives = make_energy_derivatives_by_stretch(energy)
+
+    @ti.func
+    def compute_stretch_derivatives(stretches: ti.template(), root, coefficients: ti.template()):
+        bars = [stretches[k] * root for k in ti.static(range(3))]
+        # First and second derivatives with respect to the logarithm of each isochoric stretch.
+        w = [[v + 0.0 * root for v in ti.static(derivatives(bars[k], [coefficients[m] for m in range(count)]))]
+             for k in ti.static(range(3))]
+        t = [w[k][0] * bars[k] for k in ti.static(range(3))]
+        mean_t = (t[0] + t[1] + t[2]) / 3.0
+        w1 = [(t[k] - mean_t) / stretches[k] for k in ti.static(range(3))]
+        u = [w[k][1] * bars[k] * bars[k] + t[k] for k in ti.static(range(3))]
+        mean_u = (u[0] + u[1] + u[2]) / 3.0
+        w2 = [[((-(u[i] + u[k]) / 3.0 + mean_u / 3.0
+                 + ti.static(float(i == k)) * (u[i] - (t[i] - mean_t))) / (stretches[i] * stretches[k]))
+               for k in ti.static(range(3))] for i in ti.static(range(3))]
+        return w[0][2] + w[1][2] + w[2][2], w1, w2
+
+    return compute_stretch_derivatives
+
+
+@cache
+def make_principal_plane_moduli_function():
+    """Return the Taichi function ``compute_principal_plane_moduli(p, q, stretches, w1, w2) -> (twist, flip)``.
+
+    Twist and flip are the second derivatives of the energy for a rotation and for a shear of the plane of the principal
+    directions p and q; w1 and w2 are those of `make_stretch_derivatives_function`. Equal stretches have a limit.
+    """
+    ti = get_initialised_taichi()
+
+    @ti.func
+    def compute_principal_plane_moduli(p: ti.template(), q: ti.template(), stretches: ti.template(), w1: ti.template(),
+                                       w2: ti.template()):
+        twist = (w1[p] + w1[q]) / (stretches[p] + stretches[q])
+        apart = ti.abs(stretches[p] - stretches[q]) > 1e-5 * stretches[p]
+        flip = ti.select(apart, (w1[p] - w1[q]) / ti.select(apart, stretches[p] - stretches[q], stretches[p]),
+                         0.5 * (w2[p][p] + w2[q][q]) - w2[p][q])
+        return twist, flip
+
+    return compute_principal_plane_moduli
+
+
+@cache
+def make_isochoric_chain_rule(I1: str, I2: str, J: str, variables: str, tangents: bool = True):
+    """Return the function (variables, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
+
+    W is a function of the isochoric invariants J^(-2/3) I1 and J^(-4/3) I2. Derivatives are taken with respect to the
+    variables; s = J^(-2/3) is an argument, so that the function evaluates no power.
+
+    Args:
+        I1: first invariant of F^T F, an expression in the variables.
+        I2: second invariant.
+        J: determinant of F.
+        variables: names of the variables, which are positive, separated by spaces.
+        tangents: whether the function returns the Hessian (lower triangle, row by row) after the gradient.
+    """
+    def derive_arguments_and_expressions():
+        """Return the arguments and the symbolic (sympy) gradient and Hessian."""
+        v = sp.symbols(variables, positive=True)
+        s = sp.Symbol("s", positive=True)
+        first = sp.symbols("W1 W2", real=True)
+        second = sp.symbols("W11 W12 W22", real=True)
+        hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
+        first_invariant, second_invariant, volume = (sp.sympify(each, {x.name: x for x in v}) for each in (I1, I2, J))
+
+        def differentiate_including_scale(expression, x):
+            """Return the total derivative of an expression with respect to x, where s depends on x."""
+            inner = -sp.Rational(2, 3) * s * sp.diff(sp.log(volume), x)
+            return sp.diff(expression, x) + sp.diff(expression, s) * inner
+
+        bars = (s * first_invariant, s**2 * second_invariant)
+        slopes = [[differentiate_including_scale(bar, x) for x in v] for bar in bars]
+        gradient = [sum(first[m] * slopes[m][i] for m in range(2)) for i in range(3)]
+        curvature = [sum(first[m] * differentiate_including_scale(slopes[m][i], v[k]) for m in range(2))
+                     + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
+                     for i in range(3) for k in range(i + 1)]
+        return (*v, s, *first, *second), [*gradient, *curvature] if tangents else gradient
+
+    return make_taichi_expression_builder(derive_arguments_and_expressions,
+                                          ("isochoric chain rule", I1, I2, J, variables, tangents), __file__)
+
+
 def _derivation_cache_key_or_none(energy: KernelEnergy, *what) -> tuple | None:
     """Return the cache key of the derivatives of an energy; None if they are not cached."""
     return None if energy.cache_key is None else (*energy.cache_key, "energy", *what)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from copy import copy
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -13,30 +15,37 @@ from tissue_sim.fem.taichi.trace import TRIED, FormulaClassAndConstants, wrap_as
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
 #: Longest time step that is passed to a formula, s, because kernels have no infinity.
-LONGEST = 1e30
+_LONGEST = 1e30
 
 
 class PointEffects:
-    """NumPy arrays of all point effects of a material, which the kernel of a step reads and writes.
+    """NumPy arrays of all point effects of a material, which the assembly of a step reads and writes.
+
+    Args:
+        points: number of elements, and of quadrature points in each.
+        components: number of stored stress components.
 
     Attributes:
         formulas: formulas of the effects, in order.
         settings: time step, s, then the parameters of all effects.
         states: state variables of all effects at the last committed step, then the sum of their second Piola-Kirchhoff
-            stresses (RR, RZ, ZZ, hoop), Pa; shape (elements, q, variables + 4).
+            stresses, Pa; shape (elements, q, variables + components).
         found: values of `states` at the end of the present step.
     """
 
-    def __init__(self, points: tuple[int, int]):
-        self._points = points
+    def __init__(self, points: tuple[int, int], components: int):
+        self._points, self._components = points, components
         self.formulas: tuple[FormulaClassAndConstants[PointEffect], ...] = ()
         self.settings = allocate_array((1,))
         self._allocate_states(())
 
+    def __bool__(self) -> bool:
+        return bool(self.formulas) and self._points[0] > 0
+
     def _allocate_states(self, rest: tuple[float, ...]) -> None:
         """Allocate the state variables; `rest` are their values at rest."""
-        # Without effects the kernel does not read the arrays.
-        shape = (*self._points, len(rest) + 4) if self.formulas else (1, 1, 1)
+        # Without effects the arrays are not read.
+        shape = (*self._points, len(rest) + self._components) if self.formulas else (1, 1, 1)
         self.states = allocate_array(shape)
         self.states[..., : len(rest)] = rest
         self.found = copy_to_addressable_array(self.states)
@@ -63,7 +72,7 @@ class PointEffects:
 
     def set_step_duration(self, dt: float) -> None:
         """Set the duration dt of the next step, s, in the settings of the formulas."""
-        self.settings[0] = min(dt, LONGEST)
+        self.settings[0] = min(dt, _LONGEST)
 
     def commit_step(self) -> None:
         """Commit the state variables of the last step; to be called if the step converged."""
@@ -72,8 +81,41 @@ class PointEffects:
 
     @property
     def committed_effect_stress(self) -> np.ndarray:
-        """Sum of the stresses of all effects at the last committed step, Pa, shape (elements, q, 4)."""
-        return self.states[..., -4:]
+        """Sum of the stresses of all effects at the last committed step, Pa, shape (elements, q, components)."""
+        return self.states[..., -self._components:]
+
+
+def sum_effect_responses(formulas: Iterable[FormulaClassAndConstants[PointEffect]], components: Sequence[int],
+                         C: Sequence[Any], states: Sequence[Any],
+                         settings: Sequence[Any]) -> tuple[list[Any], list[list[Any]], list[Any]]:
+    """Sum the responses of all effects; all numbers may be traced numbers of a kernel or NumPy arrays of points.
+
+    Args:
+        formulas: formulas of the effects.
+        components: indices of the components of the result among those of the formulas (11, 22, 33, 12, 13, 23).
+        C: right Cauchy-Green tensor, 6 components.
+        states: state variables of all effects before the step.
+        settings: see `PointEffects.settings`.
+
+    Returns:
+        Second Piola-Kirchhoff stress, Pa, one entry for each component; rows of its derivative with respect to the
+        Green strains (shears doubled), Pa; state variables of all effects after the step.
+    """
+    dt, *numbers = settings
+    S: list[Any] = [0.0] * len(components)
+    D: list[list[Any]] = [[0.0] * len(components) for _ in components]
+    found: list[Any] = []
+    for formula in formulas:
+        parameters, numbers = numbers[: len(formula.parameter_names)], numbers[len(formula.parameter_names):]
+        state, states = states[: len(formula.kind.rest)], states[len(formula.kind.rest):]
+        # Copies, because a formula may change its arguments.
+        stress, tangent, new = formula.build_unchecked_instance(parameters).response(
+            [copy(each) for each in C], [copy(each) for each in state], dt)
+        S = [total + stress[i] for total, i in zip(S, components, strict=True)]
+        D = [[total + tangent[i][k] for total, k in zip(row, components, strict=True)]
+             for row, i in zip(D, components, strict=True)]
+        found += new
+    return S, D, found
 
 
 def require_valid_formula(formula: FormulaClassAndConstants[PointEffect]) -> None:

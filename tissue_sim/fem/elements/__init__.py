@@ -1,0 +1,1 @@
+"""Parts of elements that all solids share: fields, strain energies in kernels, SIMD lanes, effects at the points."""
