@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
+from tissue_sim.fem.axisymmetric.surface import build_half_section
 from tissue_sim.fem.fields import FIELD_UNITS, TAIL, compute_volume_weighted_quantile, extrapolate_to_nodes_and_average
+from tissue_sim.fem.result_views import HalfSectionGeometry
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 
@@ -29,6 +31,7 @@ class Fields:
         moduli: moduli of the elements in units of the material's modulus, shape (elements,).
         stresses: isochoric second Piola stress over `moduli`, Pa, shape (samples, elements, q, 4: RR, RZ, ZZ, hoop);
             None for tissue without memory.
+        datum: height of the scene's origin in the frame of the mesh, m.
     """
 
     mesh: Mesh
@@ -40,6 +43,7 @@ class Fields:
     weights: np.ndarray
     moduli: np.ndarray
     stresses: np.ndarray | None = None
+    datum: float = 0.0
 
     @property
     def names(self) -> Collection[str]:
@@ -61,6 +65,10 @@ class Fields:
     def with_material(self, changed: Mapping[str, Any]) -> Fields:
         """Return the fields with other attributes of the material, from `material_data`."""
         return replace(self, **changed)
+
+    def geometry(self) -> HalfSectionGeometry:
+        """Return the half section of the mesh for drawing, the same object for all samples."""
+        return build_half_section(self.mesh)
 
     def displacement(self, sample: int = -1) -> np.ndarray:
         """Return the nodal displacements (r, z), m, shape (nodes, 2)."""
@@ -139,15 +147,16 @@ class Fields:
         return (compute_volume_weighted_quantile(stretches.min(axis=-1), self.weights, TAIL),
                 compute_volume_weighted_quantile(stretches.max(axis=-1), self.weights, 1 - TAIL))
 
-    def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
-        """Return a field at the nodes, shape (nodes,).
+    def at_nodes(self, name: str, sample: int = -1, at_points: np.ndarray | None = None) -> np.ndarray:
+        """Return a field at the nodes, shape (nodes,); see `tissue_sim.fem.result_views.Fields.at_nodes`.
 
         The polynomial through the quadrature points of each element is evaluated at its nodes and averaged over the
         elements that share a node.
         """
         if name == "displacement":
             return np.linalg.norm(self.displacement(sample), axis=1)
-        return extrapolate_to_nodes_and_average(self.mesh, self.at_points(name, sample))
+        at_points = self.at_points(name, sample) if at_points is None else at_points
+        return extrapolate_to_nodes_and_average(self.mesh, at_points)
 
 
 def _compute_principal_angle_and_stretches(F: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:

@@ -376,7 +376,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return Fields(self.mesh, equations.material, equations.bulk_modulus,
                       np.array([sample.state for sample in samples]), reference.node_gradients,
                       reference.pressure_modes, reference.weights, equations.moduli,
-                      np.array(stresses) if stresses else None)
+                      np.array(stresses) if stresses else None, self.datum)
 
     def deformed_surface(self) -> DeformedSurface:
         """Return the deformed outline at the last committed state; z = 0 is the height of the first touch."""

@@ -10,6 +10,8 @@ import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.fem.fields import FIELD_UNITS, TAIL, compute_volume_weighted_quantile, extrapolate_to_nodes_and_average
+from tissue_sim.fem.result_views import SolidGeometry
+from tissue_sim.fem.solid.surface import build_solid_geometry
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
@@ -99,14 +101,26 @@ class SolidFields:
                        weights=self.weights[elements], moduli=self.moduli[elements],
                        stresses=None if self.stresses is None else self.stresses[:, elements])
 
-    def with_one_mean_point_per_element(self) -> SolidFields:
-        """Return a copy with one quadrature point in each element, with the mean deformation of the element."""
+    def with_one_mean_point_per_element(self, previous: SolidFields | None = None) -> SolidFields:
+        """Return a copy with one quadrature point in each element, with the mean deformation of the element.
+
+        Args:
+            previous: an earlier result of the same tissue, whose gradients, modes and volumes are used again unless the
+                stresses depend on the history.
+        """
+        if previous is not None and self.stresses is None:
+            return replace(self, gradients=previous.gradients, pressure_modes=previous.pressure_modes,
+                           weights=previous.weights)
         volumes = self.weights.sum(axis=1, keepdims=True)
         shares = self.weights / volumes
         return replace(self, gradients=np.einsum("eq,eqai->eai", shares, self.gradients)[:, None],
                        pressure_modes=np.einsum("eq,eqm->em", shares, self.pressure_modes)[:, None], weights=volumes,
                        stresses=None if self.stresses is None
                        else np.einsum("eq,seqi->sei", shares, self.stresses)[:, :, None])
+
+    def geometry(self) -> SolidGeometry:
+        """Return the geometry of the mesh for drawing, the same object for all samples."""
+        return build_solid_geometry(self.mesh)
 
     def displacement(self, sample: int = -1) -> np.ndarray:
         """Return the displacement (x, y, z) of the nodes at a sample, m, shape (nodes, 3)."""
@@ -223,15 +237,16 @@ class SolidFields:
         return (compute_volume_weighted_quantile(stretches[..., 2], self.weights, TAIL),
                 compute_volume_weighted_quantile(stretches[..., 0], self.weights, 1 - TAIL))
 
-    def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
-        """Return a field at the nodes of a sample, shape (nodes,).
+    def at_nodes(self, name: str, sample: int = -1, at_points: np.ndarray | None = None) -> np.ndarray:
+        """Return a field at the nodes of a sample, shape (nodes,); see `tissue_sim.fem.result_views.Fields.at_nodes`.
 
         Each element's polynomial through its quadrature points is averaged over the elements of a node; 0 at nodes
         without an element.
         """
         if name == "displacement":
             return np.linalg.norm(self.displacement(sample), axis=1)
-        return extrapolate_to_nodes_and_average(self.mesh, self.at_points(name, sample))
+        at_points = self.at_points(name, sample) if at_points is None else at_points
+        return extrapolate_to_nodes_and_average(self.mesh, at_points)
 
 
 def _compute_determinant(F: np.ndarray) -> np.ndarray:

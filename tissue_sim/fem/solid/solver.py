@@ -22,7 +22,7 @@ from tissue_sim.fem.solid.placement import SolidSolverBase
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives, SolidSensitivity, SolverDataForSensitivity
 from tissue_sim.fem.solid.settings import NEWTON
 from tissue_sim.fem.solid.state import FieldSample, SavedState
-from tissue_sim.fem.solid.surface import SolidSurface
+from tissue_sim.fem.solid.surface import SolidSurface, extract_deformed_surface
 from tissue_sim.fem.solid.tangent import ReusableTangentFactor
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solid.tool_wrench import HeldAndContactNodes, to_matrix_tuples
@@ -379,7 +379,7 @@ class SolidSolver(SolidSolverBase):
 
     def deformed_surface(self) -> SolidSurface:
         """Return the deformed surface at the last committed state."""
-        return SolidSurface(self.mesh, self.committed_displacement, self.datum)
+        return extract_deformed_surface(self.mesh, self.committed_displacement, self.datum)
 
     def warnings(self) -> list[str]:
         """See `Solver.warnings`."""
