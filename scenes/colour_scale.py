@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from scenes.field_labels import LABELS
 from tissue_sim.fem.elements.fields import FIELD_UNITS
+from tissue_sim.fem.result_views import DrawableFields
 
 #: A range of values below this fraction of their largest magnitude, or of mu0 for stresses, is rounding error.
 _ROUNDING = 1e-6
@@ -34,14 +35,13 @@ class LabelledColourScale(NamedTuple):
         return "neither" if self.uniform else "both"
 
 
-def choose_colour_scale(fields: Any, name: str, sample: int = -1) -> LabelledColourScale:
+def choose_colour_scale(fields: DrawableFields, name: str, sample: int = -1) -> LabelledColourScale:
     """Return the colour scale of a field: from its 1 % quantile to its 99 % quantile by volume.
 
     Stresses are singular at edges, so that the full range would show the edges only.
 
     Args:
-        fields: fields of a simulation (`tissue_sim.fem.solver.Fields`) with ``weights``, the volumes of the quadrature
-            points, m3.
+        fields: fields of a simulation.
         name: field, a key of `LABELS`.
         sample: index of the sample.
     """

@@ -22,9 +22,7 @@ from scenes.solid_figures import (
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.fem.axisymmetric.fields import Fields
-from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.mesh import Mesh
+from tissue_sim.fem.result_views import DrawableFields, HalfSectionGeometry, SolidGeometry, get_drawable_fields_or_none
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
 from tissue_sim.recording.recording import Recording
@@ -33,7 +31,7 @@ from tissue_sim.recording.recording import Recording
 _LEAST_LATERAL_FORCE = 0.01
 
 
-def draw_simulation(recording: Recording, model: Model, path: Path, field: str = "von_mises", *,
+def draw_simulation(recording: Recording, model: Model, path: Path, field: str | None = None, *,
                     segment: str | None = None, reference: Recording | None = None) -> None:
     """Draw the deformed section and force against displacement into an image file.
 
@@ -45,23 +43,32 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
         recording: result of `simulate(..., fields=True)`.
         model: simulated model.
         path: image file; its suffix .png, .svg or .pdf selects the format.
-        field: field of the colours, a key of `LABELS`.
+        field: field of the colours, a key of `LABELS`; None: the first one of `LABELS` that the solver computes.
         segment: name of a segment of the protocol whose last sample is drawn; None draws the deepest sample.
         reference: second force curve for comparison, labelled with its name.
 
     Raises:
-        InputError: the field is unknown, or the recording has no fields or no such segment.
+        InputError: the field is unknown or not computed, the recording has no fields that can be drawn, or no such
+            segment.
     """
     from matplotlib.figure import Figure
 
-    if field not in LABELS:
+    if field is not None and field not in LABELS:
         raise InputError(f"unknown field {field!r}; known: {', '.join(LABELS)}", field="field")
     if recording.fields is None:
         raise InputError("the recording has no fields. Simulate with fields=True", field="fields")
     sample = _find_segment_end_or_deepest_sample(recording, segment)
-    tool, fields = model.experiment.tool, recording.fields
+    tool, fields = model.experiment.tool, get_drawable_fields_or_none(recording.fields)
+    if fields is None:
+        raise InputError("the fields of this solver have no geometry and cannot be drawn", field="fields")
+    names = [name for name in LABELS if name in fields.names]
+    if field is None and names:
+        field = names[0]
+    if field is None or field not in names:
+        raise InputError(f"the solver does not compute {field or 'a known field'}; it computes "
+                         f"{', '.join(fields.names)}", field="field")
     figure = Figure(layout="constrained")
-    if fields.mesh.nodes.shape[1] == 3:
+    if isinstance(fields.geometry(), SolidGeometry):
         axes = _draw_solid_panels_and_get_axes(figure, fields, field, sample,
                                                model.experiment.tool_pose(recording.displacement[sample]),
                                                tool)
@@ -92,7 +99,7 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
     write_figure_file(figure, path)
 
 
-def _draw_solid_panels_and_get_axes(figure, fields: SolidFields, field: str, sample: int, pose: Pose,
+def _draw_solid_panels_and_get_axes(figure, fields: DrawableFields, field: str, sample: int, pose: Pose,
                                     tool: Tool) -> dict[str, Any]:
     """Draw section and surface of a three-dimensional simulation.
 
@@ -107,7 +114,7 @@ def _draw_solid_panels_and_get_axes(figure, fields: SolidFields, field: str, sam
     return axes
 
 
-def _draw_axisymmetric_panels_and_get_axes(figure, fields: Fields, field: str,
+def _draw_axisymmetric_panels_and_get_axes(figure, fields: DrawableFields, field: str,
                                            sample: int, tool: Tool) -> dict[str, Any]:
     """Draw the section of an axisymmetric simulation and, for an indentation, the fold at the tool's edge.
 
@@ -115,7 +122,7 @@ def _draw_axisymmetric_panels_and_get_axes(figure, fields: Fields, field: str,
         Axes by name; the axes "curve" are still empty.
     """
     panels = {"section": 1.25} | ({"fold": 0.75} if not tool.is_plate else {}) | {"curve": 1.0}
-    radius, height = fields.mesh.nodes[:, 0].max(), np.ptp(fields.mesh.nodes[:, 1])
+    radius, height = np.ptp(fields.geometry().nodes, axis=0)
     if radius > 1.5 * height:
         figure.set_size_inches(10, 6.4)
         layout: list[Any] = [["section"] * (len(panels) - 1), list(panels)[1:]]
@@ -140,7 +147,7 @@ def _find_segment_end_or_deepest_sample(recording: Recording, segment: str | Non
     return int(samples[-1])
 
 
-def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Tool) -> None:
+def draw_section(axes, fields: DrawableFields, name: str, sample: int = -1, *, tool: Tool) -> None:
     """Draw the deformed section of an axisymmetric simulation, mirrored at the axis.
 
     The panel also shows the undeformed outline (dashed), the element edges, the base, the tool and the colour bar.
@@ -153,25 +160,24 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
         sample: index of the sample.
         tool: tool of the experiment.
     """
-    mesh = fields.mesh
-    nodes = (mesh.nodes + fields.displacement(sample)) * 1e3
+    section, points = _get_section_and_deformed_points_mm(fields, sample)
     picture, scale = _draw_field_and_get_colour_scale(axes, fields, name, sample, (1, -1))
-    radius, height = mesh.nodes[:, 0].max() * 1e3, -mesh.nodes[:, 1].min() * 1e3
+    radius, height = section.nodes[:, 0].max() * 1e3, -section.nodes[:, 1].min() * 1e3
     axes.plot(radius * np.array([-1, 1, 1, -1, -1]), height * np.array([-1, -1, 0, 0, -1]), color="0.4", linewidth=0.9,
               linestyle=(0, (4, 3)))
-    width = 1.18 * max(radius, nodes[:, 0].max())
-    base, plate = nodes[:, 1][mesh.sets["base"]].min(), 0.05 * max(height, 0.5 * radius)
+    width = 1.18 * max(radius, points[:, 0].max())
+    base, plate = points[section.base, 1].min(), 0.05 * max(height, 0.5 * radius)
     axes.fill_between([-width, width], base, base - plate, color=RIGID, linewidth=0)
     if tool.is_plate:
-        tip = _find_tool_face_height_mm(mesh, nodes, tool)
+        tip = _find_tool_face_height_mm(points[section.top], tool)
         axes.fill_between([-width, width], tip, tip + plate, color=RIGID, linewidth=0)
     else:
-        _draw_needle_outline_above_contact(axes, mesh, nodes, tool, max(nodes[:, 1].max(), 0.0) + plate)
+        _draw_needle_outline_above_contact(axes, points[section.top], tool, max(points[:, 1].max(), 0.0) + plate)
     set_axis_scales_and_labels(axes, "r [mm]")
     axes.figure.colorbar(picture, ax=axes, label=scale.label, extend=scale.colour_bar_extension, shrink=0.85)
 
 
-def draw_tool_edge_closeup(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> None:
+def draw_tool_edge_closeup(axes, fields: DrawableFields, name: str, tool: Tool, sample: int = -1) -> None:
     """Draw the tissue near the edge of a needle, where the free surface folds onto the shaft.
 
     For a needle without a flat face, the panel shows the tip. The colours are those of `draw_section`.
@@ -183,14 +189,13 @@ def draw_tool_edge_closeup(axes, fields: Fields, name: str, tool: Tool, sample: 
         tool: tool of the experiment.
         sample: index of the sample.
     """
-    mesh = fields.mesh
-    nodes = (mesh.nodes + fields.displacement(sample)) * 1e3
+    section, points = _get_section_and_deformed_points_mm(fields, sample)
+    surface = points[section.top]
     _draw_field_and_get_colour_scale(axes, fields, name, sample, (1,))
-    radius, tip = tool.require_radius() * 1e3, _find_tool_face_height_mm(mesh, nodes, tool)
-    top = max(nodes[mesh.sets["top"], 1].max(), tip) + 0.3 * radius
-    _draw_needle_outline_above_contact(axes, mesh, nodes, tool, top + radius)
-    top_nodes = mesh.sets["top"][np.argsort(mesh.nodes[mesh.sets["top"], 0])]
-    axes.plot(*nodes[top_nodes].T, color="0.15", linewidth=1.1)
+    radius, tip = tool.require_radius() * 1e3, _find_tool_face_height_mm(surface, tool)
+    top = max(surface[:, 1].max(), tip) + 0.3 * radius
+    _draw_needle_outline_above_contact(axes, surface, tool, top + radius)
+    axes.plot(*surface.T, color="0.15", linewidth=1.1)
     part, left, below = ("edge", 0.45, 0.7) if tool.face_radius else ("tip", 0.0, 0.4)
     axes.set_xlim(left * radius, (left + 1.75) * radius)
     axes.set_ylim(tip - below * radius, top)
@@ -198,7 +203,7 @@ def draw_tool_edge_closeup(axes, fields: Fields, name: str, tool: Tool, sample: 
     axes.set_title(f"{part} of the tool", loc="left", fontsize=10)
 
 
-def _draw_field_and_get_colour_scale(axes, fields: Fields, name: str, sample: int, sides: tuple[int, ...]):
+def _draw_field_and_get_colour_scale(axes, fields: DrawableFields, name: str, sample: int, sides: tuple[int, ...]):
     """Colour the section on the given sides of the axis (1: right, -1: left).
 
     Returns:
@@ -208,40 +213,50 @@ def _draw_field_and_get_colour_scale(axes, fields: Fields, name: str, sample: in
     from matplotlib.tri import Triangulation
 
     _, factor = LABELS[name]
-    mesh, scale = fields.mesh, choose_colour_scale(fields, name, sample)
-    nodes = (mesh.nodes + fields.displacement(sample)) * 1e3
-    values = fields.at_nodes(name, sample) * factor
-    triangles = _split_into_triangles(mesh)
-    edges = _compute_element_outlines(mesh, nodes)
+    scale = choose_colour_scale(fields, name, sample)
+    section, points = _get_section_and_deformed_points_mm(fields, sample)
+    values = section.interpolate_at_points(fields.at_nodes(name, sample)) * factor
+    edges = points[section.edges]
     for mirror in sides:
         side = np.array([mirror, 1])
-        x, y = (nodes * side).T
-        picture = axes.tripcolor(Triangulation(x, y, triangles), values, shading="gouraud", cmap="viridis",
+        x, y = (points * side).T
+        picture = axes.tripcolor(Triangulation(x, y, section.triangles), values, shading="gouraud", cmap="viridis",
                                  vmin=scale.low, vmax=scale.high)
         picture.set_in_layout(False)  # faster: the layout would measure each triangle
-        thickness = min(0.35, 6.0 / np.sqrt(len(edges)))
+        thickness = min(0.35, 12.0 / np.sqrt(len(edges) + 1))
         axes.add_collection(LineCollection(edges * side, colors="white", linewidths=thickness, alpha=0.5))
     return picture, scale
 
 
-def _draw_needle_outline_above_contact(axes, mesh: Mesh, nodes: np.ndarray, tool: Tool, top: float) -> None:
-    """Draw the outline of a needle from its contact with the tissue up to the height `top`, mm."""
-    tip = _find_tool_face_height_mm(mesh, nodes, tool)
+def _get_section_and_deformed_points_mm(fields: DrawableFields, sample: int) -> tuple[HalfSectionGeometry, np.ndarray]:
+    """Return the half section of axisymmetric fields, and its deformed points (r, z), mm, shape (points, 2).
+
+    Raises:
+        InputError: the fields belong to a three-dimensional solid.
+    """
+    section = fields.geometry()
+    if not isinstance(section, HalfSectionGeometry):
+        raise InputError("a section is drawn of an axisymmetric simulation; use draw_simulation for a solid in 3D",
+                         field="fields")
+    return section, 1e3 * section.interpolate_at_points(section.nodes + fields.displacement(sample))
+
+
+def _draw_needle_outline_above_contact(axes, surface: np.ndarray, tool: Tool, top: float) -> None:
+    """Draw the outline of a needle from its contact with the deformed top, (r, z), mm, up to the height `top`, mm."""
+    tip = _find_tool_face_height_mm(surface, tool)
     r, z = (tool.profile.sample_outline_up_to_height((top - tip) * 1e-3) * 1e3).T
     axes.fill(np.concatenate([r, -r[::-1]]), tip + np.concatenate([z, z[::-1]]), color=RIGID, edgecolor="0.4",
               linewidth=0.6)
 
 
-def _find_tool_face_height_mm(mesh: Mesh, nodes: np.ndarray, tool: Tool) -> float:
-    """Return the height of the tool's flat face, mm: the highest deformed surface node below the face.
+def _find_tool_face_height_mm(surface: np.ndarray, tool: Tool) -> float:
+    """Return the height of the tool's flat face, mm: the highest point of the deformed top below the face.
 
     Args:
-        mesh: undeformed mesh.
-        nodes: deformed coordinates (r, z), mm, shape (nodes, 2).
+        surface: deformed points (r, z) of the top, mm, shape (points, 2).
         tool: tool of the experiment.
     """
-    surface = nodes[mesh.sets["top"]]
-    # Nodes at the rim are left out: tissue on the shaft may penetrate the tool by the contact tolerance.
+    # Points at the rim are left out: tissue on the shaft may penetrate the tool by the contact tolerance.
     below = surface[:, 0] <= (np.inf if tool.face_radius is None else 0.999e3 * tool.face_radius)
     return float(surface[below, 1].max())
 
@@ -255,21 +270,3 @@ def write_figure_file(figure, path: Path) -> None:
     buffer = io.BytesIO()
     figure.savefig(buffer, format=kind, dpi=150)
     write_bytes(Path(path), buffer.getvalue())
-
-
-def _split_into_triangles(mesh: Mesh) -> np.ndarray:
-    """Split each element into triangles between its nodes.
-
-    Returns:
-        Node numbers of the triangles, shape (triangles, 3).
-    """
-    square = [(0, 1, 2), (0, 2, 3)]
-    nine = [(0, 4, 8), (0, 8, 7), (4, 1, 5), (4, 5, 8), (8, 5, 2), (8, 2, 6), (7, 8, 6), (7, 6, 3)]
-    return np.concatenate([mesh.connectivity[:, list(corners)]
-                           for corners in (square if mesh.element.order == 1 else nine)])
-
-
-def _compute_element_outlines(mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
-    """Return the outline of each element as a closed polyline, in the unit of `nodes`, shape (elements, points, 2)."""
-    ring = [0, 1, 2, 3, 0] if mesh.element.order == 1 else [0, 4, 1, 5, 2, 6, 3, 7, 0]
-    return nodes[mesh.connectivity[:, ring]]

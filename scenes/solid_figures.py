@@ -8,10 +8,10 @@ import numpy as np
 
 from scenes.colour_scale import choose_colour_scale
 from scenes.field_labels import LABELS
+from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.fem.solid.fields import SolidFields
+from tissue_sim.fem.result_views import DrawableFields, SolidGeometry
 from tissue_sim.mesh.sections import intersect_tetrahedra_at_zero_level, intersect_triangles_at_zero_level
-from tissue_sim.mesh.subdivision import find_outline_edges_of_face, subdivide_into_tetrahedra, triangulate_surface_faces
 from tissue_sim.pose import Pose
 
 #: Grey of rigid bodies, a colour of matplotlib.
@@ -45,7 +45,8 @@ class SurfaceViewSettings:
 _VIEW = SurfaceViewSettings()
 
 
-def draw_section_through_tool_axis(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool: Tool) -> None:
+def draw_section_through_tool_axis(axes, fields: DrawableFields, name: str, sample: int, pose: Pose,
+                                   tool: Tool) -> None:
     """Draw the deformed section in the plane through the tool's axis and the x axis.
 
     The panel also shows the element edges, the undeformed outline (dashed), the base, the tool and the colour bar.
@@ -61,27 +62,24 @@ def draw_section_through_tool_axis(axes, fields: SolidFields, name: str, sample:
     from matplotlib.collections import LineCollection
     from matplotlib.tri import Triangulation
 
-    mesh, scale = fields.mesh, choose_colour_scale(fields, name, sample)
+    geometry, scale = _require_solid_geometry(fields), choose_colour_scale(fields, name, sample)
     nodes = compute_deformed_nodes_in_scene_frame(fields, sample)
     heights = compute_distance_from_section_plane(nodes, pose)
-    tetrahedra = mesh.connectivity[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4)
-    crossings, triangles = intersect_tetrahedra_at_zero_level(tetrahedra, heights)
+    crossings, triangles = intersect_tetrahedra_at_zero_level(geometry.list_tetrahedra(), heights)
     points = crossings.interpolate_nodal_values(nodes)
     values = crossings.interpolate_nodal_values(fields.at_nodes(name, sample) * LABELS[name][1])
     # The picture is seen from -y; the reversed order of the corners turns the triangles towards the viewer.
     picture = axes.tripcolor(Triangulation(1e3 * points[:, 0], 1e3 * points[:, 2], triangles[:, ::-1]), values,
                              shading="gouraud", cmap="viridis", vmin=scale.low, vmax=scale.high)
     picture.set_in_layout(False)  # faster: the layout would measure each triangle
-    sides = triangulate_surface_faces(mesh.element, mesh.connectivity[:, mesh.element.local_face_node_indices].reshape(
-        -1, mesh.element.local_face_node_indices.shape[1]))
-    crossings = intersect_triangles_at_zero_level(sides, heights)
+    crossings = intersect_triangles_at_zero_level(geometry.list_side_triangles(), heights)
     edges = _project_line_ends_to_xz_mm(crossings.interpolate_nodal_values(nodes))
     axes.add_collection(LineCollection(edges, colors="white", linewidths=0.3, alpha=0.4))
-    outside = triangulate_surface_faces(mesh.element, np.concatenate(list(mesh.faces.values())))
+    outside = geometry.surface_triangles
     crossings = intersect_triangles_at_zero_level(outside, heights)
     edges = _project_line_ends_to_xz_mm(crossings.interpolate_nodal_values(nodes))
     axes.add_collection(LineCollection(edges, colors="0.15", linewidths=1.0))
-    undeformed = mesh.nodes - [0.0, 0.0, fields.datum]
+    undeformed = geometry.nodes - [0.0, 0.0, fields.datum]
     outline = intersect_triangles_at_zero_level(outside,
                                                 compute_distance_from_section_plane(undeformed, pose)
                                                 ).interpolate_nodal_values(undeformed)
@@ -104,7 +102,7 @@ def draw_section_through_tool_axis(axes, fields: SolidFields, name: str, sample:
     axes.figure.colorbar(picture, ax=axes, label=scale.label, extend=scale.colour_bar_extension, shrink=0.85)
 
 
-def draw_deformed_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool: Tool) -> None:
+def draw_deformed_surface(axes, fields: DrawableFields, name: str, sample: int, pose: Pose, tool: Tool) -> None:
     """Draw the deformed surface with its element edges, and the tool, in an oblique view from above.
 
     Arguments and colours are those of `draw_section_through_tool_axis`.
@@ -112,10 +110,9 @@ def draw_deformed_surface(axes, fields: SolidFields, name: str, sample: int, pos
     from matplotlib import colormaps
     from matplotlib.collections import LineCollection
 
-    mesh, scale = fields.mesh, choose_colour_scale(fields, name, sample)
+    geometry, scale = _require_solid_geometry(fields), choose_colour_scale(fields, name, sample)
     nodes = compute_deformed_nodes_in_scene_frame(fields, sample)
-    sides = np.concatenate(list(mesh.faces.values()))
-    points, triangles = _split_vertex_numbers_at_sharp_edges(nodes, triangulate_surface_faces(mesh.element, sides))
+    points, triangles = _split_vertex_numbers_at_sharp_edges(nodes, geometry.surface_triangles)
     values = fields.at_nodes(name, sample)[points] * LABELS[name][1]
     colour = (values - scale.low) / (scale.high - scale.low) if scale.high > scale.low else np.zeros_like(values)
     bodies = [(nodes[points], triangles, colormaps["viridis"](np.clip(colour, 0.0, 1.0))[:, :3])]
@@ -127,9 +124,9 @@ def draw_deformed_surface(axes, fields: SolidFields, name: str, sample: int, pos
         bodies.append((vertices[split], faces, np.full((len(split), 3), float(RIGID))))
     _draw_shaded_bodies(axes, bodies)
     # Only edges of element faces that are turned towards the viewer are drawn.
-    lines = nodes[sides[:, find_outline_edges_of_face(mesh.element)].reshape(-1, 2)]
-    normals = _sum_vertex_normals(nodes, triangulate_surface_faces(mesh.element, sides), len(nodes))
-    ends = normals[sides[:, find_outline_edges_of_face(mesh.element)].reshape(-1, 2)]
+    edges = geometry.face_edges.reshape(-1, 2)
+    lines = nodes[edges]
+    ends = _sum_vertex_normals(nodes, geometry.surface_triangles, len(nodes))[edges]
     lines = lines[(ends @ _compute_view_direction() > 0.0).all(axis=1)]
     if not tool.is_plate:
         lines = lines[~_find_hidden_point_mask(lines.mean(axis=1), *bodies[1][:2])]
@@ -142,9 +139,16 @@ def draw_deformed_surface(axes, fields: SolidFields, name: str, sample: int, pos
     axes.set_title("surface from above", loc="left", fontsize=10)
 
 
-def compute_deformed_nodes_in_scene_frame(fields: SolidFields, sample: int) -> np.ndarray:
+def compute_deformed_nodes_in_scene_frame(fields: DrawableFields, sample: int) -> np.ndarray:
     """Return the deformed coordinates of the nodes in the frame of the scene, m, shape (nodes, 3)."""
-    return fields.mesh.nodes + fields.displacement(sample) - [0.0, 0.0, fields.datum]
+    return fields.geometry().nodes + fields.displacement(sample) - [0.0, 0.0, fields.datum]
+
+
+def _require_solid_geometry(fields: DrawableFields) -> SolidGeometry:
+    geometry = fields.geometry()
+    if not isinstance(geometry, SolidGeometry):
+        raise InputError("this figure requires fields of a three-dimensional solid", field="fields")
+    return geometry
 
 
 def compute_distance_from_section_plane(points: np.ndarray, pose: Pose) -> np.ndarray:
@@ -158,7 +162,7 @@ def compute_distance_from_section_plane(points: np.ndarray, pose: Pose) -> np.nd
     return heights
 
 
-def choose_drawn_tool_pose(fields: SolidFields, sample: int, pose: Pose, tool: Tool) -> Pose:
+def choose_drawn_tool_pose(fields: DrawableFields, sample: int, pose: Pose, tool: Tool) -> Pose:
     """Return the pose at which the tool is drawn: the commanded pose, or a pose on the tissue surface above it.
 
     A compliant load train keeps the tool above its commanded pose; there the tool would be drawn inside the tissue.
@@ -169,10 +173,10 @@ def choose_drawn_tool_pose(fields: SolidFields, sample: int, pose: Pose, tool: T
         pose: commanded pose of the tool.
         tool: tool of the experiment.
     """
+    surface, top = compute_deformed_nodes_in_scene_frame(fields, sample), _require_solid_geometry(fields).top
+    surface = surface if top is None else surface[top]
     if tool.is_plate:
-        return Pose(
-            (0.0, 0.0, float(compute_deformed_nodes_in_scene_frame(fields, sample)[fields.mesh.sets["top"], 2].max())))
-    surface = compute_deformed_nodes_in_scene_frame(fields, sample)[fields.mesh.sets["top"]]
+        return Pose((0.0, 0.0, float(surface[:, 2].max())))
     rotation = np.array(pose.rotation_matrix)
     local = (surface - np.array(pose.position)) @ rotation
     gap = float(tool.profile.gap(np.column_stack([np.hypot(local[:, 0], local[:, 1]), local[:, 2]])).min())

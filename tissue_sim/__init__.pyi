@@ -19,12 +19,12 @@ from tissue_sim.experiment.protocol import Protocol as Protocol
 from tissue_sim.experiment.tools.tool import TOOLS as TOOLS
 from tissue_sim.experiment.tools.tool import Tool as Tool
 from tissue_sim.fem.axisymmetric.fields import Fields as Fields
-from tissue_sim.fem.axisymmetric.surface import DeformedSurface as DeformedSurface
 from tissue_sim.fem.reduced.file import load_reduced as load_reduced
 from tissue_sim.fem.reduced.file import write_reduced as write_reduced
 from tissue_sim.fem.reduced.model import PoseBox as PoseBox
 from tissue_sim.fem.reduced.model import ReducedModel as ReducedModel
 from tissue_sim.fem.reduced.reduction import reduce_solid as reduce_solid
+from tissue_sim.fem.result_views import DeformedSurface as DeformedSurface
 from tissue_sim.fem.solver import SOLVERS as SOLVERS
 from tissue_sim.fem.solver import Solver as Solver
 from tissue_sim.fem.solver import Step as Step

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.solver import Fields, SharedFields, Solver
+from tissue_sim.fem.result_views import (
+    DrawableFields,
+    Fields,
+    SharedFields,
+    get_drawable_fields_or_none,
+    has_shared_fields_interface,
+)
+from tissue_sim.fem.solver import Solver
 from tissue_sim.pose import Pose
 from tissue_sim.public_names import OldName, with_old_names
 from tissue_sim.tool_force import Tissue
@@ -23,10 +29,12 @@ class TriangulatedSurface:
     Attributes:
         vertices: in the frame of the scene, m, shape (vertices, 3).
         triangles: indices of vertices, shape (triangles, 3); they do not change with the deformation.
+        is_axisymmetric: whether the tissue is axisymmetric, so that the tool moves along the axis only.
     """
 
     vertices: np.ndarray
     triangles: np.ndarray
+    is_axisymmetric: bool = False
 
 
 @with_old_names(at="with_pose_and_arrays")
@@ -38,7 +46,7 @@ class Snapshot:
         pose: pose of the tool.
         datum: height of the tool at its first touch, m; not 0 if the specimen sags under its weight.
         fields: fields of this sample; None if the solver has none.
-        skin: surface of a three-dimensional tissue whose fields cannot be drawn.
+        skin: surface of a tissue whose fields cannot be drawn; None if `drawable_fields` can.
     """
 
     place = OldName("node_positions")
@@ -58,18 +66,26 @@ class Snapshot:
     @property
     def is_three_dimensional(self) -> bool:
         """Whether the tissue is three-dimensional, so that the tool may move sideways."""
-        return self.skin is not None or (self.fields is not None and _has_solid_mesh(self.fields))
+        if self.skin is not None:
+            return not self.skin.is_axisymmetric
+        return self.fields is not None and self.fields.displacement().shape[1] == 3
+
+    @property
+    def drawable_fields(self) -> DrawableFields | None:
+        """Fields for a coloured picture; None if the solver has no fields, or fields without a geometry."""
+        return get_drawable_fields_or_none(self.fields)
 
     @property
     def node_positions(self) -> np.ndarray:
         """Deformed positions of the nodes in the frame of the scene, height last, m, shape (nodes, 2) or (nodes, 3).
 
         Raises:
-            InputError: the solver has no fields.
+            InputError: the solver has no fields, or fields without a geometry.
         """
-        if self.fields is None:
+        fields = self.drawable_fields
+        if fields is None:
             raise InputError("this solver has no fields and therefore no node positions; draw its surface")
-        positions = self.fields.mesh.nodes + self.fields.displacement()
+        positions = fields.geometry().nodes + fields.displacement()
         positions[:, -1] -= self.datum
         return positions
 
@@ -101,12 +117,7 @@ class Snapshot:
 def _has_shared_fields_interface(fields: Any) -> TypeGuard[SharedFields]:
     """Return whether an object has the methods of `SharedFields`, without isinstance, which takes longer."""
     kind: Any = type(fields)
-    return _class_has_shared_fields_interface(kind)
-
-
-@cache
-def _class_has_shared_fields_interface(kind: Any) -> bool:
-    return all(hasattr(kind, name) for name in ("arrays", "with_arrays", "material_data", "with_material"))
+    return has_shared_fields_interface(kind)
 
 
 @runtime_checkable
@@ -119,16 +130,10 @@ class DisplayableTissue(Tissue, Protocol):
 
 def snapshot(solver: Solver) -> Snapshot:
     """Make a snapshot of the last committed state of a solver."""
-    surface, skin = solver.deformed_surface(), None
-    fields = solver.fields([solver.field_sample()])
-    if surface.outline is None and not (_has_shared_fields_interface(fields) and _has_solid_mesh(fields)):
+    fields, skin = solver.fields([solver.field_sample()]), None
+    if get_drawable_fields_or_none(fields) is None:
+        surface = solver.deformed_surface()
         vertices, triangles = surface.triangles()
         skin = TriangulatedSurface(np.asarray(vertices, dtype=float).reshape(-1, 3),
-                                   np.asarray(triangles).reshape(-1, 3))
+                                   np.asarray(triangles).reshape(-1, 3), surface.outline is not None)
     return Snapshot(solver.pose, solver.datum, fields, skin)
-
-
-def _has_solid_mesh(fields: Fields) -> bool:
-    """Whether fields belong to three-dimensional elements with faces as their surface; see `SolidMesh`."""
-    mesh = fields.mesh
-    return hasattr(mesh, "faces") and mesh.nodes.shape[1] == 3

@@ -112,7 +112,7 @@ def measure(element: Hexahedron, frames: int) -> dict:
                 began = time.process_time()
                 reader.latest()
                 taking.append(time.process_time() - began)
-    surface = np.unique(ThreeDimensionalMeshBody.from_mesh(fields.mesh).nodes).size
+    surface = np.unique(ThreeDimensionalMeshBody.from_geometry(fields.geometry()).nodes).size
     return {"element": element.name, "elements": len(fields.mesh.connectivity), "surface_nodes": int(surface),
             "frames": frames, "frame_ms": 1e3 * statistics.median(spent), "frame_max_ms": 1e3 * max(spent),
             "kB_a_frame": received / 1e3 / frames, "publish_ms": 1e3 * statistics.median(publishing),

@@ -27,7 +27,6 @@ from pathlib import Path
 
 import numpy as np
 
-import scenes.viewer.bodies
 import scenes.viewer.page.solid
 import tissue_sim as ts
 from benchmarks.viewer.client import readouts_in
@@ -76,8 +75,7 @@ class Stopwatch:
         """Time the parts of a frame."""
         solid = scenes.viewer.page.solid
         Fields.at_points = self.timed("fields", Fields.at_points)
-        bodies = scenes.viewer.bodies
-        bodies.extrapolate_to_nodes_and_average = self.timed("fields", bodies.extrapolate_to_nodes_and_average)
+        Fields.at_nodes = self.timed("fields", Fields.at_nodes)
         solid.compute_field_quantile_range = self.timed("fields", solid.compute_field_quantile_range)
         TriangulatedHalfSection.compute_band_surfaces = self.timed("bands",
                                                                    TriangulatedHalfSection.compute_band_surfaces)

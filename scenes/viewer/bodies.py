@@ -1,9 +1,9 @@
-"""Drawable tissue: surfaces in bands of a field, element edges, contact lines and outline, for 2D and 3D meshes."""
+"""Drawable tissue: surfaces in bands of a field, element edges, contact lines and outline, in 2D and 3D."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -12,21 +12,20 @@ from scenes.viewer.revolution import TriangulatedSurface
 from scenes.viewer.solid_body import ThreeDimensionalMeshBody
 from scenes.viewer.tool_picture import find_tool_contact
 from scenes.viewer.wedge import Wedge
+from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.fem.axisymmetric.fields import Fields
-from tissue_sim.fem.elements.fields import extrapolate_to_nodes_and_average
-from tissue_sim.fem.solid.fields import SolidFields
+from tissue_sim.fem.result_views import DrawableFields, HalfSectionGeometry, SolidGeometry, TissueGeometry
 
 
 class DrawableTissue(Protocol):
-    """Interface of tissue that the page can draw, from an axisymmetric or a 3D mesh.
+    """Interface of tissue that the page can draw, from an axisymmetric or a 3D geometry.
 
     In all methods, `positions` are the deformed positions of the nodes as `Snapshot.node_positions` gives them, and
     `wedge` is the wedge that is removed from the picture. Lengths are in m.
     """
 
-    def evaluate_field_at_nodes_and_samples(self, fields: Any, name: str, positions: np.ndarray,
-                                            wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Any]:
+    def evaluate_field_at_nodes_and_samples(self, fields: DrawableFields, name: str, positions: np.ndarray,
+                                            wedge: Wedge) -> tuple[np.ndarray, np.ndarray, DrawableFields]:
         """Evaluate a field for the picture.
 
         Returns:
@@ -55,7 +54,7 @@ class DrawableTissue(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RevolvedBody:
-    """Body of revolution of an axisymmetric mesh.
+    """Body of revolution of a half section.
 
     Attributes:
         cut_away: Half section of the body.
@@ -63,13 +62,11 @@ class RevolvedBody:
 
     cut_away: TriangulatedHalfSection
 
-    def evaluate_field_at_nodes_and_samples(self, fields: Fields, name: str, positions: np.ndarray,
-                                            wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Fields]:
+    def evaluate_field_at_nodes_and_samples(self, fields: DrawableFields, name: str, positions: np.ndarray,
+                                            wedge: Wedge) -> tuple[np.ndarray, np.ndarray, DrawableFields]:
         """Return nodal values, values at the quadrature points, and `fields`; shapes as in `DrawableTissue`."""
         at_points = fields.at_points(name)
-        nodal = fields.at_nodes(name) if name == "displacement" \
-            else extrapolate_to_nodes_and_average(fields.mesh, at_points)
-        return nodal, at_points, fields
+        return fields.at_nodes(name, at_points=at_points), at_points, fields
 
     def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
                               wedge: Wedge) -> list[TriangulatedSurface]:
@@ -91,12 +88,15 @@ class RevolvedBody:
         return self.cut_away.make_undeformed_outline(wedge.opening, tool=tool)
 
 
-def make_drawable_body(mesh: Any) -> DrawableTissue:
-    """Return the drawable body of a mesh in 3D or of an axisymmetric mesh."""
-    return ThreeDimensionalMeshBody.from_mesh(mesh) if mesh.nodes.shape[1] == 3 \
-        else RevolvedBody(TriangulatedHalfSection.from_mesh(mesh))
+def make_drawable_body(geometry: TissueGeometry) -> DrawableTissue:
+    """Return the drawable body of a half section or of a solid in 3D.
 
-
-def can_draw_fields(fields: Any) -> bool:
-    """Return whether the viewer can draw fields of this type."""
-    return isinstance(fields, Fields | SolidFields)
+    Raises:
+        InputError: The fields of a solver return an object of another type.
+    """
+    if isinstance(geometry, SolidGeometry):
+        return ThreeDimensionalMeshBody.from_geometry(geometry)
+    if isinstance(geometry, HalfSectionGeometry):
+        return RevolvedBody(TriangulatedHalfSection(geometry))
+    raise InputError(f"geometry() of the fields must return a HalfSectionGeometry or a SolidGeometry; got "
+                     f"{type(geometry).__name__}")

@@ -14,7 +14,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.fem.elements.fields import FIELD_UNITS
 
 if TYPE_CHECKING:
-    from tissue_sim.fem.axisymmetric.fields import Fields
+    from tissue_sim.fem.result_views import DrawableFields
 
 #: RGB of each band, 0 to 255, dark to bright: matplotlib's viridis from 0.12 to 0.95, which colour-blind people can
 #: read and which contrasts with white and with black pages.
@@ -49,7 +49,7 @@ class ColourLevelSettings:
 SETTINGS = ColourLevelSettings()
 
 
-def compute_field_quantile_range(values: np.ndarray, fields: Fields, name: str,
+def compute_field_quantile_range(values: np.ndarray, fields: DrawableFields, name: str,
                                  factor: float = 1.0) -> tuple[float, float]:
     """Return the smallest and largest value of a field for the colours, without rounding error of the solver.
 

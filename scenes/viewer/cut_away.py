@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
-from scipy.sparse import csr_array
 
 from scenes.viewer.bands import TriangleConnectivity, insert_polyline_points_at_levels
 from scenes.viewer.revolution import (
@@ -17,29 +15,10 @@ from scenes.viewer.revolution import (
     make_section_surfaces_by_band,
     revolve_polyline_by_band,
 )
-from tissue_sim.mesh import Mesh
+from tissue_sim.fem.result_views import HalfSectionGeometry
 
-
-@dataclass(frozen=True)
-class HalfSectionDivisionSettings:
-    """Resolution of the picture of a half section.
-
-    Attributes:
-        cells: Desired number of cells into which the elements are divided; more cells draw curved edges more smoothly.
-        min_divisions: Smallest number of straight parts of an element edge.
-        max_divisions: Largest number of straight parts of an element edge.
-        line_offset: Distance of lines in front of a surface, in radii of the specimen, so that the surface does not
-            hide the lines.
-    """
-
-    cells: int = 350
-    min_divisions: int = 2
-    max_divisions: int = 5
-    line_offset: float = 1e-3
-
-
-#: Settings of the viewer.
-SETTINGS = HalfSectionDivisionSettings()
+#: Distance of lines in front of a surface, in radii of the specimen, so that the surface does not hide the lines.
+LINE_OFFSET = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,64 +37,23 @@ class PossibleContactBoundary:
 
 @dataclass(frozen=True, eq=False)
 class TriangulatedHalfSection:
-    """Half section divided into small triangles; the division stays the same from frame to frame.
+    """Pictures of a half section whose division into triangles stays the same from frame to frame.
 
     Attributes:
-        mesh: Undeformed mesh.
-        weights: Shape functions that interpolate from the nodes to the points, shape (points, nodes).
-        triangulation: Triangles between the points, anticlockwise in the (r, z) plane.
-        outline: Point numbers from the axis along the top, down the side and along the base back to the axis,
-            shape (m,).
-        surface: Node numbers of the top from the axis outwards, then of the side, shape (n,).
-        gauss_weights: Shape functions that interpolate from the nodes to the Gauss points between the nodes of
-            `surface`, shape (n - 1, nodes).
-        edges: Lines along the element edges, point numbers, shape (k, 2).
+        geometry: The half section.
     """
 
-    mesh: Mesh
-    weights: csr_array
-    triangulation: TriangleConnectivity
-    outline: np.ndarray
-    surface: np.ndarray
-    gauss_weights: csr_array
-    edges: np.ndarray
+    geometry: HalfSectionGeometry
 
-    @classmethod
-    def from_mesh(cls, mesh: Mesh, divisions: int | None = None) -> TriangulatedHalfSection:
-        """Divide the elements of a mesh into small triangles.
+    @cached_property
+    def triangulation(self) -> TriangleConnectivity:
+        """Triangles between the points, anticlockwise in the (r, z) plane."""
+        return TriangleConnectivity(self.geometry.triangles)
 
-        Args:
-            mesh: Quadrilaterals in the (r, z) half plane.
-            divisions: Number of straight parts of each element edge; None: as `HalfSectionDivisionSettings` states.
-        """
-        if divisions is None:
-            divisions = min(max(round((SETTINGS.cells / len(mesh.connectivity)) ** 0.5), SETTINGS.min_divisions),
-                            SETTINGS.max_divisions)
-        line = np.linspace(-1.0, 1.0, divisions + 1)
-        shapes, _ = mesh.element.evaluate_shape_functions_and_gradients(np.array([(a, b) for b in line for a in line]))
-        # A point is identified by its nodes and weights, which are the same in all elements that share the point.
-        points: dict[tuple, int] = {}
-        number = np.array([[points.setdefault(key, len(points)) for key in _iterate_point_interpolations(nodes, shapes)]
-                           for nodes in mesh.connectivity.tolist()])
-        rows = np.repeat(np.arange(len(points)), [len(key) for key in points])
-        nodes, weights = np.array([entry for key in points for entry in key]).T
-        matrix = csr_array((weights, (rows, nodes.astype(int))), shape=(len(points), len(mesh.nodes)))
-
-        grid = number.reshape(-1, divisions + 1, divisions + 1)
-        low, right, left, high = (grid[:, :-1, :-1], grid[:, :-1, 1:], grid[:, 1:, :-1], grid[:, 1:, 1:])
-        triangles = np.concatenate([np.stack([low, right, high], axis=-1).reshape(-1, 3),
-                                    np.stack([low, high, left], axis=-1).reshape(-1, 3)])
-        rim = np.concatenate([grid[:, 0], grid[:, -1], grid[:, :, 0], grid[:, :, -1]])
-        edges = np.unique(np.sort(np.stack([rim[:, :-1], rim[:, 1:]], axis=-1).reshape(-1, 2), axis=1), axis=0)
-
-        coordinates = matrix @ mesh.nodes
-        top, side, base = (_select_points_on_node_set(mesh.sets[name], points)
-                           for name in ("top", "side", "base"))
-        top, side = top[np.argsort(coordinates[top, 0])], side[np.argsort(-coordinates[side, 1])]
-        base = base[np.argsort(-coordinates[base, 0])]
-        outline = np.concatenate([top, side[1:], base[1:]])
-        return cls(mesh, matrix, TriangleConnectivity(triangles), outline,
-                   *_find_surface_nodes_and_gauss_shape_functions(mesh), edges)
+    @cached_property
+    def outline(self) -> np.ndarray:
+        """Point numbers from the axis along the top, down the side and along the base back to the axis, shape (m,)."""
+        return self.geometry.outline
 
     def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
                               opening: WedgeOpening) -> list[TriangulatedSurface]:
@@ -132,7 +70,7 @@ class TriangulatedHalfSection:
             One surface per band in the unit of `positions`; empty if no tissue lies in the band. Section faces and
             outer surface share no vertices.
         """
-        points, at_points = self._interpolate_nodal_positions(positions), self.weights @ values
+        points, at_points = self._interpolate_nodal_positions(positions), self.geometry.interpolate_at_points(values)
         bands = len(levels) - 1
         line, band_of_line = insert_polyline_points_at_levels(points[self.outline], at_points[self.outline], levels)
         outside = revolve_polyline_by_band(line, band_of_line, bands, opening)
@@ -149,8 +87,8 @@ class TriangulatedHalfSection:
             positions: Deformed positions (r, z) of the nodes, shape (nodes, 2).
             opening: Wedge that is removed.
         """
-        offset = SETTINGS.line_offset * self.specimen_radius
-        return opening.map_to_section_faces(self._interpolate_nodal_positions(positions)[self.edges],
+        offset = LINE_OFFSET * self.specimen_radius
+        return opening.map_to_section_faces(self._interpolate_nodal_positions(positions)[self.geometry.edges],
                                             offset).reshape(-1, 2, 3)
 
     def make_undeformed_outline(self, opening: WedgeOpening, dashes: int = 40,
@@ -175,7 +113,7 @@ class TriangulatedHalfSection:
             lines = [np.concatenate([radius * np.stack([direction, direction]), [[side[0, 1]], [-height]]], axis=1)
                      for direction in quarter]
         else:
-            lines = [*opening.map_to_section_faces(corners, SETTINGS.line_offset * radius),
+            lines = [*opening.map_to_section_faces(corners, LINE_OFFSET * radius),
                      np.array([[0.0, 0.0, -deepest], [0.0, 0.0, -height]])]
         return np.concatenate([*rims, *(_split_polyline_into_dashes(line, length) for line in lines)])
 
@@ -185,51 +123,26 @@ class TriangulatedHalfSection:
         Args:
             positions: Deformed positions (r, z) of the nodes, shape (nodes, 2).
         """
-        return PossibleContactBoundary(positions[self.surface], self.gauss_weights @ positions)
+        geometry = self.geometry
+        return PossibleContactBoundary(geometry.select_surface_nodes(positions),
+                                       geometry.interpolate_at_contact_points(positions))
 
     @property
     def specimen_radius(self) -> float:
         """Radius of the undeformed specimen, m."""
-        return float(self.mesh.nodes[:, 0].max())
+        return float(self.geometry.nodes[:, 0].max())
 
     @property
     def specimen_height(self) -> float:
         """Height of the undeformed specimen, m."""
-        return float(-self.mesh.nodes[:, 1].min())
+        return float(-self.geometry.nodes[:, 1].min())
 
     def _interpolate_nodal_positions(self, positions: np.ndarray) -> np.ndarray:
         """Interpolate nodal positions to the points, shape (points, 2)."""
-        points = self.weights @ positions
+        points = self.geometry.interpolate_at_points(positions)
         # Rounding errors at r = 0 would give thin triangles around the axis.
-        points[np.abs(points[:, 0]) < 1e-9 * self.specimen_radius, 0] = 0.0
-        return points
-
-
-def _iterate_point_interpolations(nodes: list[int], shapes: np.ndarray) -> Iterator[tuple]:
-    """Yield for each point of an element the nodes and weights that define the point."""
-    for row in shapes.tolist():
-        yield tuple(sorted((node, round(weight, 9)) for node, weight in zip(nodes, row, strict=True)
-                           if abs(weight) > 1e-9))
-
-
-def _select_points_on_node_set(nodes: np.ndarray, points: dict[tuple, int]) -> np.ndarray:
-    """Return the numbers of the points that depend on the given nodes only."""
-    members = set(nodes.tolist())
-    return np.array([number for key, number in points.items() if all(node in members for node, _ in key)])
-
-
-def _find_surface_nodes_and_gauss_shape_functions(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
-    """Return the nodes of top and side in order, and the shape functions at the Gauss points between them."""
-    top, side, order = mesh.sets["top"], mesh.sets["side"], mesh.element.order
-    nodes = np.concatenate([top[np.argsort(mesh.nodes[top, 0])], side[np.argsort(-mesh.nodes[side, 1])][1:]])
-    along, _ = leggauss(order)
-    shapes, _ = mesh.element.evaluate_shape_functions_and_gradients(np.column_stack([along, np.full(order, -1.0)]))
-    edge_shapes = shapes[:, list(mesh.element.local_edge_node_indices[0])]
-    edge_nodes = nodes[np.arange(0, nodes.size - 1, order)[:, None] + np.arange(order + 1)]
-    columns = np.repeat(edge_nodes, order, axis=0)
-    rows = np.broadcast_to(np.arange(len(columns))[:, None], columns.shape)
-    weights = np.tile(edge_shapes, (len(edge_nodes), 1))
-    return nodes, csr_array((weights.ravel(), (rows.ravel(), columns.ravel())), shape=(len(columns), len(mesh.nodes)))
+        r = np.where(np.abs(points[:, 0]) < 1e-9 * self.specimen_radius, 0.0, points[:, 0])
+        return np.column_stack([r, points[:, 1]])
 
 
 def _split_polyline_into_dashes(line: np.ndarray, length: float) -> np.ndarray:

@@ -8,6 +8,7 @@ from scenes.viewer.scene import Scene
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import Protocol
+from tissue_sim.fem.result_views import SolidGeometry
 from tissue_sim.snapshot import Snapshot
 
 
@@ -17,8 +18,8 @@ def limit_lateral_position_to_top(experiment: Experiment, snapshot: Snapshot,
 
     Args:
         experiment: Experiment with the tool and the specimen.
-        snapshot: Snapshot of the tissue; if its fields have a mesh in 3D, the top of that mesh is used, otherwise the
-            circle with the radius of the specimen.
+        snapshot: Snapshot of the tissue; if its fields have a top in 3D, that top is used, otherwise the circle
+            with the radius of the specimen.
         across: x and y, m.
 
     Returns:
@@ -26,10 +27,11 @@ def limit_lateral_position_to_top(experiment: Experiment, snapshot: Snapshot,
     """
     from scipy.spatial import ConvexHull
 
-    tool, mesh = experiment.tool, getattr(snapshot.fields, "mesh", None)
+    tool, fields = experiment.tool, snapshot.drawable_fields
     radius = 0.0 if tool.is_plate else tool.radius or 0.0
-    if mesh is not None and "top" in getattr(mesh, "sets", {}) and mesh.nodes.shape[1] == 3:
-        top = mesh.nodes[mesh.sets["top"], :2]
+    geometry = None if fields is None else fields.geometry()
+    if isinstance(geometry, SolidGeometry) and geometry.top is not None:
+        top = geometry.nodes[geometry.top, :2]
     else:
         angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
         top = experiment.specimen.outer_radius * np.column_stack([np.cos(angles), np.sin(angles)])

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -14,14 +13,12 @@ from scenes.viewer.bands import TriangleConnectivity, renumber_triangles_for_ban
 from scenes.viewer.revolution import EDGE_ANGLE, TriangulatedSurface
 from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.fem.elements.fields import extrapolate_to_nodes_and_average
-from tissue_sim.fem.solid.fields import SolidFields
+from tissue_sim.fem.result_views import DrawableFields, SolidGeometry, SubsampledFields
 from tissue_sim.mesh.sections import (
     intersect_tetrahedra_at_zero_level,
     intersect_triangles_at_zero_level,
     split_triangles_below_and_above,
 )
-from tissue_sim.mesh.subdivision import find_outline_edges_of_face, subdivide_into_tetrahedra, triangulate_surface_faces
 
 
 @dataclass(frozen=True)
@@ -51,13 +48,12 @@ SETTINGS = SolidPictureAccuracySettings()
 
 @dataclass(frozen=True, eq=False)
 class ThreeDimensionalMeshBody:
-    """Surface, edges and element data of a mesh in 3D that stay the same from frame to frame.
+    """Surface, edges and cells of a solid in 3D that stay the same from frame to frame.
 
     A point of the surface is a node on one smooth piece of the surface; a node on a sharp edge has several points.
 
     Attributes:
-        mesh: Undeformed mesh, a `tissue_sim.mesh.solid.SolidMesh`.
-        cells: Tetrahedra of each element, node numbers, shape (elements, t, 4).
+        geometry: Geometry of the undeformed solid.
         nodes: Node of each point, shape (p,).
         triangles: Triangles of the surface, point numbers, shape (k, 3).
         lines: Element edges on the surface, point numbers, shape (l, 2).
@@ -67,8 +63,7 @@ class ThreeDimensionalMeshBody:
         corners: Transposed connectivity, node numbers, shape (nodes per element, elements).
     """
 
-    mesh: Any
-    cells: np.ndarray
+    geometry: SolidGeometry
     nodes: np.ndarray
     triangles: np.ndarray
     lines: np.ndarray
@@ -76,38 +71,33 @@ class ThreeDimensionalMeshBody:
     at_surface: np.ndarray
     for_range: np.ndarray
     corners: np.ndarray
-    _means: dict[int, tuple[np.ndarray, SolidFields]] = field(default_factory=dict)
+    _means: dict[str, SubsampledFields] = field(default_factory=dict)
 
     @classmethod
-    def from_mesh(cls, mesh: Any) -> ThreeDimensionalMeshBody:
-        """Extract the surface and its edges from a mesh in 3D, and divide its elements into tetrahedra."""
-        element, sides = mesh.element, np.concatenate(list(mesh.faces.values()))
-        triangles = triangulate_surface_faces(element, sides)
-        nodes, numbers, sharp = _split_surface_at_sharp_edges(mesh.nodes, triangles)
-        per_side = len(triangles) // len(sides)
-        # (side, node) -> point.
-        point_of = dict(zip(zip(np.repeat(np.arange(len(sides)), 3 * per_side).tolist(), triangles.ravel().tolist(),
-                                strict=True), numbers.ravel().tolist(), strict=True))
-        edges_of_sides = sides[:, find_outline_edges_of_face(element)]
-        lines = np.array([[point_of[side, node] for node in pair] for side, pairs in enumerate(edges_of_sides.tolist())
-                          for pair in pairs])
+    def from_geometry(cls, geometry: SolidGeometry) -> ThreeDimensionalMeshBody:
+        """Split the surface into smooth pieces, and find the cells at the surface."""
+        triangles, faces, cells = geometry.surface_triangles, geometry.faces, geometry.cells
+        nodes, numbers, sharp = _split_surface_at_sharp_edges(geometry.nodes, triangles)
+        # (face, node) -> point.
+        point_of = dict(zip(zip(np.repeat(np.arange(len(faces)), 3 * faces.shape[1]).tolist(),
+                                triangles.ravel().tolist(), strict=True), numbers.ravel().tolist(), strict=True))
+        lines = np.array([[point_of[face, node] for node in pair]
+                          for face, pairs in enumerate(geometry.face_edges.tolist()) for pair in pairs],
+                         dtype=int).reshape(-1, 2)
         _, first = np.unique(np.sort(nodes[lines], axis=1), axis=0, return_index=True)
-        on_surface = np.zeros(len(mesh.nodes), dtype=bool)
-        on_surface[sides] = True
-        at_surface = np.flatnonzero(on_surface[mesh.connectivity].any(axis=1))
-        count = len(mesh.connectivity)
-        return cls(mesh, mesh.connectivity[:, subdivide_into_tetrahedra(element)], nodes, numbers, lines[first], sharp,
-                   at_surface,
-                   np.arange(0, count, -(-count // SETTINGS.max_range_elements)),
-                   np.ascontiguousarray(mesh.connectivity.T))
+        on_surface = np.zeros(len(geometry.nodes), dtype=bool)
+        on_surface[triangles] = True
+        return cls(geometry, nodes, numbers, lines[first], sharp, np.flatnonzero(on_surface[cells].any(axis=1)),
+                   np.arange(0, len(cells), max(1, -(-len(cells) // SETTINGS.max_range_elements))),
+                   np.ascontiguousarray(cells.T))
 
     @property
     def longest_extent(self) -> float:
         """Longest extent of the undeformed body, m."""
-        return float(np.ptp(self.mesh.nodes, axis=0).max())
+        return float(np.ptp(self.geometry.nodes, axis=0).max())
 
-    def evaluate_field_at_nodes_and_samples(self, fields: SolidFields, name: str, positions: np.ndarray,
-                                            wedge: Wedge) -> tuple[np.ndarray, np.ndarray, SolidFields]:
+    def evaluate_field_at_nodes_and_samples(self, fields: DrawableFields, name: str, positions: np.ndarray,
+                                            wedge: Wedge) -> tuple[np.ndarray, np.ndarray, DrawableFields]:
         """Evaluate a field at the visible nodes and at points that represent the body.
 
         Args:
@@ -120,32 +110,23 @@ class ThreeDimensionalMeshBody:
             Values at the nodes, valid at the visible ones, shape (nodes,); values at quadrature points that represent
             the whole body, shape (elements, q); and the fields to which these points belong.
         """
-        small = fields.weights.size <= SETTINGS.max_points
-        means = fields if small else self._get_fields_of_element_means(fields)
-        sample = fields if small else means.with_selected_elements(self.for_range)
+        if fields.weights.size <= SETTINGS.max_points or not isinstance(fields, SubsampledFields):
+            at_points = fields.at_points(name)
+            return fields.at_nodes(name, at_points=at_points), at_points, fields
+        means = self._means["last"] = fields.with_one_mean_point_per_element(self._means.get("last"))
+        sample = means.with_selected_elements(self.for_range)
         at_points = sample.at_points(name)
         if name == "displacement":
             return fields.at_nodes(name), at_points, sample
-        if small:
-            return extrapolate_to_nodes_and_average(self.mesh, at_points), at_points, sample
-        visible = np.zeros(len(self.mesh.connectivity), dtype=bool)
+        cells = self.geometry.cells
+        visible = np.zeros(len(cells), dtype=bool)
         visible[self.at_surface] = True
-        at_cut = np.zeros(len(self.mesh.nodes), dtype=bool)
+        at_cut = np.zeros(len(self.geometry.nodes), dtype=bool)
         for _, _, elements in self._find_elements_cut_by_section_faces(positions, wedge):
-            at_cut[self.mesh.connectivity[elements]] = True
+            at_cut[cells[elements]] = True
         # The value of a node is the mean over its elements, so all elements at these nodes are needed.
         visible |= _find_elements_with_flagged_node(at_cut, self.corners)
         return means.with_selected_elements(np.flatnonzero(visible)).at_nodes(name), at_points, sample
-
-    def _get_fields_of_element_means(self, fields: SolidFields) -> SolidFields:
-        """Return the fields averaged over each element; the parts that stay the same from frame to frame are cached."""
-        cached = self._means.get(0)
-        if cached is None or cached[0] is not fields.gradients:
-            cached = self._means[0] = fields.gradients, fields.with_one_mean_point_per_element()
-        if fields.stresses is not None:
-            return fields.with_one_mean_point_per_element()
-        mean = cached[1]
-        return replace(fields, gradients=mean.gradients, pressure_modes=mean.pressure_modes, weights=mean.weights)
 
     def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
                               wedge: Wedge) -> list[TriangulatedSurface]:
@@ -191,13 +172,10 @@ class ThreeDimensionalMeshBody:
         raised = points + offset * _compute_vertex_normals(points, self.triangles)
         on_surface = wedge.transform_scene_to_tool(points)[self.lines]
         lines = [wedge.clip_lines_at_wedge(on_surface, raised[self.lines])]
-        element, local = self.mesh.element, wedge.transform_scene_to_tool(positions)
+        local = wedge.transform_scene_to_tool(positions)
         cuts = self._find_elements_cut_by_section_faces(positions, wedge)
         for (heights, along, elements), (_, normal) in zip(cuts, wedge.opening.section_face_vectors, strict=True):
-            sides = self.mesh.connectivity[elements][:,
-                                                     element.local_face_node_indices].reshape(
-                                                         -1, element.local_face_node_indices.shape[1])
-            ends = intersect_triangles_at_zero_level(triangulate_surface_faces(element, sides), heights)
+            ends = intersect_triangles_at_zero_level(self.geometry.list_side_triangles(elements), heights)
             kept = (ends.interpolate_nodal_values(along).reshape(-1, 2) >= 0.0).all(axis=1)
             on_face = ends.interpolate_nodal_values(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
             lines.append(wedge.transform_tool_to_scene(on_face))
@@ -210,7 +188,7 @@ class ThreeDimensionalMeshBody:
         interface `DrawableTissue`.
         """
         length, dashes = self.longest_extent / SETTINGS.dashes, []
-        ends = self.mesh.nodes[self.nodes[self.sharp]]
+        ends = self.geometry.nodes[self.nodes[self.sharp]]
         for start, end in ends:
             count = max(1, round(float(np.linalg.norm(end - start)) / (2.0 * length)))
             at = (np.arange(count)[:, None] + [0.25, 0.75]) / count
@@ -277,7 +255,8 @@ class ThreeDimensionalMeshBody:
                                         wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield points, triangles and values of each section face."""
         for heights, along, elements in self._find_elements_cut_by_section_faces(positions, wedge):
-            crossings, triangles = intersect_tetrahedra_at_zero_level(self.cells[elements].reshape(-1, 4), heights)
+            crossings, triangles = intersect_tetrahedra_at_zero_level(
+                self.geometry.list_tetrahedra(elements), heights)
             edge, _, kept = split_triangles_below_and_above(triangles, crossings.interpolate_nodal_values(along))
             points, at_points = (edge.append_interpolated_values(crossings.interpolate_nodal_values(each))
                                  for each in (positions, values))

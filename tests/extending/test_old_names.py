@@ -38,7 +38,7 @@ def old_solver(plugin, registers):
                 return pose.depth <= 2e-3
 
             def surface(self):
-                return spring.SpringSurface()
+                return plugin("plain_spring").Square()
 
     assert {str(each.message) for each in caught} == {
         "OldSpring.doubts is renamed to warnings; define warnings",

@@ -4,15 +4,18 @@ Its wrench is known in closed form, so that what comes out of `simulate` and `Si
 must be that to the last digits: nothing on the way may drop a component or take a pose for a depth.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, sin
 
 import numpy as np
 import pytest
 
 import tissue_sim as ts
+from scenes.figures import draw_simulation
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.solver import SOLVERS
+from tissue_sim.parameters import get_parameter_value
 from tissue_sim.pose import interpolate_pose
 from tissue_sim.tool_force import ForceStatus
 
@@ -92,8 +95,7 @@ def test_simulator_follows_the_path(spring):
             saved = sim.save(), answer
     sim.restore(saved[0])
     assert sim.step(poses[11], 1e-3).wrench == saved[1].wrench
-    assert sim.surface().triangles()[0].shape == (4, 3) and sim.surface().outline is None
-    assert sim.snapshot().fields is None and sim.snapshot().pose == poses[11]
+    assert sim.surface().outline is None and sim.snapshot().pose == poses[11]
     sim.set_parameters(C10=3000.0)
     np.testing.assert_allclose(sim.step(poses[5], 1e-3).stiffness_matrix, 2.0 * spring.STIFFNESS, rtol=1e-12)
 
@@ -131,12 +133,82 @@ def test_a_late_answer_is_carried_on_with_the_whole_matrix(spring):
     assert at.pose == oblique(1e-3)
 
 
-def test_derivatives_are_differences(spring):
-    """A solver without exact derivatives still gets them, and the answer says so."""
-    derivatives = ts.sensitivities(model(), ["C10"], solver="spring")
-    assert not derivatives.exact.any()
-    stuck = slice(0, 4)  # what the slider holds back is not in proportion
-    np.testing.assert_allclose(1500.0 * derivatives.values[stuck, 0], derivatives.recording.force[stuck], rtol=1e-9)
+def differences(tested, name, width):
+    """Central difference of whole simulations, N per unit of the parameter."""
+    value = get_parameter_value(tested, name)
+    more, less = (ts.simulate(ts.with_values(tested, {name: value + sign * width}), solver="spring").force
+                  for sign in (1.0, -1.0))
+    return (more - less) / (2.0 * width)
+
+
+def inclined_needle():
+    """A needle that moves along its inclined axis: its force along the axis needs the derivatives of the vector."""
+    return ts.Model(NEEDLE.experiment(specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(8e-3, 33),
+                                      approach=ts.Approach(1e-3, 0.5)), MATERIAL)
+
+
+@pytest.mark.parametrize("tested", [model(points=33), inclined_needle()], ids=["oblique", "inclined"])
+def test_exact_derivatives_are_those_of_differences(tested, spring):
+    """Before and after the slider starts to move."""
+    derivatives = ts.sensitivities(tested, ["C10", "bulk.bulk_ratio"], solver="spring")
+    assert derivatives.exact.all() and (derivatives.values[:, 1] == 0.0).all()
+    expected = differences(tested, "material.C10", 1.0)
+    np.testing.assert_allclose(derivatives.values[:, 0], expected, rtol=0, atol=1e-8 * abs(expected).max())
+    start, = np.flatnonzero(derivatives.kinks)
+    held = derivatives.recording.force[:start]
+    np.testing.assert_allclose(1500.0 * derivatives.values[:start, 0], held, rtol=1e-9)
+    sliding = derivatives.recording.force[start:] - 1500.0 * derivatives.values[start:, 0]
+    assert abs(sliding).min() > 1e-6, "the force is no longer proportional to the modulus"
+
+
+def test_a_restored_state_has_its_derivatives(spring):
+    """The derivatives of the slider are a part of the state."""
+    def neighbours():
+        return [(replace(MATERIAL, parameters={"C10": 1501.0}), replace(MATERIAL, parameters={"C10": 1499.0}), 2.0)]
+
+    solver = spring.SpringSolver(model(), resolution="fast")
+    derivatives = solver.enable_force_derivatives(neighbours())
+    for way in np.linspace(0.0, 8e-3, 9):
+        solver.step(oblique(way))
+    saved, expected = solver.save(), derivatives.vector
+    solver.step(oblique(1e-3))
+    solver.restore(saved)
+    solver.step(saved.pose)
+    np.testing.assert_allclose(derivatives.vector, expected, rtol=1e-9)
+
+
+def test_fields_belong_to_the_spring(spring):
+    recording = ts.simulate(model(), solver="spring", fields=True)
+    fields, geometry = recording.fields, recording.fields.geometry()
+    assert geometry.top.size == 14**2 and (geometry.nodes[geometry.top, 2] == 0.0).all()
+    at_tool = geometry.top[np.hypot(*geometry.nodes[geometry.top, :2].T) < 3e-3]
+    for sample, follows in ((2, True), (8, False)):
+        position = oblique(recording.displacement[sample]).position
+        moved = fields.displacement(sample)[at_tool].mean(axis=0)
+        assert moved[2] == pytest.approx(position[2], rel=0.1)
+        assert (np.hypot(*moved[:2]) > 0.85 * np.hypot(*position[:2])) == follows, "the slider moves in the last steps"
+        energy = float((fields.at_points("energy", sample) * fields.weights).sum())
+        assert energy == pytest.approx(fields.energies[sample], rel=1e-12)
+    assert fields.stretch_range(0) == pytest.approx((1.0, 1.0)) and fields.stretch_range(8)[1] > 1.01
+    np.testing.assert_allclose(fields.at_nodes("displacement"), np.linalg.norm(fields.displacement(), axis=1))
+
+
+def test_a_figure_is_drawn(spring, tmp_path):
+    recording = ts.simulate(model(ts.Experiment), solver="spring", fields=True)
+    draw_simulation(recording, model(ts.Experiment), tmp_path / "f.png")
+    assert (tmp_path / "f.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(InputError, match="does not compute von_mises; it computes displacement, energy"):
+        draw_simulation(recording, model(ts.Experiment), tmp_path / "g.png", "von_mises")
+
+
+def test_a_solver_without_fields_shows_its_surface(plugin, registers):
+    registers(SOLVERS, plugin("plain_spring").PlainSpringSolver, "plain_spring")
+    sim = ts.Simulator(model(), solver="plain_spring", inertia="off")
+    snapshot = sim.snapshot()
+    assert snapshot.fields is None and snapshot.drawable_fields is None and snapshot.is_three_dimensional
+    assert snapshot.skin.vertices.shape == (4, 3) and snapshot.arrays()[0] is snapshot.skin.vertices
+    with pytest.raises(InputError, match="no fields and therefore no node positions"):
+        _ = snapshot.node_positions
 
 
 def test_what_it_does_not_know_is_refused(spring):

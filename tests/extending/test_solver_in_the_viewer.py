@@ -1,4 +1,4 @@
-"""A solver from one file outside the packages in the viewer: no fields, a full pose, a full wrench.
+"""A solver from one file outside the packages in the viewer: fields, a full pose, a full wrench.
 
 The session plays an oblique, turning path through a loop in its own process. What its trace keeps must be the wrench of
 the solver alone at each pose, and what is drawn must stand where the tool stands.
@@ -19,8 +19,10 @@ from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.live_simulation import SETTINGS
 from scenes.viewer.page import Page
 from scenes.viewer.page.readouts import readouts_html, status_html
+from scenes.viewer.revolution import WedgeOpening
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
+from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.pose import Pose, compute_rigid_motion
@@ -51,6 +53,13 @@ def spiral(plugin, registers):
 def scene(spring):
     experiment = NEEDLE.experiment(specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(4e-3, 9))
     return Scene(NEEDLE, experiment, MATERIAL, solver="spring")
+
+
+@pytest.fixture
+def plain_scene(scene, plugin, registers):
+    """The scene with a solver without fields."""
+    registers(SOLVERS, plugin("plain_spring").PlainSpringSolver, "plain_spring")
+    return replace(scene, solver="plain_spring")
 
 
 @pytest.fixture
@@ -121,13 +130,15 @@ def test_what_was_felt_is_saved_with_its_wrench(shown):
 
 @pytest.mark.slow
 def test_what_is_drawn(spring, shown):
-    """The tool at its full pose, the triangles of the surface as they are, and the force along z in the read-outs."""
+    """The tool at its full pose, the fields at this pose, and the force along z in the read-outs."""
     _, frame, _ = shown
     snapshot = frame.snapshot
-    assert snapshot.fields is None and snapshot.datum == 0.0
-    vertices, triangles = spring.SpringSurface().triangles()
-    np.testing.assert_allclose(frame.surface.vertices, vertices, rtol=1e-7)
-    np.testing.assert_array_equal(frame.surface.faces, triangles)
+    assert snapshot.drawable_fields is snapshot.fields and snapshot.skin is None and snapshot.datum == 0.0
+    assert isinstance(snapshot.fields, spring.SpringFields) and frame.surface is None
+    block = snapshot.fields.geometry()
+    deepest = block.top[np.argmin(snapshot.node_positions[block.top, 2])]
+    assert np.linalg.norm(snapshot.node_positions[deepest, :2] - snapshot.pose.position[:2]) < 0.01
+    assert -snapshot.depth < snapshot.node_positions[deepest, 2] < -0.8 * snapshot.depth
     x, y, _, *turn = compute_rigid_motion(Pose.at_depth(0.0), snapshot.pose)
     assert math.hypot(x, y) > 1e-6 and math.hypot(*turn) > 1e-6, "oblique and turned"
     assert f'data-testid="force">{frame.readouts.force:.3f}<' in readouts_html(frame)
@@ -143,36 +154,92 @@ def test_the_curve_of_the_whole_test_is_of_that_solver(spring, shown):
 
 
 @pytest.mark.slow
-def test_the_page_draws_it(shown, tmp_path):
-    """Without a browser: what the nodes of the page's picture hold."""
+def test_the_page_draws_it(spring, shown, tmp_path, monkeypatch):
+    """Contents of the scene nodes without a browser: bands, section, mesh lines and the tool at its pose."""
     session, frame, _ = shown
-    page = Page(session, frame, tmp_path, port=0)
+    page, sent = Page(session, frame, tmp_path, port=0), {}
+    monkeypatch.setattr("scenes.viewer.page.solid.send_scene_node_arrays",
+                        lambda handle, **arrays: sent.update({handle.name: arrays}))
     try:
-        solid = page._solid
-        assert solid.draw_frame(frame, page._look.options)
+        solid, options = page._solid, replace(page._look.options, field="energy", cut=180.0, mesh_lines=True)
+        assert solid.draw_frame(frame, options)
         pose = frame.snapshot.pose
-        tool = solid._tool_frame
-        np.testing.assert_allclose(tool.position, solid.scale * np.array(pose.position), rtol=1e-12)
-        np.testing.assert_allclose(tool.wxyz, pose.orientation, rtol=1e-12)
+        np.testing.assert_allclose(solid._tool_frame.position, solid.scale * np.array(pose.position), rtol=1e-12)
+        np.testing.assert_allclose(solid._tool_frame.wxyz, pose.orientation, rtol=1e-12)
         np.testing.assert_allclose(solid._force_frame.wxyz, [1, 0, 0, 0])
-        assert solid._surface.visible and not any(band.visible for band in solid._bands)
-        assert solid.levels is None, "no colours where there is no field"
-        assert not solid.draw_frame(frame, page._look.options), "what has not changed is not sent again"
-        empty = frame.surface._replace(vertices=frame.surface.vertices[:0], faces=frame.surface.faces[:0])
-        for surface in (empty, None):
-            assert solid.draw_frame(replace(frame, surface=surface), page._look.options)
-            assert not solid._surface.visible and solid._tool.visible, "the tool alone"
+        assert solid.levels[0] <= 0.0 and solid.levels[-2] < frame.snapshot.fields.at_nodes("energy").max()
+        assert not solid._surface.visible and len(sent["/tissue/mesh"]["points"]) > 1000
+        positions, cells = frame.snapshot.node_positions, frame.snapshot.fields.geometry().cells
+        volumes = np.linalg.det(positions[cells[:, 1:]] - positions[cells[:, :1]]) / 6.0
+        wedge = Wedge(WedgeOpening(math.pi, math.radians(options.turn - 90.0)), pose)
+        removed = wedge.are_tool_frame_points_inside(wedge.transform_scene_to_tool(positions[cells].mean(axis=1)))
+        bands = [band for band in solid._bands if band.visible]
+        assert len(bands) >= 5
+        remaining = compute_enclosed_volume(sent[band.name] for band in bands)
+        assert remaining == pytest.approx(volumes[~removed].sum(), rel=0.02) and removed.mean() > 0.3
+        assert solid.draw_frame(frame, replace(options, cut=0.0))
+        whole = compute_enclosed_volume(sent[band.name] for band in solid._bands if band.visible)
+        assert whole == pytest.approx(volumes.sum(), rel=1e-5)
+        assert not solid.draw_frame(frame, replace(options, cut=0.0)), "an unchanged frame is not sent again"
     finally:
         page.close()
 
 
-def test_empty_triangles_are_published(spring, scene, monkeypatch):
-    """A solver may have no surface to show: the board holds a snapshot without numbers."""
+def compute_enclosed_volume(meshes):
+    """Return the volume inside the meshes of the page, m3, by the divergence theorem; they must be closed together."""
+    volume, total, area = 0.0, np.zeros(3), 0.0
+    for mesh in meshes:
+        a, b, c = np.moveaxis(mesh["vertices"].astype(float)[mesh["faces"]], 1, 0)
+        vectors = 0.5 * np.cross(b - a, c - a)
+        volume += np.einsum("ti,ti->", vectors, a) / 3.0
+        total, area = total + vectors.sum(axis=0), area + np.linalg.norm(vectors, axis=1).sum()
+    assert np.linalg.norm(total) < 1e-5 * area
+    return volume
+
+
+@pytest.mark.slow
+def test_the_page_lists_the_fields_of_the_solver(shown, tmp_path):
+    session, frame, _ = shown
+    page = Page(session, frame, tmp_path, port=0)
+    try:
+        page._look.update_controls(frame)
+        assert page._look.options.field == "energy", "the first known field that the solver computes"
+        assert set(page._look._field.options) == {"energy density [J/m³]", "displacement [mm]"}
+    finally:
+        page.close()
+
+
+@pytest.mark.slow
+def test_a_solver_without_fields_is_a_plain_surface(plain_scene, plugin, tmp_path):
+    session = Session(plain_scene, settings=replace(SETTINGS, real_time=False))
+    try:
+        frame = wait_for_value(session.update_and_make_frame, lambda frame: frame.snapshot is not None)
+        vertices, triangles = plugin("plain_spring").Square().triangles()
+        np.testing.assert_allclose(frame.surface.vertices, vertices, rtol=1e-7)
+        np.testing.assert_array_equal(frame.surface.faces, triangles)
+        page = Page(session, frame, tmp_path, port=0)
+        try:
+            solid = page._solid
+            assert solid.draw_frame(frame, page._look.options)
+            assert solid._surface.visible and not any(band.visible for band in solid._bands)
+            assert solid.levels is None, "a surface without a field has no colour scale"
+            empty = frame.surface._replace(vertices=frame.surface.vertices[:0], faces=frame.surface.faces[:0])
+            for surface in (empty, None):
+                assert solid.draw_frame(replace(frame, surface=surface), page._look.options)
+                assert not solid._surface.visible and solid._tool.visible, "the tool alone"
+        finally:
+            page.close()
+    finally:
+        session.close()
+
+
+def test_empty_triangles_are_published(plain_scene, plugin, monkeypatch):
+    """A solver may have no surface: the board holds a snapshot without numbers."""
     from haptics.loop.shared_slots import find_unused_path
     from haptics.loop.snapshot_board import SnapshotReader, SnapshotWriter
 
-    monkeypatch.setattr(spring.SpringSurface, "triangles", lambda surface, segments=48: ([], []))
-    tissue = ts.Simulator(scene.model, solver="spring")
+    monkeypatch.setattr(plugin("plain_spring").Square, "triangles", lambda surface, segments=48: ([], []))
+    tissue = ts.Simulator(plain_scene.model, solver="plain_spring")
     pose = Pose((1e-3, 2e-3, -3e-3), (math.cos(0.1), 0.0, math.sin(0.1), 0.0))
     tissue.step(pose, 1e-3)
     pattern, path = tissue.snapshot(), find_unused_path("empty")
@@ -213,10 +280,10 @@ def test_a_solver_that_is_not_there_is_refused(words, spring, capsys):
     assert capsys.readouterr().err == "tissue-sim: --solver: unknown solver 'sprung'; did you mean 'spring'?\n"
 
 
-def test_a_figure_of_a_solver_without_fields_is_refused(spring, capsys, tmp_path):
+def test_a_figure_of_a_solver_without_fields_is_refused(plain_scene, capsys, tmp_path):
     material, figure = tmp_path / "m.material.json", tmp_path / "f.png"
     ts.write_material_file(ts.MaterialFile.of(MATERIAL), material)
-    assert main(["simulate", "needle_indentation", "--material", str(material), "--depth-mm", "1", "--solver", "spring",
-                 "--figure", str(figure)]) == 2
-    assert "requires fields, which the solver 'spring' does not compute" in capsys.readouterr().err
+    assert main(["simulate", "needle_indentation", "--material", str(material), "--depth-mm", "1", "--solver",
+                 plain_scene.solver, "--figure", str(figure)]) == 2
+    assert "requires fields, which the solver 'plain_spring' does not compute" in capsys.readouterr().err
     assert not figure.exists()

@@ -53,7 +53,7 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
     parser.add_argument("--figure", type=Path, metavar="F.png",
                         help="draw the deformed mesh, coloured by --field, and the force curve")
     parser.add_argument("--field", choices=tuple(LABELS),
-                        help="field that colours the mesh of --figure (default: von_mises)")
+                        help="field that colours the mesh of --figure (default: the first field of the solver)")
     parser.add_argument("--no-force-error", action="store_true",
                         help="do not estimate the force error; saves the second simulation on another mesh")
     add_overwrite_flag(parser)
@@ -79,6 +79,7 @@ def run(arguments) -> int:
     require_known_solver(arguments.solver)
 
     import tissue_sim as ts
+    from tissue_sim.fem.result_views import get_drawable_fields_or_none
     from tissue_sim.recording.file import require_overwritable_sidecar
     from tissue_sim.recording.recording import MIN_POINTS
 
@@ -108,7 +109,7 @@ def run(arguments) -> int:
             if error.recording is None:
                 raise
             recording, failure = error.recording, error
-    if arguments.figure is not None and recording.fields is None:
+    if arguments.figure is not None and get_drawable_fields_or_none(recording.fields) is None:
         raise InputError(f"requires fields, which the solver {arguments.solver!r} does not compute. Leave --figure out",
                          field="--figure")
     recordings = simulate_replicate_readings(
@@ -119,7 +120,7 @@ def run(arguments) -> int:
     if arguments.figure is not None:
         from scenes.figures import draw_simulation
 
-        draw_simulation(recording, model, arguments.figure, field=arguments.field or "von_mises")
+        draw_simulation(recording, model, arguments.figure, field=arguments.field)
     warnings = [*list_warnings_if_test_leaves_range(material_file, recording, experiment.specimen.height),
                 *recording.metadata.get("solver", {}).get("warnings", [])]
     if arguments.json:

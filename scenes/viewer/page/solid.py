@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import viser
 
 from scenes.field_labels import LABELS
-from scenes.viewer.bodies import DrawableTissue, can_draw_fields, make_drawable_body
+from scenes.viewer.bodies import DrawableTissue, make_drawable_body
 from scenes.viewer.colours import PALETTE, compute_field_quantile_range, keep_or_choose_band_levels
 from scenes.viewer.frame import SessionFrame
 from scenes.viewer.page.notices import Reply, make_browser_reply_function
@@ -29,9 +28,10 @@ from scenes.viewer.tool_picture import (
 )
 from scenes.viewer.wedge import Wedge
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
+from tissue_sim.fem.axisymmetric.surface import build_half_section
+from tissue_sim.fem.result_views import DrawableFields, TissueGeometry
 from tissue_sim.fem.solid.discretisation import build_mesh as build_solid_mesh
-from tissue_sim.mesh import Mesh
-from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.fem.solid.surface import build_solid_geometry
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
@@ -94,7 +94,7 @@ class ScenePicture:
         self._drawn_arrow: tuple | None = None
         #: Experiment and options of the drawn parts that do not move with the tissue.
         self._drawn_static: tuple | None = None
-        self._mesh_drawn: object = None
+        self._geometry_drawn: object = None
         self._body: DrawableTissue | None = None
         #: Force of an arrow of full length, N.
         self._full_force = 1.0
@@ -169,14 +169,13 @@ class ScenePicture:
                 self._draw_scene_before_first_state(frame.scene, opening, options)
                 self._drawn_static = static
             return changed
-        # Solvers of plug-ins may give fields of an unknown kind.
-        fields: Any = snapshot.fields if can_draw_fields(snapshot.fields) else None
+        fields = snapshot.drawable_fields
         surface, self._in_space = frame.surface, snapshot.is_three_dimensional
-        if fields is not None and fields.mesh is not self._mesh_drawn:
+        if fields is not None and fields.geometry() is not self._geometry_drawn:
             changed = True
         if changed:
-            mesh = _build_undeformed_finite_element_mesh(frame.scene) if fields is None else fields.mesh
-            body = self._get_cached_drawable_body_of_mesh(mesh)
+            geometry = _build_undeformed_geometry(frame.scene) if fields is None else fields.geometry()
+            body = self._get_cached_drawable_body(geometry)
             self._draw_static_parts(body, frame.scene, opening, options)
             self._drawn_static = static
         to_draw = snapshot.pose, None if fields is None else fields.material, options
@@ -194,10 +193,10 @@ class ScenePicture:
             self._drawn, self._state, changed = to_draw, state, True
         return self._update_force_arrow_and_return_changed(_newest_force_vector_or_zero(frame), frame.scene) or changed
 
-    def _draw_coloured_tissue(self, fields: Any, snapshot: Snapshot, scene: Scene, opening: WedgeOpening,
+    def _draw_coloured_tissue(self, fields: DrawableFields, snapshot: Snapshot, scene: Scene, opening: WedgeOpening,
                               options: PictureOptions) -> None:
         """Draw the tissue in the colours of a field, with contact lines and element edges."""
-        body, positions = self._get_cached_drawable_body_of_mesh(fields.mesh), snapshot.node_positions
+        body, positions = self._get_cached_drawable_body(fields.geometry()), snapshot.node_positions
         wedge = Wedge(opening, snapshot.pose, 1e-3 * options.ahead)
         _, factor = LABELS[options.field]
         values, at_points, sampled = body.evaluate_field_at_nodes_and_samples(fields, options.field, positions, wedge)
@@ -234,16 +233,16 @@ class ScenePicture:
         if self._ground.position[2] != -snapshot.datum * self.scale:
             self._ground.position = (0.0, 0.0, -snapshot.datum * self.scale)
 
-    def _get_cached_drawable_body_of_mesh(self, mesh: Any) -> DrawableTissue:
-        """Return the drawable body of a mesh, and keep it until the mesh changes."""
-        if self._body is None or self._mesh_drawn is not mesh:
-            self._body, self._mesh_drawn, self._drawn = make_drawable_body(mesh), mesh, None
+    def _get_cached_drawable_body(self, geometry: TissueGeometry) -> DrawableTissue:
+        """Return the drawable body of a geometry, and keep it until the geometry changes."""
+        if self._body is None or self._geometry_drawn is not geometry:
+            self._body, self._geometry_drawn, self._drawn = make_drawable_body(geometry), geometry, None
         return self._body
 
     def _draw_scene_before_first_state(self, scene: Scene, opening: WedgeOpening, options: PictureOptions) -> None:
         """Draw the undeformed specimen while the simulation starts."""
-        mesh = _build_undeformed_finite_element_mesh(scene)
-        body, nodes = self._get_cached_drawable_body_of_mesh(mesh), mesh.nodes
+        geometry = _build_undeformed_geometry(scene)
+        body, nodes = self._get_cached_drawable_body(geometry), geometry.nodes
         wedge = Wedge(opening, Pose.at_depth(0.0))
         surfaces = body.compute_band_surfaces(nodes, np.zeros(len(nodes)), np.arange(len(self._bands) + 1.0), wedge)
         for handle, surface in zip(self._bands, surfaces, strict=True):
@@ -376,13 +375,13 @@ def _newest_force_vector_or_zero(frame: SessionFrame) -> np.ndarray:
     return np.zeros(3) if now is None else np.array([*now.across, now.force])
 
 
-def _build_undeformed_finite_element_mesh(scene: Scene) -> Mesh | SolidMesh:
-    """Return the mesh of the undeformed specimen: a half section for a cylinder, otherwise a mesh in 3D."""
+def _build_undeformed_geometry(scene: Scene) -> TissueGeometry:
+    """Return the geometry of the undeformed specimen: a half section for a cylinder, otherwise a solid in 3D."""
     if scene.reduced is not None:
-        return scene.reduced.mesh
+        return build_solid_geometry(scene.reduced.mesh)
     if scene.experiment.specimen.is_round:
-        return build_mesh(scene.experiment, "realtime", layers=scene.material.layers)
-    return build_solid_mesh(scene.experiment, "realtime", scene.material.layers)
+        return build_half_section(build_mesh(scene.experiment, "realtime", layers=scene.material.layers))
+    return build_solid_geometry(build_solid_mesh(scene.experiment, "realtime", scene.material.layers))
 
 
 def _set_scene_node_visibility(handle: viser.SceneNodeHandle, visible: bool) -> None:

@@ -83,7 +83,7 @@ class ViewControls:
         in_space = frame.snapshot is not None and frame.snapshot.is_three_dimensional
         if self._ahead.visible != in_space:
             self._ahead.visible = in_space
-        shown = None if frame.snapshot is None else frame.snapshot.fields
+        shown = None if frame.snapshot is None else frame.snapshot.drawable_fields
         if shown is not None:
             self._update_colour_field_list(shown.names)
 

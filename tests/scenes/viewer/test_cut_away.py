@@ -6,6 +6,7 @@ import pytest
 import tissue_sim as ts
 from scenes.viewer.cut_away import TriangulatedHalfSection
 from scenes.viewer.revolution import TriangulatedSurface, WedgeOpening, concatenate_surfaces, revolve_polyline_by_band
+from tissue_sim.fem.axisymmetric.surface import build_half_section
 from tissue_sim.mesh import cylinder_mesh, cylinder_mesh_refined_under_needle
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 
@@ -16,6 +17,10 @@ HEIGHT = 0.07
 #: Of the height; none at a node.
 LEVELS = np.linspace(-0.0613, -0.0011, 11)
 CUTS = (0.0, 60.0, 120.0, 180.0)
+
+
+def half_section(mesh, divisions=None):
+    return TriangulatedHalfSection(build_half_section(mesh, divisions))
 
 
 def volume(surface):
@@ -69,7 +74,7 @@ def mesh(request):
 @pytest.mark.parametrize("divisions", [1, 2, 3, 4])
 def test_bands_together_enclose_the_volume_of_the_cylinder(mesh, cut, divisions):
     opening = WedgeOpening(np.radians(cut))
-    bands = TriangulatedHalfSection.from_mesh(mesh, divisions).compute_band_surfaces(mesh.nodes, mesh.nodes[:, 1],
+    bands = half_section(mesh, divisions).compute_band_surfaces(mesh.nodes, mesh.nodes[:, 1],
                                                                                      LEVELS, opening)
     assert len(bands) == 10 and all(len(surface.faces) for surface in bands)
     expected = faceted(np.pi * RADIUS**2 * HEIGHT, opening)
@@ -81,14 +86,14 @@ def test_the_volume_of_a_curved_body_converges_with_the_divisions():
     place, opening = bulged(mesh), WedgeOpening(np.radians(90.0))
     exact = faceted(volume_by_quadrature(mesh, place), opening)
     errors = np.array(
-        [volume(concatenate_surfaces(*TriangulatedHalfSection.from_mesh(mesh, divisions).compute_band_surfaces(
+        [volume(concatenate_surfaces(*half_section(mesh, divisions).compute_band_surfaces(
         place, mesh.nodes[:, 1], LEVELS, opening))) / exact - 1.0 for divisions in (2, 4, 8)])
     # Second order: chords of a parabola.
     assert errors[:-1] / errors[1:] == pytest.approx(4.0, rel=0.05) and abs(errors[0]) < 0.01
 
 
 def test_a_closed_solid_is_watertight_and_consistently_oriented(mesh):
-    section, opening = TriangulatedHalfSection.from_mesh(mesh), WedgeOpening(0.0)
+    section, opening = half_section(mesh), WedgeOpening(0.0)
     solid = concatenate_surfaces(*section.compute_band_surfaces(bulged(mesh), mesh.nodes[:, 1], LEVELS, opening))
     uses = edge_uses(solid)
     assert set(uses.values()) == {1}
@@ -98,7 +103,7 @@ def test_a_closed_solid_is_watertight_and_consistently_oriented(mesh):
 @pytest.mark.parametrize("cut", [60.0, 180.0])
 def test_cut_solid_is_watertight_away_from_the_axis(mesh, cut):
     """The test excludes the axis, where both faces share a line with additional points."""
-    section, opening = TriangulatedHalfSection.from_mesh(mesh), WedgeOpening(np.radians(cut))
+    section, opening = half_section(mesh), WedgeOpening(np.radians(cut))
     solid = concatenate_surfaces(*section.compute_band_surfaces(bulged(mesh), mesh.nodes[:, 1], LEVELS, opening))
     uses = edge_uses(solid)
     assert set(uses.values()) <= {1, 2}
@@ -109,7 +114,7 @@ def test_cut_solid_is_watertight_away_from_the_axis(mesh, cut):
 def test_normals_point_outwards():
     mesh = cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1)
     opening = WedgeOpening(np.radians(120.0))
-    section = TriangulatedHalfSection.from_mesh(mesh)
+    section = half_section(mesh)
     surface = concatenate_surfaces(*section.compute_band_surfaces(mesh.nodes, mesh.nodes[:, 1], LEVELS, opening))
     normals, middles = area_vectors(surface), surface.vertices[surface.faces].mean(axis=1)
     for way, outward in opening.section_face_vectors:
@@ -127,7 +132,7 @@ def test_normals_point_outwards():
 
 def test_each_vertex_lies_in_its_band():
     mesh = cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1, grading=(3.0, 4.0))
-    for k, surface in enumerate(TriangulatedHalfSection.from_mesh(mesh).compute_band_surfaces(mesh.nodes,
+    for k, surface in enumerate(half_section(mesh).compute_band_surfaces(mesh.nodes,
                                                                                               mesh.nodes[:, 1], LEVELS,
                                                                                               WedgeOpening())):
         z = surface.vertices[:, 2]
@@ -142,7 +147,7 @@ def test_a_band_without_tissue_is_empty():
     mesh = cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1)
     for cut in CUTS:
         constant = np.full(len(mesh.nodes), -0.02)
-        bands = TriangulatedHalfSection.from_mesh(mesh).compute_band_surfaces(mesh.nodes, constant, LEVELS,
+        bands = half_section(mesh).compute_band_surfaces(mesh.nodes, constant, LEVELS,
                                                                               WedgeOpening(np.radians(cut)))
         assert [len(surface.faces) > 0 for surface in bands] == [k == 6 for k in range(10)]
         assert all(surface.vertices.shape == surface.faces.shape == (0, 3) for k, surface in enumerate(bands) if k != 6)
@@ -151,7 +156,7 @@ def test_a_band_without_tissue_is_empty():
 def test_faces_share_no_vertices_with_the_outside_and_edges_stay_sharp():
     """The triangles at a vertex have similar normals, so averaged normals are accurate."""
     mesh = cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1)
-    for surface in TriangulatedHalfSection.from_mesh(mesh).compute_band_surfaces(mesh.nodes, mesh.nodes[:, 1], LEVELS,
+    for surface in half_section(mesh).compute_band_surfaces(mesh.nodes, mesh.nodes[:, 1], LEVELS,
                                                                                  WedgeOpening(np.radians(90.0))):
         normals = area_vectors(surface)
         normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -183,7 +188,7 @@ def test_a_cut_angle_outside_its_range_is_refused(cut):
 
 def test_mesh_lines_are_the_element_edges_in_front_of_both_faces():
     mesh = cylinder_mesh_refined_under_needle(RADIUS, HEIGHT, 0.008, Q9P1, smallest=0.002, growth=1.8, largest=0.02)
-    section, opening = TriangulatedHalfSection.from_mesh(mesh), WedgeOpening(np.radians(120.0))
+    section, opening = half_section(mesh), WedgeOpening(np.radians(120.0))
     lines = section.compute_element_edge_lines(mesh.nodes, opening)
     rows, columns = np.unique(mesh.nodes[:, 1]).size // 2, np.unique(mesh.nodes[:, 0]).size // 2
     length = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum()
@@ -195,7 +200,7 @@ def test_mesh_lines_are_the_element_edges_in_front_of_both_faces():
 
 
 def test_undeformed_outline_is_dashed_and_stays_on_the_cylinder():
-    section = TriangulatedHalfSection.from_mesh(cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1))
+    section = half_section(cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1))
     for cut in CUTS:
         lines = section.make_undeformed_outline(WedgeOpening(np.radians(cut)))
         r, z = np.linalg.norm(lines[..., :2], axis=-1), lines[..., 2]
@@ -206,8 +211,8 @@ def test_undeformed_outline_is_dashed_and_stays_on_the_cylinder():
 
 
 def test_no_outline_crosses_the_tool():
-    section, opening = TriangulatedHalfSection.from_mesh(cylinder_mesh(RADIUS, HEIGHT, (4, 5),
-                                                                       Q9P1)), WedgeOpening(np.radians(120.0))
+    section = half_section(cylinder_mesh(RADIUS, HEIGHT, (4, 5), Q9P1))
+    opening = WedgeOpening(np.radians(120.0))
     tool, deepest = 0.3 * RADIUS, 0.2 * HEIGHT
     lines = section.make_undeformed_outline(opening, tool=(tool, deepest))
     r, z = np.linalg.norm(lines[..., :2], axis=-1), lines[..., 2]
@@ -221,14 +226,14 @@ def test_no_outline_crosses_the_tool():
 def test_elements_of_coarse_meshes_are_divided_more_finely():
     for cells, parts in (((2, 2), 5), ((4, 5), 4), ((6, 6), 3), ((20, 20), 2)):
         mesh = cylinder_mesh(RADIUS, HEIGHT, cells, Q9P1)
-        assert len(TriangulatedHalfSection.from_mesh(mesh).triangulation.triangles) \
+        assert len(half_section(mesh).triangulation.triangles) \
             == 2 * parts**2 * len(mesh.connectivity)
 
 
 def test_gauss_points_lie_on_the_edges_of_a_curved_surface(mesh):
     """The edges of quadratic elements are parabolas, and the Gauss points lie on them."""
     place = mesh.nodes + np.stack([0.0 * mesh.nodes[:, 0], 5.0 * mesh.nodes[:, 0] ** 2], axis=-1)
-    line = TriangulatedHalfSection.from_mesh(mesh).compute_possible_contact_boundary(place)
+    line = half_section(mesh).compute_possible_contact_boundary(place)
     order = mesh.element.order
     assert len(line.gauss_points) == len(line.points) - 1 == 9 * order
     r, z = line.gauss_points[: 4 * order].T

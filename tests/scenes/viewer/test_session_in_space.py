@@ -9,7 +9,6 @@ from coarse_solid import make_coarse_solid
 
 import tissue_sim as ts
 from haptics.loop.loop import LoopSettings
-from scenes.viewer.bodies import can_draw_fields
 from scenes.viewer.frame import Phase
 from scenes.viewer.reach import limit_lateral_position_to_top
 from scenes.viewer.session import Session
@@ -66,7 +65,7 @@ def at(place):
 def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
     first = session.update_and_make_frame()
     assert first.phase is Phase.RUNNING
-    assert first.snapshot.is_three_dimensional and can_draw_fields(first.snapshot.fields)
+    assert first.snapshot.is_three_dimensional and first.snapshot.drawable_fields is first.snapshot.fields
     assert first.snapshot.skin is None and first.surface is None
     assert first.across == (OFFSET, 0.0)
     np.testing.assert_allclose(first.snapshot.pose.position, (OFFSET, 0.0, 0.0), atol=1e-9)

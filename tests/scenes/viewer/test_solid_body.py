@@ -8,6 +8,7 @@ from scenes.viewer.revolution import WedgeOpening
 from scenes.viewer.solid_body import SETTINGS, ThreeDimensionalMeshBody
 from scenes.viewer.wedge import Wedge
 from tissue_sim.fem.solid.fields import SolidFields
+from tissue_sim.fem.solid.surface import build_solid_geometry
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
 from tissue_sim.pose import Pose
@@ -23,6 +24,10 @@ every_element = pytest.mark.parametrize("element", (HEX8P0, HEX27P1), ids=lambda
 def block(element, cells=4):
     line = np.linspace(-0.5 * SIDE, 0.5 * SIDE, cells + 1)
     return create_block_mesh_from_boundaries(line, line, np.linspace(-HEIGHT, 0.0, cells), element)
+
+
+def body_of(mesh):
+    return ThreeDimensionalMeshBody.from_geometry(build_solid_geometry(mesh))
 
 
 def linear(place):
@@ -52,7 +57,7 @@ def leaning(angle, x=0.0, y=0.0):
 def test_the_remaining_body_has_the_exact_volume(element, cut, turn, pose, left):
     """A right-angled wedge removes a quarter of a square block; a half space removes the part on its side."""
     mesh = block(element)
-    body = ThreeDimensionalMeshBody.from_mesh(mesh)
+    body = body_of(mesh)
     check_remaining_body(mesh, body, Wedge(WedgeOpening(np.radians(cut), np.radians(turn - 90.0)), pose), left)
 
 
@@ -60,11 +65,10 @@ def test_the_remaining_body_has_the_exact_volume(element, cut, turn, pose, left)
 def test_a_moved_wedge_removes_less(element):
     mesh = block(element)
     for ahead, left in ((3e-3, 0.575), (-5e-3, 0.375)):
-        check_remaining_body(mesh, ThreeDimensionalMeshBody.from_mesh(mesh),
-                             Wedge(WedgeOpening(np.pi), leaning(0.3), ahead), left)
+        check_remaining_body(mesh, body_of(mesh), Wedge(WedgeOpening(np.pi), leaning(0.3), ahead), left)
     # Of a right angle about the middle, moved by 5 mm to where it opens, the square of the rest of the way.
     wedge = Wedge(WedgeOpening(0.5 * np.pi), Pose((0.0, 0.0, 0.0)), 5e-3)
-    check_remaining_body(mesh, ThreeDimensionalMeshBody.from_mesh(mesh), wedge, 1.0 - (15.0 / 40.0) ** 2)
+    check_remaining_body(mesh, body_of(mesh), wedge, 1.0 - (15.0 / 40.0) ** 2)
 
 
 def check_remaining_body(mesh, body, wedge, left):
@@ -85,9 +89,9 @@ def check_remaining_body(mesh, body, wedge, left):
 
 
 def test_the_surface_is_split_at_sharp_edges():
-    body = ThreeDimensionalMeshBody.from_mesh(block(HEX27P1))
+    body = body_of(block(HEX27P1))
     assert len(body.nodes) == 6 * 9 * 9 - 4 * 2 * 9, "the sides of the block share no points"
-    ends = body.mesh.nodes[body.nodes[body.sharp]]
+    ends = body.geometry.nodes[body.nodes[body.sharp]]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum()
     assert length == pytest.approx(8 * SIDE + 4 * HEIGHT)
     dashes = body.make_undeformed_outline(None, (0.0, 0.0))
@@ -97,8 +101,7 @@ def test_the_surface_is_split_at_sharp_edges():
 @every_element
 def test_mesh_lines_lie_in_front_of_the_remaining_body(element):
     mesh = block(element)
-    body, wedge = ThreeDimensionalMeshBody.from_mesh(mesh), Wedge(WedgeOpening(np.pi, -np.pi / 2),
-                                                                  Pose((0.0, 3e-3, 0.0)))
+    body, wedge = body_of(mesh), Wedge(WedgeOpening(np.pi, -np.pi / 2), Pose((0.0, 3e-3, 0.0)))
     lines = body.compute_element_edge_lines(mesh.nodes, wedge)
     assert (lines[..., 1] >= 3e-3 - 2e-3 * body.longest_extent).all()
     on_cut = lines[np.abs(lines[..., 1] - 3e-3).max(axis=1) < 2e-3 * body.longest_extent]
@@ -110,7 +113,7 @@ def test_contact_is_the_rim_of_the_tool_and_a_line_across_the_cut(pose):
     """Undeformed cylinder under a flat tool that touches it away from the axis."""
     tool, mesh = ts.Tool("flat", radius=8e-3), create_cylinder_mesh_under_needle(
         0.04, 0.07, 8e-3, HEX27P1, smallest=2e-3, growth=2.2, largest=20e-3, around=4, centre=(9e-3, 0.0))
-    body = ThreeDimensionalMeshBody.from_mesh(mesh)
+    body = body_of(mesh)
     closed = body.find_contact_lines_or_none(mesh.nodes, tool, Wedge(WedgeOpening(0.0), pose))
     away = np.hypot(closed[..., 0] - 9e-3, closed[..., 1])
     np.testing.assert_allclose(away, 8e-3, atol=0.3e-3)
@@ -139,7 +142,7 @@ def bent(mesh):
 
 def test_a_small_body_shows_the_values_of_its_fields():
     mesh = block(HEX27P1)
-    fields, body = fields_of(mesh, bent(mesh)), ThreeDimensionalMeshBody.from_mesh(mesh)
+    fields, body = fields_of(mesh, bent(mesh)), body_of(mesh)
     for name in ("von_mises", "displacement", "cauchy_zz"):
         values, at_points, seen = body.evaluate_field_at_nodes_and_samples(fields, name, mesh.nodes + bent(mesh),
                                                                            Wedge(WedgeOpening(), leaning(0.3)))
@@ -150,7 +153,7 @@ def test_a_small_body_shows_the_values_of_its_fields():
 
 def test_a_large_body_shows_element_means_at_visible_nodes():
     mesh = block(HEX8P0, 19)
-    fields, body = fields_of(mesh, bent(mesh)), ThreeDimensionalMeshBody.from_mesh(mesh)
+    fields, body = fields_of(mesh, bent(mesh)), body_of(mesh)
     assert fields.weights.size > SETTINGS.max_points
     place = mesh.nodes + bent(mesh)
     wedge = Wedge(WedgeOpening(np.radians(150.0)), leaning(0.3, x=4e-3))

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tissue_sim.fem.axisymmetric.surface import build_half_section
 from tissue_sim.fem.elements.fields import ElementFields
+from tissue_sim.fem.result_views import HalfSectionGeometry
 
 #: Index of each entry of a symmetric tensor among its components RR, RZ, ZZ, hoop and a zero.
 _SYMMETRIC = np.array([[0, 1, 4], [1, 2, 4], [4, 4, 3]])
@@ -21,6 +23,10 @@ class Fields(ElementFields):
     The nodes have the coordinates r and z. The last column of `gradients` contains the shape functions over r, see
     `UndeformedMeshQuadrature.node_gradients`, and `stresses` the components RR, RZ, ZZ and hoop.
     """
+
+    def geometry(self) -> HalfSectionGeometry:
+        """Return the half section of the mesh for drawing, the same object for all samples."""
+        return build_half_section(self.mesh)
 
     def deformation_gradient(self, sample: int = -1) -> np.ndarray:
         """Return the deformation gradient (rR, rZ, zR, zZ, hoop) at the quadrature points, shape (elements, q, 5)."""

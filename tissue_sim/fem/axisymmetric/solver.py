@@ -379,7 +379,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return Fields(self.mesh, equations.material, np.array(equations.bulk_modulus),
                       displacements.reshape(len(states), -1, 2), pressures.reshape(len(states), elements, modes),
                       reference.node_gradients, reference.pressure_modes, reference.weights, equations.moduli,
-                      np.array(stresses) if stresses else None)
+                      np.array(stresses) if stresses else None, self.datum)
 
     def deformed_surface(self) -> DeformedSurface:
         """Return the deformed outline at the last committed state; z = 0 is the height of the first touch."""

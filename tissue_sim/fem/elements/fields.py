@@ -74,6 +74,7 @@ class ElementFields(ABC):
         moduli: ratio of the moduli of each element to those of the material, shape (elements,).
         stresses: isochoric second Piola-Kirchhoff stress in units of `moduli`, Pa, shape (samples, elements, q,
             components), if it depends on the history; else None.
+        datum: height of the scene's origin in the frame of the mesh, m.
     """
 
     units: ClassVar[Mapping[str, str]] = FIELD_UNITS
@@ -88,6 +89,7 @@ class ElementFields(ABC):
     weights: np.ndarray
     moduli: np.ndarray
     stresses: np.ndarray | None = None
+    datum: float = 0.0
 
     def __post_init__(self):
         object.__setattr__(self, "bulk_modulus", np.broadcast_to(self.bulk_modulus, self.moduli.shape))
@@ -223,15 +225,16 @@ class ElementFields(ABC):
         return (compute_volume_weighted_quantile(stretches.min(axis=-1), self.weights, TAIL),
                 compute_volume_weighted_quantile(stretches.max(axis=-1), self.weights, 1 - TAIL))
 
-    def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
-        """Return a field at the nodes of a sample, shape (nodes,).
+    def at_nodes(self, name: str, sample: int = -1, at_points: np.ndarray | None = None) -> np.ndarray:
+        """Return a field at the nodes of a sample, shape (nodes,); see `tissue_sim.fem.result_views.Fields.at_nodes`.
 
         Each element's polynomial through its quadrature points is averaged over the elements of a node; 0 at nodes
         without an element.
         """
         if name == "displacement":
             return np.linalg.norm(self.displacement(sample), axis=1)
-        return extrapolate_to_nodes_and_average(self.mesh, self.at_points(name, sample))
+        at_points = self.at_points(name, sample) if at_points is None else at_points
+        return extrapolate_to_nodes_and_average(self.mesh, at_points)
 
 
 def _compute_determinant(F: np.ndarray) -> np.ndarray:

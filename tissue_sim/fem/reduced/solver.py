@@ -22,7 +22,7 @@ from tissue_sim.fem.reduced.tool_motion import PrescribedModeAmplitudes
 from tissue_sim.fem.solid.discretisation import make_contact_pairs_and_datum
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.state import SavedState
-from tissue_sim.fem.solid.surface import SolidSurface
+from tissue_sim.fem.solid.surface import SolidSurface, extract_deformed_surface
 from tissue_sim.fem.solid.tissue import compute_node_shear_moduli
 from tissue_sim.fem.solver import Fields, StaticStiffnessRequest, Step, StepStatus
 from tissue_sim.material.material import Material
@@ -355,7 +355,7 @@ class ReducedSolver(ReducedSolverBase):
 
     def deformed_surface(self) -> SolidSurface:
         """Return the surface of the tissue in the last committed state."""
-        return SolidSurface(self.mesh, self.displacement(), self.datum)
+        return extract_deformed_surface(self.mesh, self.displacement(), self.datum)
 
     def get_recording_metadata(self) -> dict[str, Any]:
         """See `Solver.get_recording_metadata`."""

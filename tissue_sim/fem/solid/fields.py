@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissue_sim.fem.elements.fields import FIELD_UNITS, ElementFields
+from tissue_sim.fem.result_views import SolidGeometry
+from tissue_sim.fem.solid.surface import build_solid_geometry
 
 #: Components of the Cauchy stress along the axes of the scene, which only three-dimensional solids have -> indices.
 _ALONG = {f"cauchy_{'xyz'[i]}{'xyz'[k]}": (i, k) for i in range(3) for k in range(i, 3)}
@@ -21,14 +23,9 @@ class SolidFields(ElementFields):
     """Fields of a three-dimensional solid at every sample of a simulated recording, with the axes x, y and z.
 
     The attribute `stresses` has the components XX, XY, XZ, YY, YZ and ZZ.
-
-    Attributes:
-        datum: height of the scene's origin in the frame of the mesh, m.
     """
 
     units = SOLID_UNITS
-
-    datum: float = 0.0
 
     def with_selected_elements(self, elements: np.ndarray) -> SolidFields:
         """Return a copy with some of the elements only; all nodes remain, with their indices.
@@ -43,14 +40,26 @@ class SolidFields(ElementFields):
                        weights=self.weights[elements], moduli=self.moduli[elements],
                        stresses=None if self.stresses is None else self.stresses[:, elements])
 
-    def with_one_mean_point_per_element(self) -> SolidFields:
-        """Return a copy with one quadrature point in each element, with the mean deformation of the element."""
+    def with_one_mean_point_per_element(self, previous: SolidFields | None = None) -> SolidFields:
+        """Return a copy with one quadrature point in each element, with the mean deformation of the element.
+
+        Args:
+            previous: an earlier result of the same tissue, whose gradients, modes and volumes are used again unless the
+                stresses depend on the history.
+        """
+        if previous is not None and self.stresses is None:
+            return replace(self, gradients=previous.gradients, pressure_modes=previous.pressure_modes,
+                           weights=previous.weights)
         volumes = self.weights.sum(axis=1, keepdims=True)
         shares = self.weights / volumes
         return replace(self, gradients=np.einsum("eq,eqai->eai", shares, self.gradients)[:, None],
                        pressure_modes=np.einsum("eq,eqm->em", shares, self.pressure_modes)[:, None], weights=volumes,
                        stresses=None if self.stresses is None
                        else np.einsum("eq,seqi->sei", shares, self.stresses)[:, :, None])
+
+    def geometry(self) -> SolidGeometry:
+        """Return the geometry of the mesh for drawing, the same object for all samples."""
+        return build_solid_geometry(self.mesh)
 
     def deformation_gradient(self, sample: int = -1) -> np.ndarray:
         """Return the deformation gradient F_iJ at the quadrature points of a sample, shape (elements, q, 3, 3)."""

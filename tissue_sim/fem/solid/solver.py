@@ -21,7 +21,7 @@ from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives, SolidSensitivity
 from tissue_sim.fem.solid.settings import NEWTON
 from tissue_sim.fem.solid.state import FieldSample, SavedState
-from tissue_sim.fem.solid.surface import SolidSurface
+from tissue_sim.fem.solid.surface import SolidSurface, extract_deformed_surface
 from tissue_sim.fem.solid.tangent import ReusableTangentFactor
 from tissue_sim.fem.solid.touch import FirstTouchHeightAndSolverMaker
 from tissue_sim.fem.solver import Neighbours, Solver, StaticStiffnessRequest, Step, StepStatus
@@ -375,7 +375,7 @@ class SolidSolver(KernelOwner, Solver):
 
     def deformed_surface(self) -> SolidSurface:
         """Return the deformed surface at the last committed state."""
-        return SolidSurface(self.mesh, self.committed_displacement, self.datum)
+        return extract_deformed_surface(self.mesh, self.committed_displacement, self.datum)
 
     def warnings(self) -> list[str]:
         """See `Solver.warnings`."""

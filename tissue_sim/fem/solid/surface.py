@@ -1,30 +1,37 @@
-"""Deformed surface of a three-dimensional solid."""
+"""Geometry of a solid mesh for drawing, and its deformed surface."""
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
+from tissue_sim.fem.result_views import SolidGeometry, SolidSurface
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.mesh.subdivision import triangulate_surface_faces
+from tissue_sim.mesh.subdivision import (
+    find_outline_edges_of_face,
+    subdivide_face_into_triangles,
+    subdivide_into_tetrahedra,
+    triangulate_surface_faces,
+)
 
 
-class SolidSurface:
-    """Surface of a solid at a state, in the frame of the scene; `outline` is None because the solid has no axis.
+@lru_cache(maxsize=4)
+def build_solid_geometry(mesh: SolidMesh) -> SolidGeometry:
+    """Divide the faces on the surface into triangles and the elements into tetrahedra; the result is cached."""
+    element, sides = mesh.element, np.concatenate(list(mesh.faces.values()))
+    cell_sides = element.local_face_node_indices[:, subdivide_face_into_triangles(element)].reshape(-1, 3)
+    return SolidGeometry(mesh.nodes, triangulate_surface_faces(element, sides).reshape(len(sides), -1, 3),
+                         sides[:, find_outline_edges_of_face(element)], mesh.connectivity,
+                         subdivide_into_tetrahedra(element), cell_sides, mesh.sets.get("top"))
+
+
+def extract_deformed_surface(mesh: SolidMesh, displacement: np.ndarray, datum: float) -> SolidSurface:
+    """Return the deformed surface of a mesh.
 
     Args:
         mesh: undeformed mesh.
-        displacement: displacement of its nodes, m, shape (nodes, 3).
-        datum: height of the scene's origin in the frame of the mesh, m.
+        displacement: displacements of the nodes, m, shape (nodes, 3).
+        datum: height of the first touch, which becomes z = 0, m.
     """
-
-    outline = None
-
-    def __init__(self, mesh: SolidMesh, displacement: np.ndarray, datum: float):
-        self._mesh, self._displacement, self._datum = mesh, displacement, datum
-
-    def triangles(self, segments: int = 48) -> tuple[np.ndarray, np.ndarray]:
-        """Return vertices, m, shape (v, 3), and triangles, shape (t, 3), with normals that point outwards."""
-        triangles = triangulate_surface_faces(self._mesh.element, np.concatenate(list(self._mesh.faces.values())))
-        numbers, indices = np.unique(triangles, return_inverse=True)
-        vertices = self._mesh.nodes[numbers] + self._displacement[numbers] - [0.0, 0.0, self._datum]
-        return vertices, indices.reshape(-1, 3)
+    return SolidSurface(build_solid_geometry(mesh), mesh.nodes + displacement - [0.0, 0.0, datum])
