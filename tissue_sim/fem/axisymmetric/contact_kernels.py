@@ -26,8 +26,8 @@ from tissue_sim.fem.axisymmetric.contact import (
     OutlineSpanColumn,
 )
 from tissue_sim.fem.axisymmetric.contact_gap import make_gap_function
-from tissue_sim.fem.axisymmetric.contact_laws import make_contact_law_functions
 from tissue_sim.fem.axisymmetric.newton_tables import NEWTON, StepSettingIndex
+from tissue_sim.fem.contact.laws import make_contact_law_functions
 from tissue_sim.fem.contact.settings import ALL_POINTS, ActiveSetSettings, ContactBondState
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants

@@ -18,11 +18,11 @@ from tissue_sim.fem.axisymmetric import contact_kernels, newton
 from tissue_sim.fem.axisymmetric.array_layouts import ELEMENT_ARRAYS, STATE_ARRAYS, SURFACE_ARRAYS, TISSUE_ARRAYS
 from tissue_sim.fem.axisymmetric.batches import ElementBatches
 from tissue_sim.fem.axisymmetric.contact import PENALTY, ContactPoints
-from tissue_sim.fem.axisymmetric.contact_laws import pack_contact_law_settings
 from tissue_sim.fem.axisymmetric.numbering import number_equations
 from tissue_sim.fem.axisymmetric.reference import compute_undeformed_mesh_quadrature
 from tissue_sim.fem.axisymmetric.state import SolverState
 from tissue_sim.fem.axisymmetric.touch import bind_no_slip_points_where_they_touch
+from tissue_sim.fem.contact.laws import pack_contact_law_settings
 from tissue_sim.fem.contact.pairs import ContactPairs
 from tissue_sim.fem.elements.point_effects import PointEffects
 from tissue_sim.fem.history import MaterialMemory

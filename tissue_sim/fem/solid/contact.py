@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tissue_sim.fem.contact.laws import NodalContactLaws
 from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.contact.settings import ALL_POINTS, SOLID_PENALTY, ActiveSetSettings, ContactBondState
 from tissue_sim.fem.contact.surface_geometry import find_nearest_surface_geometry
-from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.contact_state import NodalContactState
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.pose import Pose

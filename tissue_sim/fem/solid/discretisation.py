@@ -11,9 +11,9 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
+from tissue_sim.fem.contact.laws import NodalContactLaws
 from tissue_sim.fem.contact.pairs import ContactPair, ContactPairs, SurfaceParts, build_contact_pairs
 from tissue_sim.fem.contact.settings import TOLERANCES
-from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives
 from tissue_sim.fem.solid.settling import SolidSelfWeightProblem, solve_solid_self_weight_equilibrium
 from tissue_sim.fem.solid.solver import SolidSolver

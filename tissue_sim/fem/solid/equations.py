@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from tissue_sim.fem.contact.laws import NodalContactLaws
 from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.contact.surface_geometry import find_nearest_surface_geometry
 from tissue_sim.fem.inertia import LumpedMass
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.contact import ContactNodes
-from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.frame import ToolFrame, differentiate_rotated_forces, differentiate_torque_by_levers
 from tissue_sim.fem.solid.state import SavedState
 from tissue_sim.fem.solid.tissue import Tissue
