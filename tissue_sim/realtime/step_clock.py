@@ -130,14 +130,11 @@ class StepBudget:
         clock: estimates the time of solves.
         most: largest number of linear solves of the step; None: no limit.
         ends: value of `time.perf_counter` at which the budget ends, s; None: no limit.
-
-    Attributes:
-        is_bounded: whether the number of solutions or the time is limited.
     """
 
     def __init__(self, clock: StepTimeEstimator, most: int | None, ends: float | None):
         self._clock, self._ends, self._left = clock, ends, _UNBOUNDED if most is None else most
-        self._begins, self.is_bounded = True, most is not None or ends is not None
+        self._begins = True
 
     def count_fitting_solves(self, answers: int = 1) -> int:
         """Return the number of solves that the next substep may make besides its stiffnesses; below 1: do not begin.
