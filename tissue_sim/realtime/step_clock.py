@@ -142,18 +142,18 @@ class StepBudget:
         Args:
             answers: number of stiffnesses of the part, one solve each.
         """
-        fits = self._left - answers
-        if self._ends is not None:
-            left = self._ends - time.perf_counter() - (answers - 1) * self._clock.fixed
-            fits = min(fits, self._clock.count_fitting_solves(left, first=self._begins))
-        return fits
+        return min(self._left - answers, self._count_solves_in_time(answers, first=self._begins))
 
     def has_time_for_solves(self, solves: int, answers: int) -> bool:
         """Return whether the remaining time suffices for these solves and stiffnesses (`answers`)."""
+        return self._count_solves_in_time(answers, first=False) >= solves
+
+    def _count_solves_in_time(self, answers: int, first: bool) -> int:
+        """Return the number of solves, besides stiffnesses (`answers`), that fit into the remaining time."""
         if self._ends is None:
-            return True
+            return _UNBOUNDED
         left = self._ends - time.perf_counter() - (answers - 1) * self._clock.fixed
-        return self._clock.count_fitting_solves(left) >= solves
+        return self._clock.count_fitting_solves(left, first)
 
     def subtract_solves(self, solves: int, answers: int = 1) -> None:
         """Subtract the solves and stiffnesses (`answers`) of a completed substep from the budget."""
