@@ -27,8 +27,6 @@ from tissue_sim.tool_force import (
     ToolForce,
     TouchState,
     is_force_error_acceptable_or_unknown,
-    make_axial_stiffness_matrix,
-    make_axial_wrench,
     scale_matrix,
 )
 
@@ -243,8 +241,7 @@ class MultiRateTissue(RealTimeTissue):
             self._link.send_state(self._stepper.export_state(self._time, start, self._time, start, self._epoch,
                                                              touched=False))
         status = ForceStatus.CONVERGED if self._link.is_alive else ForceStatus.LATE
-        return ToolForce(make_axial_wrench(0.0), make_axial_stiffness_matrix(0.0), status, pose=pose,
-                         compute_time=clock.perf_counter() - began)
+        return self._make_zero_force(status, pose, began)
 
     def _solve_contact_step(self, pose: Pose, dt: float, began: float) -> ToolForce:
         """Solve the contact at a pose, in contact or not, on the newest model; send the state, and return the force."""

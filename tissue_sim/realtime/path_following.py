@@ -22,8 +22,7 @@ from tissue_sim.realtime.inertia_limits import (
     minimum_stable_tool_mass,
 )
 from tissue_sim.realtime.path_settings import PathSettings
-from tissue_sim.realtime.pending_path import PendingPath
-from tissue_sim.realtime.simulator_state import AT_REST, DampedPathState, LastEquilibrium, NewtonAttempt
+from tissue_sim.realtime.pending_path import AT_REST, DampedPathState, LastEquilibrium, NewtonAttempt, PendingPath
 from tissue_sim.realtime.step_clock import LEAST_SOLVES, StepBudget, StepTimeEstimator, count_solves_in_budget_or_none
 from tissue_sim.realtime.tissue import RealTimeTissue
 from tissue_sim.realtime.tool_track import ToolTrack, compute_fraction_in_air
@@ -154,8 +153,7 @@ class PathFollowingTissue(RealTimeTissue):
         solver.stop_tissue_motion()
         self._reduced.record_depth_and_get_force_factor(target.depth, dt)
         tool.pose, self._equilibrium, self.error = pose, LastEquilibrium.make_in_air(target), None
-        self._answer = ToolForce(AT_REST.wrench, AT_REST.stiffness, ForceStatus.CONVERGED, pose=pose,
-                                 compute_time=time.perf_counter() - began)
+        self._answer = self._make_zero_force(ForceStatus.CONVERGED, pose, began)
         return self._answer
 
     def _split_first_tick_at_renewed_touch(self, inertial: bool) -> None:

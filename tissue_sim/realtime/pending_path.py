@@ -1,4 +1,4 @@
-"""Path of the tool since the last equilibrium, as a list of ticks.
+"""Last equilibrium, path of the tool since then as a list of ticks, and unfinished iterations on this path.
 
 A step that is late leaves its tick to the next steps. The force on tissue with mass, memory or friction depends on the
 whole path: if one straight line replaced the late ticks, the force after a turn of the tool would be that of another
@@ -10,11 +10,16 @@ force may be wrong.
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from dataclasses import dataclass, field, replace
 
-from tissue_sim.pose import Pose, Screw, compute_pose_distance, interpolate_pose
+from tissue_sim.fem.solver import Step
+from tissue_sim.pose import Pose, Screw, compute_pose_distance, interpolate_pose, scale_screw
 from tissue_sim.realtime.inertia_limits import UnresolvedWaveErrorEstimator
+from tissue_sim.tool_force import Matrix, make_axial_stiffness_matrix, make_axial_wrench, scale_matrix
 
+#: Age of a stiffness that has not been computed yet.
+NEVER = 1 << 30
 #: Largest number of ticks that are followed one by one. The oldest ones beyond it are merged.
 MOST_TICKS = 32
 
@@ -37,7 +42,7 @@ class PathTick:
 
 @dataclass(slots=True)
 class PendingPath:
-    """Path of the tool since the last equilibrium, as a list of ticks.
+    """Last equilibrium, path of the tool since then as a list of ticks, and unfinished iterations on this path.
 
     Attributes:
         ticks: ticks in the order of time.
@@ -190,3 +195,102 @@ class PendingPath:
                 del self.ticks[0]
         else:
             self.ticks[0] = replace(first, dt=max(0.0, first.dt - dt))
+
+
+@dataclass(frozen=True, slots=True)
+class LastEquilibrium:
+    """Result of the last equilibrium, and the pose of the tool.
+
+    Attributes:
+        stiffness: static stiffness of the tissue.
+        stiffness_age: number of inertial equilibria since that stiffness was computed.
+        step_stiffness: stiffness within an inertial step; None after a static one.
+        stiffness_time: time between the equilibrium whose stiffness it is and this one, s.
+    """
+
+    pose: Pose
+    wrench: Screw
+    stiffness: Matrix
+    inertial: bool
+    stiffness_age: int = 0
+    step_stiffness: Matrix | None = None
+    stiffness_time: float = 0.0
+
+    def make_next_equilibrium(self, step: Step, pose: Pose, share: float, inertial: bool,
+                              dt: float = 0.0) -> LastEquilibrium:
+        """Return the equilibrium after a converged step; the stiffness of this one is kept if the step has none.
+
+        Args:
+            step: result of the solver.
+            pose: pose of the tool.
+            share: factor of effects in reduced form on the force.
+            inertial: whether the step was inertial. If it has no static stiffness, that of this equilibrium is kept.
+            dt: length of the step, s.
+
+        Raises:
+            TypeError: the solver returned no stiffness.
+        """
+        own, within, wrench = step.stiffness_matrix, step.step_stiffness_matrix, step.wrench
+        if own is None and within is None:
+            raise TypeError("step() must return a stiffness after enable_stiffness_output(); see "
+                            "Solver.enable_stiffness_output")
+        if share != 1.0:
+            wrench = scale_screw(share, wrench)
+            own = None if own is None else scale_matrix(share, own)
+            within = None if within is None else scale_matrix(share, within)
+        if own is None:
+            return LastEquilibrium(pose, wrench, self.stiffness, inertial, self.stiffness_age + 1, within,
+                                   self.stiffness_time + dt)
+        return LastEquilibrium(pose, wrench, own, inertial, 0, within, step.stiffness_age)
+
+    @classmethod
+    def make_in_air(cls, pose: Pose) -> LastEquilibrium:
+        """Return the equilibrium of a tool at a pose without contact."""
+        return cls(pose, AT_REST.wrench, AT_REST.stiffness, False, NEVER)
+
+
+#: Equilibrium without contact.
+AT_REST = LastEquilibrium(Pose.at_depth(0.0), make_axial_wrench(0.0), make_axial_stiffness_matrix(0.0), False, NEVER)
+
+
+@dataclass(frozen=True, slots=True)
+class NewtonAttempt:
+    """Unfinished Newton iteration for the equilibrium at a pose, dt seconds later, which the next step continues.
+
+    Attributes:
+        order: order of the extrapolation with which the iteration began.
+        limit: largest number of linear solves.
+        spent: number of linear solves so far.
+    """
+
+    pose: Pose
+    dt: float
+    order: int
+    limit: int
+    spent: int = 0
+
+
+@dataclass(slots=True)
+class DampedPathState:
+    """Unfinished path of `Solver.iterate_steps_with_damping` to a pose, dt seconds later, and its last step."""
+
+    pose: Pose
+    dt: float
+    last: Step
+    steps: Generator[Step] = field(init=False)
+    _allowed: int = field(init=False, default=1)
+
+    def get_allowed_solves_until_yield(self) -> int:
+        """Return the number of linear solves that the damped path may make until its next yield."""
+        return self._allowed
+
+    def compute_next_step_within_solves_or_none(self, allowed: int) -> Step | None:
+        """Continue the damped path with at most `allowed` linear solves.
+
+        Returns:
+            The next step, which is also stored as `last`; None if the path is complete.
+        """
+        self._allowed = allowed
+        step = next(self.steps, None)
+        self.last = step or self.last
+        return step

@@ -6,10 +6,9 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from tissue_sim.fem.solver import ResolutionLevel
-from tissue_sim.tool_force import ToolForce
+from tissue_sim.tool_force import Tissue
 
 
 @dataclass(frozen=True)
@@ -41,14 +40,7 @@ MOTION = TimingMotionSettings()
 _LEAST_COST_RATIO = 1.5
 
 
-class SteppableTissue(Protocol):
-    """Object whose steps are timed, such as a `Simulator`."""
-
-    def step(self, pose: float, dt: float) -> ToolForce:
-        """Return the force at a depth, m, dt s after the last step."""
-
-
-def measure_tick_time_or_infinity(simulator: SteppableTissue, depth: float, *, lifts: bool,
+def measure_tick_time_or_infinity(simulator: Tissue, depth: float, *, lifts: bool,
                                   budget: float = math.inf) -> float:
     """Measure the CPU time of this thread, s, within which 99 % of the ticks of a fast motion end.
 

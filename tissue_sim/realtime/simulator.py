@@ -21,13 +21,9 @@ from tissue_sim.public_names import with_old_names
 from tissue_sim.realtime.accepted_models import require_no_tilt_or_partial_slip
 from tissue_sim.realtime.path_following import PathFollowingTissue
 from tissue_sim.realtime.path_settings import PATH, PathSettings
+from tissue_sim.realtime.pending_path import AT_REST, NEVER
 from tissue_sim.realtime.resolution_choice import choose_finest_level_in_budget, measure_tick_time_or_infinity
-from tissue_sim.realtime.simulator_state import (
-    AT_REST,
-    NEVER,
-    SimulatorState,
-    StateOrigin,
-)
+from tissue_sim.realtime.simulator_state import SimulatorState, StateOrigin
 from tissue_sim.realtime.step_clock import require_valid_max_solves
 from tissue_sim.realtime.tool_track import is_pose_on_axis
 from tissue_sim.snapshot import Snapshot, snapshot
@@ -224,8 +220,7 @@ class Simulator(PathFollowingTissue):
             if spent is None or not is_possible:
                 tool.pose = pose
                 status = ForceStatus.CONVERGED if is_possible else ForceStatus.STOPPED
-                self._answer = ToolForce(AT_REST.wrench, AT_REST.stiffness, status, pose=pose, is_on_axis=on_axis,
-                                         compute_time=time.perf_counter() - began)
+                self._answer = self._make_zero_force(status, pose, began, on_axis)
                 return self._answer
             self._begins, dt = first, spent
             self._pose, target = (tool.project_to_solver_pose_without_twist(solver, each)

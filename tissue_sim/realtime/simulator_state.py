@@ -1,123 +1,20 @@
-"""State of a simulator between two steps, without that of its solver."""
+"""Saved state of a simulator between two steps, and check of its origin."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from numbers import Real
 from typing import Any
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.solver import Step
 from tissue_sim.material.effect import ToolHistory
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose, Screw, scale_screw
+from tissue_sim.pose import Pose
 from tissue_sim.realtime.inertia_limits import ToolReversalDetector
-from tissue_sim.realtime.pending_path import PendingPath
+from tissue_sim.realtime.pending_path import LastEquilibrium, PendingPath
 from tissue_sim.realtime.tool_track import ToolTrack
-from tissue_sim.tool_force import Matrix, ToolForce, make_axial_stiffness_matrix, make_axial_wrench, scale_matrix
-
-#: Age of a stiffness that has not been computed yet.
-NEVER = 1 << 30
-
-
-@dataclass(frozen=True, slots=True)
-class LastEquilibrium:
-    """Result of the last equilibrium, and the pose of the tool.
-
-    Attributes:
-        stiffness: static stiffness of the tissue.
-        stiffness_age: number of inertial equilibria since that stiffness was computed.
-        step_stiffness: stiffness within an inertial step; None after a static one.
-        stiffness_time: time between the equilibrium whose stiffness it is and this one, s.
-    """
-
-    pose: Pose
-    wrench: Screw
-    stiffness: Matrix
-    inertial: bool
-    stiffness_age: int = 0
-    step_stiffness: Matrix | None = None
-    stiffness_time: float = 0.0
-
-    def make_next_equilibrium(self, step: Step, pose: Pose, share: float, inertial: bool,
-                              dt: float = 0.0) -> LastEquilibrium:
-        """Return the equilibrium after a converged step; the stiffness of this one is kept if the step has none.
-
-        Args:
-            step: result of the solver.
-            pose: pose of the tool.
-            share: factor of effects in reduced form on the force.
-            inertial: whether the step was inertial. If it has no static stiffness, that of this equilibrium is kept.
-            dt: length of the step, s.
-
-        Raises:
-            TypeError: the solver returned no stiffness.
-        """
-        own, within, wrench = step.stiffness_matrix, step.step_stiffness_matrix, step.wrench
-        if own is None and within is None:
-            raise TypeError("step() must return a stiffness after enable_stiffness_output(); see "
-                            "Solver.enable_stiffness_output")
-        if share != 1.0:
-            wrench = scale_screw(share, wrench)
-            own = None if own is None else scale_matrix(share, own)
-            within = None if within is None else scale_matrix(share, within)
-        if own is None:
-            return LastEquilibrium(pose, wrench, self.stiffness, inertial, self.stiffness_age + 1, within,
-                                   self.stiffness_time + dt)
-        return LastEquilibrium(pose, wrench, own, inertial, 0, within, step.stiffness_age)
-
-    @classmethod
-    def make_in_air(cls, pose: Pose) -> LastEquilibrium:
-        """Return the equilibrium of a tool at a pose without contact."""
-        return cls(pose, AT_REST.wrench, AT_REST.stiffness, False, NEVER)
-
-
-#: Equilibrium without contact.
-AT_REST = LastEquilibrium(Pose.at_depth(0.0), make_axial_wrench(0.0), make_axial_stiffness_matrix(0.0), False, NEVER)
-
-
-@dataclass(frozen=True, slots=True)
-class NewtonAttempt:
-    """Unfinished Newton iteration for the equilibrium at a pose, dt seconds later, which the next step continues.
-
-    Attributes:
-        order: order of the extrapolation with which the iteration began.
-        limit: largest number of linear solves.
-        spent: number of linear solves so far.
-    """
-
-    pose: Pose
-    dt: float
-    order: int
-    limit: int
-    spent: int = 0
-
-
-@dataclass(slots=True)
-class DampedPathState:
-    """Unfinished path of `Solver.iterate_steps_with_damping` to a pose, dt seconds later, and its last step."""
-
-    pose: Pose
-    dt: float
-    last: Step
-    steps: Generator[Step] = field(init=False)
-    _allowed: int = field(init=False, default=1)
-
-    def get_allowed_solves_until_yield(self) -> int:
-        """Return the number of linear solves that the damped path may make until its next yield."""
-        return self._allowed
-
-    def compute_next_step_within_solves_or_none(self, allowed: int) -> Step | None:
-        """Continue the damped path with at most `allowed` linear solves.
-
-        Returns:
-            The next step, which is also stored as `last`; None if the path is complete.
-        """
-        self._allowed = allowed
-        step = next(self.steps, None)
-        self.last = step or self.last
-        return step
+from tissue_sim.tool_force import ToolForce
 
 
 @dataclass(frozen=True)

@@ -130,14 +130,11 @@ class StepBudget:
         clock: estimates the time of solves.
         most: largest number of linear solves of the step; None: no limit.
         ends: value of `time.perf_counter` at which the budget ends, s; None: no limit.
-
-    Attributes:
-        is_bounded: whether the number of solutions or the time is limited.
     """
 
     def __init__(self, clock: StepTimeEstimator, most: int | None, ends: float | None):
         self._clock, self._ends, self._left = clock, ends, _UNBOUNDED if most is None else most
-        self._begins, self.is_bounded = True, most is not None or ends is not None
+        self._begins = True
 
     def count_fitting_solves(self, answers: int = 1) -> int:
         """Return the number of solves that the next substep may make besides its stiffnesses; below 1: do not begin.
@@ -145,18 +142,18 @@ class StepBudget:
         Args:
             answers: number of stiffnesses of the part, one solve each.
         """
-        fits = self._left - answers
-        if self._ends is not None:
-            left = self._ends - time.perf_counter() - (answers - 1) * self._clock.fixed
-            fits = min(fits, self._clock.count_fitting_solves(left, first=self._begins))
-        return fits
+        return min(self._left - answers, self._count_solves_in_time(answers, first=self._begins))
 
     def has_time_for_solves(self, solves: int, answers: int) -> bool:
         """Return whether the remaining time suffices for these solves and stiffnesses (`answers`)."""
+        return self._count_solves_in_time(answers, first=False) >= solves
+
+    def _count_solves_in_time(self, answers: int, first: bool) -> int:
+        """Return the number of solves, besides stiffnesses (`answers`), that fit into the remaining time."""
         if self._ends is None:
-            return True
+            return _UNBOUNDED
         left = self._ends - time.perf_counter() - (answers - 1) * self._clock.fixed
-        return self._clock.count_fitting_solves(left) >= solves
+        return self._clock.count_fitting_solves(left, first)
 
     def subtract_solves(self, solves: int, answers: int = 1) -> None:
         """Subtract the solves and stiffnesses (`answers`) of a completed substep from the budget."""

@@ -86,6 +86,12 @@ class RealTimeTissue(KernelOwner):
         """Return the last force with the status REFUSED."""
         return replace(self._answer, status=ForceStatus.REFUSED, iterations=0, compute_time=time.perf_counter() - began)
 
+    def _make_zero_force(self, status: ForceStatus, pose: Pose, began: float, is_on_axis: bool = True) -> ToolForce:
+        """Return the force of a tool without contact at a pose; `began` is the clock at the start of the step."""
+        zero = FORCE_BEFORE_FIRST_STEP
+        return ToolForce(zero.wrench, zero.stiffness_matrix, status, pose=pose, is_on_axis=is_on_axis,
+                         compute_time=time.perf_counter() - began)
+
     @make_single_thread_method
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the material; the state is kept, and the next step finds its equilibrium.

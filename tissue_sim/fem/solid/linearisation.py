@@ -25,11 +25,11 @@ from tissue_sim.fem.condensed.model import (
 )
 from tissue_sim.fem.contact.settings import SOLID_PENALTY
 from tissue_sim.fem.linear.sparse import get_pardiso_or_scipy_name
-from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.frame import ToolFrame, differentiate_torque_by_levers
 from tissue_sim.fem.solid.settings import LinearisationSettings
 from tissue_sim.fem.solid.solver import SolidSolver
+from tissue_sim.fem.solid.tangent import CondensedTangent
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
@@ -112,7 +112,7 @@ class SolidLineariser:
         self._untouched = equations.save()
         self._epoch, self._number, self._time = 0, 0, 0.0
         self._interface = self._meets[:0]
-        self._tangents = [CondensedTangent(equations.matrix, equations.held_dofs) for _ in range(2)]
+        self._tangents = [CondensedTangent(equations) for _ in range(2)]
         # Tangent in use, tangent that is being factorised, and increment that balances the tissue without contact.
         self._tangent: CondensedTangent | None = None
         self._coming: CondensedTangent | None = None
@@ -221,15 +221,14 @@ class SolidLineariser:
         if self._holds:
             goal = equations.compute_held_node_displacements(ToolFrame(state.pose, equations.datum))
             motion[equations.held_dofs] = goal - equations.x[equations.held_dofs]
-            pulled = tangent.held @ motion[equations.held_dofs]
-            carried = -tangent.begin_solution_with_interface_rows(pulled[equations.free])
+            carried = -tangent.begin_solution_with_interface_rows(tangent.held @ motion[equations.held_dofs])
         loaded = np.flatnonzero(state.forces.any(axis=1))
         if np.isin(loaded, tangent.interface).all():
             pushed = -tangent.begin_solution_for_interface_forces(state.forces[tangent.interface])
         else:
             right = np.zeros_like(equations.x)
             right[self._freedoms[loaded]] = state.forces[loaded]
-            pushed = -tangent.begin_solution_with_interface_rows(right[equations.free])
+            pushed = -tangent.begin_solution_with_interface_rows(right)
         begun = self._settles + pushed + carried
         motion[equations.free] = tangent.finish_solution(begun)
         equations.x += motion
@@ -243,14 +242,14 @@ class SolidLineariser:
         """
         tangent = self._tangent
         assert tangent is not None
-        return tangent.finish_solution(begun) if self._holds else begun[tangent.sorted_free_interface_equations]
+        return tangent.finish_solution(begun) if self._holds else begun[tangent.interface_rows]
 
     @property
     def _displacement_norm(self) -> float:
         """Norm of the displacement in the rows of `_select_rows_for_norm`, m."""
         assert self._tangent is not None
         displacement = self._equations.x[self._equations.free]
-        rows = displacement if self._holds else displacement[self._tangent.sorted_free_interface_equations]
+        rows = displacement if self._holds else displacement[self._tangent.interface_rows]
         return float(np.linalg.norm(rows))
 
     def _store_contact_free_increment(self) -> None:
@@ -259,7 +258,7 @@ class SolidLineariser:
         assert tangent is not None
         if self._stale:
             equations.tissue.correct_forces_for_reused_matrix(right)
-        self._settles = -tangent.begin_solution_with_interface_rows(right[equations.free])
+        self._settles = -tangent.begin_solution_with_interface_rows(right)
         if self._holds:
             motion = tangent.finish_solution(self._settles)
             self._reactions = right[equations.held_dofs] + tangent.held[equations.free].T @ motion
@@ -285,12 +284,11 @@ class SolidLineariser:
         spare = next((each for each in self._tangents if each is not self._tangent and each.is_done), None)
         if spare is None or self._coming is not None:
             return None
-        equations, order, loaded = self._equations, *self._order_contact_candidates_and_count_loaded(state, pose, ahead)
+        order, loaded = self._order_contact_candidates_and_count_loaded(state, pose, ahead)
         if not np.isin(order[:max(int(_SETTINGS.needed * self._most), loaded)], self._interface).all():
             self._interface = np.sort(order[:self._most])
         spare.time, spare.pose = state.time, pose
-        spare.start_condensation(equations.matrix, self._interface, self._rows[self._interface],
-                                 equations.batches.volume_rates, executor)
+        spare.start_condensation(self._interface, self._rows[self._interface], executor)
         self._coming = spare
         return spare
 
@@ -353,7 +351,7 @@ class SolidLineariser:
         equations = self._equations
         answer = np.zeros((equations.x.size, 6))
         answer[equations.held_dofs] = levers.reshape(-1, 6)
-        answer[equations.free] = -tangent.solve((tangent.held @ answer[equations.held_dofs])[equations.free])
+        answer[equations.free] = -tangent.solve(tangent.held @ answer[equations.held_dofs])
         tangent.tool_coupling = answer[self._freedoms[tangent.nodes]].reshape(-1, 6)
         reactions = (tangent.held.T @ answer).reshape(-1, 3, 6)
         rate = -np.einsum("nia,nib->ab", levers, reactions)

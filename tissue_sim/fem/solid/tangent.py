@@ -1,18 +1,21 @@
-"""Factor of the tangent of a solid, which is used for several Newton iterations (modified Newton).
+"""Factors of the tangent of a solid: reused by Newton iterations, or condensed onto nodes that the tool may touch.
 
-With a reused factor, pressures and contact forces are eliminated with the stiffness values that the matrix contains.
-The iteration is then one for displacements, pressures and contact forces with an earlier tangent, whose convergence
-rate depends neither on K/mu nor on the penalty stiffness of the contact.
+With a reused factor (modified Newton method), pressures and contact forces are eliminated with the stiffness values
+that the matrix contains. The iteration is then one for displacements, pressures and contact forces with an earlier
+tangent, whose convergence rate depends neither on K/mu nor on the penalty stiffness of the contact.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.linear.sparse import Factor
+from tissue_sim.fem.condensed.model import Executor
+from tissue_sim.fem.linear.sparse import CondensedFactor, Factor, SparseSolver
 from tissue_sim.fem.solid.equations import SolidEquations
+from tissue_sim.pose import Pose
 
 
 @dataclass(frozen=True)
@@ -102,3 +105,107 @@ class ReusableTangentFactor:
         """
         gain = min(ratio / max(self._before, 1e-300), _SETTINGS.no_gain)
         return not changed and (gain <= _SETTINGS.gain or ratio * gain**_SETTINGS.more <= goal)
+
+
+class CondensedTangent:
+    """Copy of the tangent of a solid's bulk at one iterate, with its factor and Schur complement on interface nodes.
+
+    The copy stays constant while the iteration of the solver continues.
+
+    Args:
+        equations: equations of the solid.
+
+    Attributes:
+        time: time of the contact state of the iterate, s; set by the owner.
+        pose: pose of the tool at the iterate; set by the owner.
+        interface: indices, in the `ContactSurface`, of the nodes onto which the tangent is condensed, shape (m,).
+        interface_rows: sorted indices of their degrees of freedom among the free ones, shape (3 m,).
+        nodes: interface nodes that are published to the contact solver, shape (n,).
+        volume_rates: volume derivatives with which the pressures were eliminated, see `ElementBatches`.
+        held: columns of the matrix for the degrees of freedom that the tool holds.
+        factor: None before it is computed, or if the matrix is singular.
+        compliance: compliance matrix of the published nodes, m/N, shape (3 n, 3 n).
+        tool_coupling: derivative of the nodal displacements with respect to the pose of the tool that holds tissue,
+            shape (3 n, 6).
+        stiffness: minus the derivative of the wrench of the held nodes with respect to the pose, shape (6, 6).
+    """
+
+    time: float
+    pose: Pose
+    compliance: np.ndarray
+    tool_coupling: np.ndarray
+    stiffness: np.ndarray
+
+    def __init__(self, equations: SolidEquations):
+        from scipy import sparse
+
+        pattern, self._equations = equations.matrix.free, equations
+        self._matrix = sparse.csc_array((np.zeros(pattern.nnz), pattern.indices, pattern.indptr), shape=pattern.shape)
+        self._sparse = SparseSolver()
+        self._is_done: Callable[[], bool] = lambda: True
+        self.interface = self.nodes = np.zeros(0, dtype=np.intp)
+        self.volume_rates, self.held = np.zeros(0), equations.matrix.all[:, equations.held_dofs]
+        self.factor: CondensedFactor | None = None
+
+    def start_condensation(self, interface: np.ndarray, rows: np.ndarray, executor: Executor) -> None:
+        """Copy the tangent that was assembled last, and start its factorisation and condensation in an executor.
+
+        Args:
+            interface: indices of the interface nodes in the surface, shape (m,).
+            rows: indices of their degrees of freedom among the free ones, shape (m, 3).
+            executor: runs the factorisation.
+        """
+        matrix = self._equations.matrix
+        self._matrix.data[:], self.held = matrix.free.data, matrix.all[:, self._equations.held_dofs]
+        self.interface, self.volume_rates = interface, self._equations.batches.volume_rates.copy()
+        self.factor, self._order = None, np.argsort(rows.ravel())
+        self.interface_rows = rows.ravel()[self._order]
+        self._is_done = executor(self._condense)
+
+    def _condense(self) -> None:
+        """Set `factor`; it stays None if the matrix is singular."""
+        self.factor = self._sparse.factorise_condensed_or_none(self._matrix, self.interface_rows)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the factorisation has ended, with or without a factor."""
+        return self._is_done()
+
+    def set_published_nodes_and_compliance(self, nodes: np.ndarray, rows: np.ndarray) -> None:
+        """Set the published nodes and their compliance.
+
+        Args:
+            nodes: indices in the `ContactSurface`, a subset of `interface`, shape (n,).
+            rows: indices of their degrees of freedom among the free ones, shape (n, 3).
+        """
+        assert self.factor is not None
+        indices = np.searchsorted(self.interface_rows, rows.ravel())
+        self.nodes, self.compliance = nodes, self.factor.compliance[np.ix_(indices, indices)]
+        self.tool_coupling, self.stiffness = np.zeros((3 * nodes.size, 6)), np.zeros((6, 6))
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Return displacements of the free degrees of freedom, m, shape (free, n), under forces on all, N."""
+        assert self.factor is not None
+        return self.factor.solve(right[self._equations.free])
+
+    def begin_solution_with_interface_rows(self, right: np.ndarray) -> np.ndarray:
+        """Do the first half of `solve`, after which the rows of the interface already contain displacements, m.
+
+        Args:
+            right: forces on all degrees of freedom, N, shape (freedoms,).
+
+        Returns:
+            Argument of `finish_solution`, shape (free,); see `CondensedFactor.solve_up_to_interface`.
+        """
+        assert self.factor is not None
+        return self.factor.solve_up_to_interface(right[self._equations.free])
+
+    def begin_solution_for_interface_forces(self, forces: np.ndarray) -> np.ndarray:
+        """Do the first half of a solution for forces on the interface nodes only, N, shape (m, 3)."""
+        assert self.factor is not None
+        return self.factor.solve_up_to_interface_for_force(forces.ravel()[self._order])
+
+    def finish_solution(self, begun: np.ndarray) -> np.ndarray:
+        """Do the second half of a solution; return the displacements of all free degrees of freedom, m."""
+        assert self.factor is not None
+        return self.factor.complete_solution(begun)
