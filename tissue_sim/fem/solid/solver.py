@@ -13,9 +13,9 @@ from tissue_sim.fem.contact.settings import ALL_POINTS, ContactBondState
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.inertia import LumpedMass
 from tissue_sim.fem.linear.sparse import Factor
+from tissue_sim.fem.solid.coarse_surface import coarse_surface_warnings, estimate_coarse_surface_error_or_none
 from tissue_sim.fem.solid.contact import ContactViolationAndCounts
 from tissue_sim.fem.solid.equations import SolidEquations
-from tissue_sim.fem.solid.faceting import estimate_faceting_force_error_or_none, faceting_warnings
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives, SolidSensitivity
@@ -214,8 +214,7 @@ class SolidSolver(KernelOwner, Solver):
         """Return a converged step with its estimated force error, if stiffness is requested in every step."""
         if not self._asked:
             return step
-        error = estimate_faceting_force_error_or_none(self.contact, self.mesh, self.committed_displacement,
-                                                      math.hypot(*step.wrench[:3]))
+        error = estimate_coarse_surface_error_or_none(self.equations, math.hypot(*step.wrench[:3]))
         return step if error is None else replace(step, force_error=error)
 
     def _make_result(self, status: StepStatus, iterations: int, ratio: float, evaluation: ContactViolationAndCounts,
@@ -379,7 +378,7 @@ class SolidSolver(KernelOwner, Solver):
 
     def warnings(self) -> list[str]:
         """See `Solver.warnings`."""
-        return faceting_warnings(self.contact, self.mesh, self.committed_displacement)
+        return coarse_surface_warnings(self.equations)
 
     def get_recording_metadata(self) -> dict[str, Any]:
         """Return the metadata of the solver for a recording; see `Solver.get_recording_metadata`."""

@@ -1,0 +1,35 @@
+"""A rounded edge that is smaller than the elements of a solid: the solver states the force that is missing."""
+
+import re
+
+import pytest
+
+import tissue_sim as ts
+
+MATERIAL = ts.Material("mooney_rivlin", {"C10": 900.0, "C01": 400.0}, ts.Bulk("bulk_ratio", 100.0))
+
+
+def model(friction, edge_radius=4e-4):
+    tool = ts.Tool("flat", radius=6e-3, edge_radius=edge_radius)
+    return ts.Model(ts.Experiment(ts.Specimen(0.03, 0.03), ts.Protocol.ramp(2e-3, 5), tool=tool, friction=friction),
+                    MATERIAL)
+
+
+@pytest.mark.parametrize("edge_radius", [4e-4, 1e-3])
+def test_the_missing_force_is_stated(edge_radius):
+    """The axisymmetric solver resolves the edge; its force is the reference."""
+    right = ts.simulate(model("frictionless", edge_radius)).force[-1]
+    recording = ts.simulate(model("frictionless", edge_radius), solver="solid", resolution="realtime")
+    missing = 1.0 - recording.force[-1] / right
+    assert missing > 0.1
+    warning, = recording.metadata["solver"]["warnings"]
+    assert float(re.search(r"coarse edge: ([0-9.]+) %", warning)[1]) / 100.0 == pytest.approx(missing, abs=0.02)
+    simulator = ts.Simulator(model("frictionless", edge_radius), solver="solid", resolution="realtime", inertia="off")
+    for depth in (1e-3, 2e-3):
+        answer = simulator.step(depth, 0.1)
+    assert answer.force_error == pytest.approx(missing * right, rel=0.25)
+
+
+def test_a_face_that_sticks_has_no_warning():
+    recording = ts.simulate(model(0.4), solver="solid", resolution="realtime")
+    assert recording.metadata["solver"]["warnings"] == []
