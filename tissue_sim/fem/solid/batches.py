@@ -10,7 +10,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.shared_fields import LANES
-from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
 
 
 def compute_quadrature_volumes_gradients_modes(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -21,8 +21,9 @@ def compute_quadrature_volumes_gradients_modes(mesh: SolidMesh) -> tuple[np.ndar
         (elements, q, nodes, 3); orthonormal pressure modes, 1/m^1.5, shape (elements, q, modes).
 
     Raises:
-        InputError: an element of zero or negative volume.
+        InputError: an element type that is not registered, or an element of zero or negative volume.
     """
+    SOLID_ELEMENTS.find(mesh.element.name, "mesh")  # kernels refer to elements by name
     points, shares = mesh.element.quadrature
     values, slopes = mesh.element.evaluate_shape_functions_and_gradients(points)
     X = mesh.nodes[mesh.connectivity]
