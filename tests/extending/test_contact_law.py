@@ -10,6 +10,9 @@ import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.contact_law import CONTACT_LAWS, ContactLaw, Traction
+from tissue_sim.fem.condensed.model import LINEARISATIONS
+from tissue_sim.mesh.hexahedra import HEX27P1
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.parameters import parameters, with_values
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
@@ -93,6 +96,28 @@ def test_the_way_out_counts(film):
     plate = ts.Experiment(ts.Specimen(0.03, 0.03), WAY, friction="frictionless", friction_base="frictionless")
     assert plate.has_homogeneous_deformation and not replace(plate,
                                                              contact_laws=[film(tack=30.0)]).has_homogeneous_deformation
+
+
+@pytest.mark.slow
+def test_the_solid_has_the_force_of_the_axisymmetric_solver(film):
+    """Loading, unloading and separation between plates, with tack and shear; the base is bonded and the top slips."""
+    displacement = 1e-3 * np.array([0.0, 1.0, 0.3, 0.0, -0.02, -0.05, -0.2])
+    tested = model(film(tack=40.0, shear=3e5), tool=ts.Tool(), friction_base="bonded",
+                   protocol=ts.Protocol(np.arange(7.0), displacement))
+    mesh = create_cylinder_mesh_under_needle(0.03, 0.03, 0.018, HEX27P1, smallest=3.5e-3, growth=1.8, largest=10e-3,
+                                             around=2)
+    expected, found = force(tested), ts.simulate(tested, solver="solid", mesh=mesh).force
+    assert expected.max() > 0.3 and expected.min() < -0.02 and expected[-1] == 0.0
+    np.testing.assert_allclose(found, expected, rtol=0.01, atol=0.01 * abs(expected.min()))
+
+
+def test_reduced_and_multirate_solids_refuse_it(film):
+    """Both state their limit before they compute."""
+    tested = model(film(tack=40.0), friction=0.3, friction_base="bonded", protocol=ts.Protocol.ramp(2e-3, 3))
+    with pytest.raises(InputError, match="contact_laws: a reduced solid does not support adhesion or other"):
+        ts.reduce_solid(tested, ts.PoseBox(0.0, 2e-3, 0.0))
+    with pytest.raises(InputError, match="contact_laws: must be left out for a multirate solid"):
+        LINEARISATIONS.find("solid")(tested, resolution="realtime")
 
 
 def test_simulator_takes_it(film):

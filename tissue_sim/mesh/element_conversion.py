@@ -58,6 +58,22 @@ def number_nodes_by_shared_corners(element: SolidElement, corners: np.ndarray,
     return nodes, connectivity
 
 
+def convert_to_element_type(mesh: SolidMesh, element: SolidElement) -> SolidMesh:
+    """Return the mesh of the same cells with another element type; elements of order 2 keep curved edges and faces.
+
+    Args:
+        mesh: mesh of elements of the same shape.
+        element: element type with the same reference coordinates and order of the corners.
+    """
+    given = mesh.element
+    values, _ = given.evaluate_shape_functions_and_gradients(element.reference_nodes)
+    positions = np.einsum("ng,egi->eni", values, mesh.nodes[mesh.connectivity])
+    corners = mesh.connectivity[:, given.local_corner_indices]
+    if element.order == 1:  # straight edges
+        positions = np.einsum("nc,eci->eni", element.corner_functions_at_nodes, mesh.nodes[corners])
+    return create_mesh_with_surface_sets(element, *number_nodes_by_shared_corners(element, corners, positions))
+
+
 def split_hexahedra(mesh: SolidMesh, element: Tetrahedron) -> SolidMesh:
     """Return the mesh of tetrahedra, six for each hexahedron of a mesh; quadratic tetrahedra keep curved faces.
 

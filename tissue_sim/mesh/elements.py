@@ -7,9 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
+
+from tissue_sim.registry import Registry
 
 
 def evaluate_equidistant_lagrange_and_slopes(x: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
@@ -36,6 +39,10 @@ def evaluate_equidistant_lagrange_and_slopes(x: np.ndarray, order: int) -> tuple
 @dataclass(frozen=True)
 class QuadrilateralElement:
     """Quadrilateral element type with tensor-product Lagrange polynomials.
+
+    An element with other shape functions derives from this class and replaces `node_count`, `reference_nodes`,
+    `evaluate_shape_functions_and_gradients` and, if needed, the quadrature. Each edge has order + 1 nodes, evenly
+    spaced in the reference coordinates. `ELEMENTS` contains the element types by name.
 
     Attributes:
         name: name in the notation of the literature, such as ``Q9/P-1``.
@@ -78,9 +85,9 @@ class QuadrilateralElement:
 
     @cached_property
     def quadrature_extrapolation_matrix(self) -> np.ndarray:
-        """Matrix that extrapolates values at the quadrature points to the nodes, shape (nodes, q)."""
+        """Matrix that extrapolates values at the quadrature points to the nodes, shape (nodes, q); least squares."""
         shapes, _ = self.evaluate_shape_functions_and_gradients(self.quadrature[0])
-        return np.linalg.inv(shapes)
+        return np.linalg.inv(shapes) if shapes.shape[0] == shapes.shape[1] else np.linalg.pinv(shapes)
 
     def evaluate_shape_functions_and_gradients(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 2) at reference points (q, 2)."""
@@ -96,5 +103,20 @@ class QuadrilateralElement:
 Q9P1 = QuadrilateralElement("Q9/P-1", order=2, pressure_modes=3, boundary_nodes=8)
 #: Four-node quadrilateral with one pressure (mean dilatation), for verification and benchmarks.
 Q4P0 = QuadrilateralElement("Q4/P0", order=1, pressure_modes=1, boundary_nodes=4)
-#: Elements by name.
-ELEMENTS = {element.name: element for element in (Q9P1, Q4P0)}
+#: Largest number of nodes, and of quadrature points, for which the kernels reserve memory.
+MAX_NODES = 9
+
+
+def _fits_kernels(element: Any) -> bool:
+    """Return whether the kernels of the axisymmetric solver can evaluate an element."""
+    return (isinstance(element, QuadrilateralElement) and element.order in (1, 2) and element.pressure_modes in (1, 3)
+            and max(element.node_count, element.quadrature[1].size) <= MAX_NODES
+            and element.boundary_nodes in (element.node_count, element.node_count - 1))
+
+
+#: Name -> element of the axisymmetric solver.
+ELEMENTS: Registry[QuadrilateralElement] = Registry(
+    "quadrilateral element", "tissue_sim.elements", {element.name: element for element in (Q9P1, Q4P0)},
+    accepts=_fits_kernels,
+    expected=f"a QuadrilateralElement of order 1 or 2 with at most {MAX_NODES} nodes and {MAX_NODES} quadrature "
+             "points, 1 or 3 pressure modes, and at most one interior node")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,11 +12,23 @@ from tissue_sim.errors import InputError
 from tissue_sim.mesh.grading import O_GRID, Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.section import PlanarMesh, make_quarter_circle
-from tissue_sim.mesh.solid_element import SolidElement
+from tissue_sim.mesh.solid_element import MAX_NODES, SolidElement
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
+from tissue_sim.registry import Registry
 
-#: Solid elements by name.
-SOLID_ELEMENTS: dict[str, SolidElement] = {element.name: element for element in (HEX27P1, HEX8P0, TET15P1, TET8P0)}
+
+def _fits_kernels(element: Any) -> bool:
+    """Return whether the kernels of the solid solver can evaluate an element."""
+    return (isinstance(element, SolidElement) and element.pressure_modes in (1, 4)
+            and max(element.node_count, element.quadrature[1].size) <= MAX_NODES)
+
+
+#: Name -> element of the three-dimensional solver.
+SOLID_ELEMENTS: Registry[SolidElement] = Registry(
+    "solid element", "tissue_sim.solid_elements",
+    {element.name: element for element in (HEX27P1, HEX8P0, TET15P1, TET8P0)}, accepts=_fits_kernels,
+    expected=f"a SolidElement with at most {MAX_NODES} nodes and {MAX_NODES} quadrature points, and 1 or 4 pressure "
+             "modes")
 
 #: Ratio of successive elements of a cylinder between plates, away from the circle of the O-grid.
 _PLATE_GROWTH = 1.3

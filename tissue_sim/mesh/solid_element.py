@@ -8,10 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
+#: Largest number of nodes, and of quadrature points, for which the kernels reserve memory.
+MAX_NODES = 27
+
 
 @dataclass(frozen=True)
 class SolidElement(ABC):
-    """Solid element with discontinuous pressures.
+    """Solid element with discontinuous pressures; `tissue_sim.mesh.solid.SOLID_ELEMENTS` contains them by name.
+
+    All faces of an element have the same number of nodes. On a face, the displacement depends on
+    the nodes of that face only, so that neighbours are continuous.
 
     Attributes:
         name: name in the notation of the literature, such as ``H27/P-1``.

@@ -11,6 +11,8 @@ import numpy as np
 #: is then unique, and neighbours divide their common face in the same way (Freudenthal, Annals of Mathematics 43
 #: (1942) 580).
 _COMPRESSION = 0.5
+#: Displacement of the nodes by the squares of their coordinates, which moves four nodes out of a common plane.
+_SEPARATION = 1e-5 * np.array([[0.3, 0.7, -0.2], [0.5, -0.4, 0.9], [-0.8, 0.6, 0.1]])
 #: Volume (area) below which a tetrahedron (triangle) is degenerate, as a fraction of the largest one.
 _FLAT = 1e-9
 
@@ -35,16 +37,16 @@ def subdivide_into_tetrahedra(element: DivisibleElement) -> np.ndarray:
     """Subdivide an element into tetrahedra between its nodes.
 
     Returns:
-        Local node indices in the element, shape (t, 4), read-only; each tetrahedron has a positive volume.
+        Local node indices in the element, shape (t, 4), read-only. Volumes are positive; a volume inside the reference
+        element may be zero up to rounding if four nodes lie in a plane.
     """
     nodes = element.reference_nodes
     middle = _find_central_node(nodes)
     if middle is None:
-        cells = _compute_delaunay_triangles_or_tetrahedra(nodes)
-    else:
-        # From the central node to the triangles of all faces, so that neighbours divide their common face equally.
-        triangles = element.local_face_node_indices[:, subdivide_face_into_triangles(element)].reshape(-1, 3)
-        cells = np.column_stack([np.full(len(triangles), middle), triangles])
+        return _compute_conforming_tetrahedra(element)
+    # From the central node to the triangles of all faces, so that neighbours divide their common face equally.
+    triangles = element.local_face_node_indices[:, subdivide_face_into_triangles(element)].reshape(-1, 3)
+    cells = np.column_stack([np.full(len(triangles), middle), triangles])
     edges = nodes[cells[:, 1:]] - nodes[cells[:, :1]]
     volumes = np.linalg.det(edges)
     cells[volumes < 0.0] = cells[volumes < 0.0][:, [0, 2, 1, 3]]
@@ -67,7 +69,7 @@ def subdivide_face_into_triangles(element: DivisibleElement) -> np.ndarray:
     kept = np.delete(np.arange(3), int(np.argmax(normal)))
     middle = _find_central_node(nodes)
     if middle is None:
-        triangles = _compute_delaunay_triangles_or_tetrahedra(nodes[:, kept])
+        triangles = _compute_delaunay_triangles(nodes[:, kept])
     else:
         # Triangles around the central node do not depend on the node at which the face of a neighbour begins.
         x, y = (nodes[:, kept] - nodes[middle, kept]).T
@@ -111,6 +113,27 @@ def triangulate_surface_faces(element: DivisibleElement, sides: np.ndarray) -> n
     return np.take(sides, subdivide_face_into_triangles(element), axis=1).reshape(-1, 3)
 
 
+def _compute_conforming_tetrahedra(element: DivisibleElement) -> np.ndarray:
+    """Return the Delaunay tetrahedra of an element without central node; read-only.
+
+    Four nodes of one plane inside the element may form a tetrahedron without volume. In a deformed element it has a
+    volume, and its neighbours would not meet without it. A small quadratic displacement of the nodes decides about its
+    presence and orientation.
+    """
+    from scipy.spatial import Delaunay
+
+    nodes = element.reference_nodes
+    moved = _compress_along_diagonal(nodes) + nodes**2 @ _SEPARATION
+    cells = np.array(Delaunay(moved).simplices, dtype=np.intp)
+    on_face = np.zeros((len(element.local_face_node_indices), len(nodes)), dtype=bool)
+    np.put_along_axis(on_face, element.local_face_node_indices, True, axis=1)
+    cells = cells[~on_face[:, cells].all(axis=2).any(axis=0)]
+    inverted = np.linalg.det(moved[cells[:, 1:]] - moved[cells[:, :1]]) < 0.0
+    cells[inverted] = cells[inverted][:, [0, 2, 1, 3]]
+    cells.flags.writeable = False
+    return cells
+
+
 def _find_central_node(nodes: np.ndarray) -> int | None:
     """Return the index of a node at the centroid of all nodes, or None."""
     distance = np.linalg.norm(nodes - nodes.mean(axis=0), axis=1)
@@ -118,9 +141,12 @@ def _find_central_node(nodes: np.ndarray) -> int | None:
     return nearest if distance[nearest] < 0.1 * distance.max() else None
 
 
-def _compute_delaunay_triangles_or_tetrahedra(nodes: np.ndarray) -> np.ndarray:
-    """Return the Delaunay simplices of nodes as node indices, in any orientation; unique for nodes on a lattice."""
+def _compute_delaunay_triangles(nodes: np.ndarray) -> np.ndarray:
+    """Return the Delaunay triangles of nodes as node indices, in any orientation; unique for nodes on a lattice."""
     from scipy.spatial import Delaunay
 
-    compressed = nodes - _COMPRESSION * nodes.mean(axis=1, keepdims=True)
-    return np.array(Delaunay(compressed).simplices, dtype=np.intp)
+    return np.array(Delaunay(_compress_along_diagonal(nodes)).simplices, dtype=np.intp)
+
+
+def _compress_along_diagonal(nodes: np.ndarray) -> np.ndarray:
+    return nodes - _COMPRESSION * nodes.mean(axis=1, keepdims=True)

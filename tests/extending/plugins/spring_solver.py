@@ -27,7 +27,7 @@ LIMIT = 0.5
 #: Pose of the tool at its first touch.
 TOUCH = Pose((0.0, 0.0, 0.0))
 #: Half width and height of the drawn block, m.
-HALF_WIDTH, HEIGHT = 0.04, 0.07
+HALF_WIDTH, HEIGHT = 0.028, 0.07
 #: Distance from the axis at which the displacement of the block has decreased to 1/e, m.
 DECAY = 0.012
 

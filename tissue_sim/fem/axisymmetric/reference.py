@@ -9,6 +9,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.fem.elements.quadrature import compute_isoparametric_map, compute_orthonormal_pressure_modes
 from tissue_sim.mesh import Mesh
+from tissue_sim.mesh.elements import ELEMENTS
 
 
 class UndeformedMeshQuadrature(NamedTuple):
@@ -20,7 +21,8 @@ class UndeformedMeshQuadrature(NamedTuple):
         node_gradients: derivatives of the shape functions along r and z, and shape functions over r, 1/m, shape
             (elements, q, nodes, 3).
         pressure_modes: pressure modes, orthonormal in each element, shape (elements, q, modes).
-        volumes: integrals of the shape functions, m3, shape (elements, nodes).
+        volumes: volume that each node represents, m3, shape (elements, nodes): the integral of its shape function; of
+            elements with a negative integral, the scaled diagonal of the mass matrix.
         rounding: force residual caused by rounding errors of displacements, N per m of displacement and Pa of bulk
             modulus, shape (elements,).
     """
@@ -37,9 +39,10 @@ def compute_undeformed_mesh_quadrature(mesh: Mesh) -> UndeformedMeshQuadrature:
     """Compute the quadrature data of an undeformed mesh.
 
     Raises:
-        InputError: an element has zero or negative area.
+        InputError: an element has zero or negative area, or its type is not registered.
     """
     element = mesh.element
+    ELEMENTS.find(element.name, "mesh")  # kernels refer to elements by name
     points, weights = element.quadrature
     N, _ = element.evaluate_shape_functions_and_gradients(points)
     place, determinants, gradient = compute_isoparametric_map(mesh)
@@ -57,5 +60,11 @@ def compute_undeformed_mesh_quadrature(mesh: Mesh) -> UndeformedMeshQuadrature:
     constraint = np.einsum("eq,eqm,eqai->emai", weights, modes, divergence)
     spacing = np.ptp(mesh.nodes[mesh.connectivity], axis=1).min(axis=1) / element.order
     per_element = np.einsum("emai,emai->e", constraint, constraint) * weights.sum(axis=1) / spacing**2
-    return UndeformedMeshQuadrature(place, weights, node_gradients, modes, np.einsum("eq,qa->ea", weights, N),
+    volumes = np.einsum("eq,qa->ea", weights, N)
+    if volumes.min() < -1e-9 * volumes.max():  # the integral of a node on the axis of Q9/P-1 is zero up to rounding
+        # The corners of serendipity elements. The diagonal of the consistent mass matrix is positive; it is scaled to
+        # the volume of the element (Hinton, Rock and Zienkiewicz, Earthquake Eng. Struct. Dyn. 4 (1976) 245).
+        volumes = np.einsum("eq,qa->ea", weights, N**2)
+        volumes *= (weights.sum(axis=1) / volumes.sum(axis=1))[:, None]
+    return UndeformedMeshQuadrature(place, weights, node_gradients, modes, volumes,
                                     0.25 * np.finfo(float).eps * np.sqrt(per_element))

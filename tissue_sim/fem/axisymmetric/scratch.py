@@ -2,9 +2,10 @@
 
 from tissue_sim.fem.taichi import shared_fields as shared
 from tissue_sim.fem.taichi.shared_fields import LANES, CountsInLargestElement
+from tissue_sim.mesh.elements import MAX_NODES
 
 #: Size of the largest element.
-_LARGEST = CountsInLargestElement(nodes=9, points=9, modes=3)
+_LARGEST = CountsInLargestElement(nodes=MAX_NODES, points=MAX_NODES, modes=3)
 #: Names and sizes of the arrays in the scratch field. Nodes: displacements UR and UZ, forces FR and FZ, increments SR
 #: and SZ. Pressure modes: amplitude PRESSURE, volume residual GAP, volume derivatives VR and VZ. Quadrature points:
 #: STRESS, TANGENT, COFACTOR (dJ/dF), MODE (pressure modes), RATE (stress increments). CENTRE: stiffness rows of the

@@ -12,7 +12,7 @@ from tissue_sim.fem.elements.lanes import ElementLanes
 from tissue_sim.fem.elements.quadrature import compute_isoparametric_map, compute_orthonormal_pressure_modes
 from tissue_sim.fem.taichi.origins import allocate_array
 from tissue_sim.fem.taichi.shared_fields import LANES
-from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
 
 
 def compute_quadrature_volumes_gradients_modes(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -23,8 +23,9 @@ def compute_quadrature_volumes_gradients_modes(mesh: SolidMesh) -> tuple[np.ndar
         (elements, q, nodes, 3); orthonormal pressure modes, 1/m^1.5, shape (elements, q, modes).
 
     Raises:
-        InputError: an element of zero or negative volume.
+        InputError: an element type that is not registered, or an element of zero or negative volume.
     """
+    SOLID_ELEMENTS.find(mesh.element.name, "mesh")  # kernels refer to elements by name
     positions, determinants, gradients = compute_isoparametric_map(mesh)
     weights = determinants * mesh.element.quadrature[1]
     if not (weights > 0.0).all():

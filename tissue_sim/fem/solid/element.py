@@ -17,6 +17,7 @@ from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES, CountsInLargestElement, get_shared_scratch_field
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
+from tissue_sim.mesh.solid_element import MAX_NODES
 
 #: Elements of a solid, see `tissue_sim.fem.solid.batches.ElementBatches.collect_arrays_by_name`.
 ELEMENT_ARRAYS = ArrayLayout(
@@ -40,7 +41,7 @@ class AssemblySettingColumn(IntEnum):
 
 
 #: Size of the largest element.
-_LARGEST = CountsInLargestElement(nodes=27, points=27, modes=4)
+_LARGEST = CountsInLargestElement(nodes=MAX_NODES, points=MAX_NODES, modes=4)
 #: Sections of the scratch field for one batch, with their sizes: displacements and forces of the nodes, pressure
 #: amplitudes, residuals of the pressure equations, derivatives of the volume, tangents at the points; for one node the
 #: derivatives of the stress at one point, and the stiffness with all other nodes.
