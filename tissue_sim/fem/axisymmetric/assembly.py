@@ -17,8 +17,8 @@ from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.kinematics import make_kinematic_functions
 from tissue_sim.fem.axisymmetric.point_effects import make_effect_stress_function
 from tissue_sim.fem.axisymmetric.scratch import AT, get_axisymmetric_scratch_field
-from tissue_sim.fem.elements.energy import make_inverse_cube_root_function, make_softening_function
-from tissue_sim.fem.history import RelaxationSofteningCoefficient
+from tissue_sim.fem.elements.energy import make_inverse_cube_root_function
+from tissue_sim.fem.elements.history import make_history_function
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
@@ -51,7 +51,7 @@ def make_element_assembly_functions(element_name: str, energy: KernelEnergy,
     with_tangent, without = point.make_stress_function(energy), point.make_stress_function(energy, tangents=False)
     inverse_cube_root = make_inverse_cube_root_function()
     add_pressure_terms = point.make_pressure_term_function()
-    apply_softening, apply_relaxation = make_softening_function(5), point.make_relaxation_function()
+    apply_history = make_history_function(5, 4, point.make_relaxation_function)
     has_effects, add_effect_stresses = bool(effects), make_effect_stress_function(effects)
     variables = sum(len(formula.kind.rest) for formula in effects)
     UR, UZ, FR, FZ, SR, SZ = (AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ"))
@@ -70,30 +70,7 @@ def make_element_assembly_functions(element_name: str, energy: KernelEnergy,
         W, P, A = (with_tangent if ti.static(tangents) else without)(F, root, tissue.coefficients)
         if ti.static(tangents):
             if remembers == 1:
-                f = tissue.past[RelaxationSofteningCoefficient.FACTOR]
-                W = f * W
-                for l in ti.static(range(LANES)):
-                    tissue.energies[elements.numbers[b][l], q] = W[l]
-                P1, A1 = [f * P[i] for i in ti.static(range(5))], [f * A[n] for n in ti.static(range(15))]
-                if tissue.past[RelaxationSofteningCoefficient.LOSS] != 0.0:
-                    most = ti.Vector([tissue.largest[elements.numbers[b][l], q] for l in ti.static(range(LANES))])
-                    P2, A2 = apply_softening(W, most, tissue.past[RelaxationSofteningCoefficient.LOSS],
-                                             tissue.past[RelaxationSofteningCoefficient.LOSS_MODULUS],
-                                             tissue.past[RelaxationSofteningCoefficient.LOSS_SHARE], P1, A1)
-                    for i in ti.static(range(5)):
-                        P1[i] = P2[i]
-                    for n in ti.static(range(15)):
-                        A1[n] = A2[n]
-                h = [ti.Vector([tissue.inherited[elements.numbers[b][l], q, i] for l in ti.static(range(LANES))])
-                     for i in ti.static(range(4))]
-                S, P3, A3 = apply_relaxation(F, tissue.past[RelaxationSofteningCoefficient.INSTANT], h, P1, A1)
-                for i in ti.static(range(4)):
-                    for l in ti.static(range(LANES)):
-                        tissue.stresses[elements.numbers[b][l], q, i] = S[i][l]
-                for i in ti.static(range(5)):
-                    P[i] = P3[i]
-                for n in ti.static(range(15)):
-                    A[n] = A3[n]
+                apply_history(b, q, [F], W, P, A, elements, tissue)
                 if ti.static(has_effects):
                     before = [ti.Vector([tissue.effect_states[elements.numbers[b][l], q, i]
                                          for l in ti.static(range(LANES))]) for i in ti.static(range(variables))]

@@ -1,1 +1,1 @@
-"""Parts of elements that all solids share: fields, strain energies in kernels, SIMD lanes, effects at the points."""
+"""Element algorithms of all solids: quadrature, SIMD lanes, laws and history in kernels, point effects, fields."""

@@ -9,8 +9,8 @@ from enum import IntEnum
 from functools import cache
 from typing import Any, NamedTuple
 
-from tissue_sim.fem.elements.energy import make_inverse_cube_root_function, make_softening_function
-from tissue_sim.fem.history import RelaxationSofteningCoefficient
+from tissue_sim.fem.elements.energy import make_inverse_cube_root_function
+from tissue_sim.fem.elements.history import make_history_function
 from tissue_sim.fem.solid import energy as point
 from tissue_sim.fem.taichi.array_tables import LANE_INTEGERS, LANE_REALS, ArrayLayout
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
@@ -74,7 +74,7 @@ def make_element_kernel_functions(element_name: str, energy: KernelEnergy) -> El
     s = get_shared_scratch_field(LANES, SCRATCH)
     compute_stress_and_tangent = point.make_stress_function(energy)
     inverse_cube_root, compute_cofactor = make_inverse_cube_root_function(), point.make_cofactor_function()
-    apply_softening, apply_relaxation = make_softening_function(9), point.make_relaxation_function()
+    apply_history = make_history_function(9, 6, point.make_relaxation_function)
     vec = ti.types.vector(LANES, ti.f64)
     U, FORCE, PRESSURE, GAP = (_AT[name] for name in ("U", "FORCE", "PRESSURE", "GAP"))
     V, A, RATE, PAIRS = (_AT[name] for name in ("V", "A", "RATE", "PAIRS"))
@@ -91,30 +91,7 @@ def make_element_kernel_functions(element_name: str, energy: KernelEnergy) -> El
         W, P, T = compute_stress_and_tangent(F, J, inverse_cube_root(ti.max(J, 1e-6)), material.coefficients, tangent)
         cof = compute_cofactor(F)
         if remembers > 0.0:
-            f = material.past[RelaxationSofteningCoefficient.FACTOR]
-            W = f * W
-            for l in ti.static(range(LANES)):
-                material.energies[elements.numbers[b][l], q] = W[l]
-            P1, T1 = [f * P[m] for m in ti.static(range(9))], [f * T[n] for n in ti.static(range(45))]
-            if material.past[RelaxationSofteningCoefficient.LOSS] != 0.0:
-                most = ti.Vector([material.largest[elements.numbers[b][l], q] for l in ti.static(range(LANES))])
-                P2, T2 = apply_softening(W, most, material.past[RelaxationSofteningCoefficient.LOSS],
-                                         material.past[RelaxationSofteningCoefficient.LOSS_MODULUS],
-                                         material.past[RelaxationSofteningCoefficient.LOSS_SHARE], P1, T1)
-                for m in ti.static(range(9)):
-                    P1[m] = P2[m]
-                for n in ti.static(range(45)):
-                    T1[n] = T2[n]
-            h = [ti.Vector([material.inherited[elements.numbers[b][l], q, i] for l in ti.static(range(LANES))])
-                 for i in ti.static(range(6))]
-            S, P3, T3 = apply_relaxation(F, cof, J, material.past[RelaxationSofteningCoefficient.INSTANT], h, P1, T1)
-            for i in ti.static(range(6)):
-                for l in ti.static(range(LANES)):
-                    material.stresses[elements.numbers[b][l], q, i] = S[i][l]
-            for m in ti.static(range(9)):
-                P[m] = P3[m]
-            for n in ti.static(range(45)):
-                T[n] = T3[n]
+            apply_history(b, q, [F, cof, J], W, P, T, elements, material)
         w = elements.weights[b * points + q]
         wm, wp = w * elements.moduli[b], w * p
         if ti.static(tangent):
