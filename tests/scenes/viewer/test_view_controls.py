@@ -16,7 +16,7 @@ def frame(fields=None):
     """Minimal frame of a scene whose snapshot has these fields."""
     experiment = SimpleNamespace(tool=ts.Tool("flat", radius=8e-3), specimen=ts.Specimen(0.03, 0.02),
                                  tool_pose=ts.Pose.at_depth)
-    snapshot = None if fields is None else SimpleNamespace(fields=fields, is_three_dimensional=True)
+    snapshot = None if fields is None else SimpleNamespace(drawable_fields=fields, is_three_dimensional=True)
     return SimpleNamespace(scene=SimpleNamespace(specimen_outer_radius=0.03, experiment=experiment), snapshot=snapshot)
 
 
