@@ -154,9 +154,12 @@ def test_the_curve_of_the_whole_test_is_of_that_solver(spring, shown):
 
 
 @pytest.mark.slow
-def test_the_page_draws_it(spring, shown, tmp_path, monkeypatch):
+def test_the_page_draws_it(spring, scene, shown, tmp_path, monkeypatch):
     """Contents of the scene nodes without a browser: bands, section, mesh lines and the tool at its pose."""
     session, frame, _ = shown
+    tissue = ts.Simulator(scene.model, solver="spring", inertia="off")
+    tissue.step(Pose((2e-3, -1e-3, -3e-3), (math.cos(0.1), 0.0, math.sin(0.1), 0.0)), 1e-3)
+    frame = replace(frame, snapshot=tissue.snapshot())
     page, sent = Page(session, frame, tmp_path, port=0), {}
     monkeypatch.setattr("scenes.viewer.page.solid.send_scene_node_arrays",
                         lambda handle, **arrays: sent.update({handle.name: arrays}))
