@@ -57,7 +57,7 @@ from tissue_sim.motion_limits import MotionLimits as MotionLimits
 from tissue_sim.parameters import parameter as parameter
 from tissue_sim.parameters import with_values as with_values
 from tissue_sim.pose import Pose as Pose
-from tissue_sim.realtime.explicit_coupling import LightToolWarning as LightToolWarning
+from tissue_sim.realtime.inertia_limits import LightToolWarning as LightToolWarning
 from tissue_sim.realtime.path_settings import PathSettings as PathSettings
 from tissue_sim.realtime.simulator import Simulator as Simulator
 from tissue_sim.realtime.simulator import SimulatorState as SimulatorState
