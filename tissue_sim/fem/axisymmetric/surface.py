@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from scipy.sparse import csr_array
 
 from tissue_sim.fem.result_views import DeformedSurface, HalfSectionGeometry
 from tissue_sim.mesh import Mesh
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,8 @@ def build_half_section(mesh: Mesh, divisions: int | None = None) -> HalfSectionG
                        for nodes in mesh.connectivity.tolist()])
     rows = np.repeat(np.arange(len(points)), [len(key) for key in points])
     nodes, weights = np.array([entry for key in points for entry in key]).T
+    from scipy.sparse import csr_array
+
     matrix = csr_array((weights, (rows, nodes.astype(int))), shape=(len(points), len(mesh.nodes)))
 
     grid = number.reshape(-1, divisions + 1, divisions + 1)
@@ -110,4 +115,6 @@ def _compute_gauss_shape_functions(mesh: Mesh, surface_nodes: np.ndarray) -> csr
     columns = np.repeat(edge_nodes, order, axis=0)
     rows = np.broadcast_to(np.arange(len(columns))[:, None], columns.shape)
     weights = np.tile(edge_shapes, (len(edge_nodes), 1))
+    from scipy.sparse import csr_array
+
     return csr_array((weights.ravel(), (rows.ravel(), columns.ravel())), shape=(len(columns), len(mesh.nodes)))
