@@ -168,9 +168,9 @@ def _make_needle_pairs(experiment: Experiment, parts: SurfaceParts, upright: boo
         return [ContactPair(profile, parts.top, friction, between_nodes=blunt)]
     if experiment.friction == "bonded":
         return [ContactPair(profile, parts.free, friction, first_line=1, closed=upright)]
-    # The surface under a sharp face stays in its plane, because a sharp edge has no normal. Tissue next to a sharp edge
-    # cannot come under the face.
-    tied, is_plane = friction[0] == STICK, tool.has_sharp_edge
+    # The nodes under a sharp face without friction slide in its plane; its edge has no tangent. Tissue next to a sharp
+    # edge cannot come under the face.
+    tied, is_plane = friction[0] == STICK, tool.has_sharp_edge and friction[0] == 0.0
     first, between = 0 if tool.edge_radius else 1, not (tied or is_plane)
     return [ContactPair(Plate().profile if is_plane else profile, parts.face, friction, tied=tied,
                         between_nodes=between),

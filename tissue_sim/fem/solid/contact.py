@@ -89,9 +89,8 @@ class ContactNodes:
         self.parts = [(pair, np.flatnonzero(self._owner == number)) for number, pair in enumerate(pairs)]
         self.places, self.areas = places[self.nodes], areas[self.nodes]
         self._slack = 1e-9 * float(np.ptp(places[:, 2]))
-        self.moves, self._tied, self.stays = (
-            np.array([getattr(pairs[owner], name) for owner in owners], dtype=bool)
-            for name in ("moves", "tied", "stays"))
+        self.moves, self.stays = (np.array([getattr(pairs[owner], name) for owner in owners], dtype=bool)
+                                  for name in ("moves", "stays"))
         self._friction = np.array([pairs[owner].friction for owner in owners], dtype=float).reshape(n, 2)
         self.springs, self.bound, self.anchors = np.zeros(n), np.zeros(n, dtype=np.int8), np.zeros((n, 3))
         self.held, self.held_at = self.bound.copy(), self.anchors.copy()
@@ -173,6 +172,9 @@ class ContactNodes:
             travel[own] = at - (self._first.transform_to_tool(places) if pair.moves else places)
             found = find_nearest_surface_geometry(pair, at, pressed_in)
             gap[own], shaft[own] = found.gap, found.on_shaft
+            if pair.tied and pair.moves:
+                # At a sharp edge, rounding would decide between the normals of face and shaft.
+                found.normal[self.held[own] == ContactBondState.HELD] = [0.0, 0.0, -1.0]
             rotation = frame.rotation if pair.moves else np.eye(3)
             turn[own] = rotation
             self.normals[own], meridians[own] = found.normal @ rotation.T, found.meridian @ rotation.T
