@@ -59,6 +59,7 @@ def compressed_plates():
                                   friction_base="frictionless"), MATERIAL)
 
 
+@pytest.mark.slow
 def test_quadrilateral_passes_the_patch_test(quadrilateral):
     """Uniform compression is a solution on distorted elements, with the stress that all elements have."""
     mesh = cylinder_mesh(0.03, 0.03, (3, 3), quadrilateral)
@@ -91,6 +92,7 @@ def test_quadrilateral_has_the_force_of_the_built_in_one(quadrilateral):
     assert differences[0] < 0.03 and differences[1] < 0.7 * differences[0]
 
 
+@pytest.mark.slow
 def test_quadrilateral_has_exact_derivatives_and_a_picture(quadrilateral):
     model = needle()
     mesh = build_mesh(model.experiment, "fast", quadrilateral)
@@ -109,6 +111,7 @@ def test_quadrilateral_has_exact_derivatives_and_a_picture(quadrilateral):
     assert (area > 0.0).all() and area.sum() == pytest.approx(0.04 * 0.07)
 
 
+@pytest.mark.slow
 def test_quadrilateral_in_real_time_with_inertia(quadrilateral):
     model = replace(needle(), material=replace(MATERIAL, density=1040.0))
     forces = []
