@@ -84,7 +84,7 @@ class Snapshot:
         """
         fields = self.drawable_fields
         if fields is None:
-            raise InputError("this solver has no fields and therefore no node positions; draw its surface")
+            raise InputError("this solver has no fields with a geometry, and no node positions. Draw its surface")
         positions = fields.geometry().nodes + fields.displacement()
         positions[:, -1] -= self.datum
         return positions

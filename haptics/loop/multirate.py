@@ -12,7 +12,8 @@ from tissue_sim.realtime import multirate
 from tissue_sim.realtime.bulk_link import BulkLink
 
 __getattr__ = make_getattr_for_old_names(__name__, {
-    name: f"tissue_sim.tool_force:{name}" for name in ("ERROR_FLOOR", "ERROR_SHARE")})
+    "ERROR_FLOOR": "tissue_sim.tool_force:ERROR_FLOOR", "ERROR_SHARE": "tissue_sim.tool_force:ERROR_SHARE",
+    "OLDEST": "tissue_sim.realtime.multirate:OLDEST"})
 
 
 class MultiRateTissue(multirate.MultiRateTissue):

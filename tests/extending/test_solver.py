@@ -207,7 +207,7 @@ def test_a_solver_without_fields_shows_its_surface(plugin, registers):
     snapshot = sim.snapshot()
     assert snapshot.fields is None and snapshot.drawable_fields is None and snapshot.is_three_dimensional
     assert snapshot.skin.vertices.shape == (4, 3) and snapshot.arrays()[0] is snapshot.skin.vertices
-    with pytest.raises(InputError, match="no fields and therefore no node positions"):
+    with pytest.raises(InputError, match="no fields with a geometry, and no node positions"):
         _ = snapshot.node_positions
 
 

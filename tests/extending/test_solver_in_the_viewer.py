@@ -288,5 +288,5 @@ def test_a_figure_of_a_solver_without_fields_is_refused(plain_scene, capsys, tmp
     ts.write_material_file(ts.MaterialFile.of(MATERIAL), material)
     assert main(["simulate", "needle_indentation", "--material", str(material), "--depth-mm", "1", "--solver",
                  plain_scene.solver, "--figure", str(figure)]) == 2
-    assert "requires fields, which the solver 'plain_spring' does not compute" in capsys.readouterr().err
+    assert "fields with a geometry, which the solver 'plain_spring' does not provide" in capsys.readouterr().err
     assert not figure.exists()

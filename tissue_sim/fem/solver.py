@@ -237,7 +237,7 @@ class Solver(ToolInAirInterface, ABC):
         return pose
 
     def accepts_pose(self, pose: Pose) -> bool:
-        """Whether the solver can compute at a pose; a step to another pose ends with `StepStatus.OUTSIDE`."""
+        """Whether the solver computes an accurate force at a pose; callers check this before a step."""
         return True
 
     @abstractmethod

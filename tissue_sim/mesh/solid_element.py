@@ -16,8 +16,8 @@ MAX_NODES = 27
 class SolidElement(ABC):
     """Solid element with discontinuous pressures; `tissue_sim.mesh.solid.SOLID_ELEMENTS` contains them by name.
 
-    All faces of an element have the same number of nodes. On a face, the displacement depends on
-    the nodes of that face only, so that neighbours are continuous.
+    All faces of an element have the same number of nodes. On a face, the displacement depends on the nodes of that face
+    only, so that neighbours are continuous.
 
     Attributes:
         name: name in the notation of the literature, such as ``H27/P-1``.

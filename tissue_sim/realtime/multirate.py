@@ -67,6 +67,8 @@ class MultirateSettings:
 
 #: Defaults of every multirate tissue.
 MULTIRATE = MultirateSettings()
+#: Largest age of the model of a CONVERGED force, s.
+OLDEST = MULTIRATE.oldest
 
 
 class MultiRateTissue(RealTimeTissue):

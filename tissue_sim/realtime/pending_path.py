@@ -42,7 +42,7 @@ class PathTick:
 
 @dataclass(slots=True)
 class PendingPath:
-    """Last equilibrium, path of the tool since then as a list of ticks, and unfinished iterations on this path.
+    """Path of the tool since the last equilibrium, as a list of ticks.
 
     Attributes:
         ticks: ticks in the order of time.

@@ -53,7 +53,7 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
     parser.add_argument("--figure", type=Path, metavar="F.png",
                         help="draw the deformed mesh, coloured by --field, and the force curve")
     parser.add_argument("--field", choices=tuple(LABELS),
-                        help="field that colours the mesh of --figure (default: the first field of the solver)")
+                        help="field that colours the mesh of --figure (default: the first that the solver has)")
     parser.add_argument("--no-force-error", action="store_true",
                         help="do not estimate the force error; saves the second simulation on another mesh")
     add_overwrite_flag(parser)
@@ -110,7 +110,8 @@ def run(arguments) -> int:
                 raise
             recording, failure = error.recording, error
     if arguments.figure is not None and get_drawable_fields_or_none(recording.fields) is None:
-        raise InputError(f"requires fields, which the solver {arguments.solver!r} does not compute. Leave --figure out",
+        raise InputError(f"requires fields with a geometry, which the solver {arguments.solver!r} does not provide. "
+                         "Leave --figure out",
                          field="--figure")
     recordings = simulate_replicate_readings(
         rig, recording.with_metadata(**make_kind_specimen_tool_metadata(arguments.scene, experiment)),

@@ -223,8 +223,9 @@ def _build_contact_pairs_or_none(experiment: Experiment, mesh: Mesh, *, tool: bo
     homogeneous = experiment.has_homogeneous_deformation if homogeneous is None else homogeneous
     bottom, side = float(mesh.nodes[:, 1].min()), mesh.select_edges_in_node_set("side")
     none, is_high = side[:0], mesh.nodes[side, 1].mean(axis=1) > 0.5 * bottom
-    base, top, face, free = (mesh.select_edges_in_node_set(name) if name in mesh.sets else none
-                             for name in ("base", "top", "face", "free"))
+    base, top = (mesh.select_edges_in_node_set(name) for name in ("base", "top"))
+    face, free = (mesh.select_edges_in_node_set(name) if experiment.tool.face_radius else none
+                  for name in ("face", "free"))
     low, high = (none, none) if homogeneous else (side[~is_high], side[is_high])
     contact = build_contact_pairs(experiment, SurfaceParts(bottom, base, low, high, top, face, free), tool=tool,
                                   homogeneous=homogeneous)

@@ -25,7 +25,7 @@ _STEP = 1e-6
 
 
 def sum_tractions(laws: Sequence[ContactLaw], reaches: Sequence[Any], gap: Any, pressure: Any, slip: tuple[Any, Any],
-                  face: Any) -> Traction:
+                  face: Any, shift: float = 0.0) -> Traction:
     """Sum the tractions of several laws; each law ends at its reach.
 
     Args:
@@ -35,6 +35,7 @@ def sum_tractions(laws: Sequence[ContactLaw], reaches: Sequence[Any], gap: Any, 
         pressure: Pa, like `gap`.
         slip: two components since the touch, m, like `gap`.
         face: contact area of the tool, m2.
+        shift: added to the gap in the formulas only, for difference quotients, m.
 
     Raises:
         InputError: a law does not return a `Traction`.
@@ -43,7 +44,7 @@ def sum_tractions(laws: Sequence[ContactLaw], reaches: Sequence[Any], gap: Any, 
     for law, reach in zip(laws, reaches, strict=True):
         # Copies, because a formula may change its arguments, which are passed to the next law.
         own_gap, own_pressure, *own_slip = (each.copy() if isinstance(each, np.ndarray) else each
-                                            for each in (gap, pressure, *slip))
+                                            for each in (gap + shift if shift else gap, pressure, *slip))
         with located_and_converted_errors(field=f"contact_laws.{law.name}"):
             found = evaluate_traction(law, own_gap, own_pressure, (own_slip[0], own_slip[1]), face)
         values = [found.pull, *found.drag, found.pull_rate, *found.drag_rates[0], *found.drag_rates[1]]
@@ -108,7 +109,7 @@ class NodalContactLaws:
         pull_rate = found.pull_rate
         if bending:
             step = _STEP * self.reach
-            further = self._sum_tractions_at(gap + step, pressure, slips).pull
+            further = self._sum_tractions_at(gap, pressure, slips, step).pull
             pull_rate = pull_rate + bending * ((further - np.asarray(found.pull)) / step - pull_rate)
         pull = np.broadcast_to(areas * found.pull, gap.shape)
         rates = np.broadcast_to(areas * pull_rate, gap.shape)[:, None, None] * normals[:, :, None] * normals[:, None]
@@ -120,10 +121,11 @@ class NodalContactLaws:
                 rates = rates + rate[:, None, None] * along[i][:, :, None] * along[j][:, None]
         return forces, rates
 
-    def _sum_tractions_at(self, gap: np.ndarray, pressure: np.ndarray, slip: tuple[np.ndarray, ...]) -> Traction:
+    def _sum_tractions_at(self, gap: np.ndarray, pressure: np.ndarray, slip: tuple[np.ndarray, ...],
+                          shift: float = 0.0) -> Traction:
         """Return the sum of all tractions at gaps, m, pressures, Pa, and two components of the slip, m, (n,) each."""
         return sum_tractions(self._laws, [law.reach for law in self._laws], gap, pressure, (slip[0], slip[1]),
-                             self._face)
+                             self._face, shift)
 
 
 class ContactLawFunctions(NamedTuple):

@@ -73,7 +73,10 @@ class ContactPairs:
 
     @property
     def tool_profile(self) -> Profile:
-        """Outline of the tool, in the frame of the tool: that of the last pair. A sharp face may have another one."""
+        """Outline of the tool, in the frame of the tool: that of the last pair.
+
+        The pair of a sharp face without friction has a plane instead.
+        """
         return self.pairs[-1].profile
 
 

@@ -64,7 +64,7 @@ class PointEffects:
             self.formulas = formulas
             self._allocate_states(tuple(value for effect in points for value in effect.rest))
         numbers = (formula.get_parameter_values(effect) for formula, effect in zip(formulas, points, strict=True))
-        settings = np.array([0.0, *chain.from_iterable(numbers)])
+        settings = np.array([self.settings[0], *chain.from_iterable(numbers)])
         if settings.shape == self.settings.shape:
             self.settings[:] = settings  # in place: the kernel has a reference to the array
         else:

@@ -12,10 +12,14 @@ from tissue_sim.fem.solid.equations import SolidEquations
 from tissue_sim.fem.solid.faceting import estimate_faceting_force_error_or_none, faceting_warnings
 from tissue_sim.fem.solid.frame import ToolFrame
 
-#: Fraction of the surface under the face that has left the face, above which a warning is given, 1.
+#: Fraction of the surface under the face that has moved past the edge, above which a warning is given, 1.
 WARNING_FRACTION = 0.025
 #: Sine of the angle along the rounded edge beyond which a node has left the face, 1.
 EDGE_SINE = 0.5
+#: Distance from the edge of the face up to which a node is under the face, over the radius of the rounded edge, 1.
+FACE_MARGIN = 0.01
+#: Fraction of the force from which on the missing force is at least the whole force, 1.
+LARGEST_FRACTION = 0.5
 
 
 class SlidFaceSurface(NamedTuple):
@@ -56,16 +60,23 @@ def find_slid_face_surface_or_none(contact: ContactNodes, displacement: np.ndarr
         if not (pair.moves and profile.rounding and has_flat_face and len(profile.lines) > 1):
             continue
         face, radius = float(profile.vertices[1, 0]), profile.rounding
-        before = first.transform_to_tool(contact.places[own])
-        now = frame.transform_to_tool(contact.places[own] + displacement[contact.nodes[own]])
-        is_under = np.hypot(before[:, 0], before[:, 1]) < face + 0.01 * radius
-        has_left = is_under & (np.hypot(now[:, 0], now[:, 1]) > face + EDGE_SINE * radius)
+        places, limit = contact.places[own], face + FACE_MARGIN * radius
+        # The undeformed nodes under the face, at the first touch and now: the tool may have moved sideways.
+        is_under = (_compute_radii(first, places) < limit) & (_compute_radii(frame, places) < limit)
+        has_left = is_under & (_compute_radii(frame, places + displacement[contact.nodes[own]])
+                               > face + EDGE_SINE * radius)
         areas = contact.areas[own]
         under, left = under + float(areas[is_under].sum()), left + float(areas[has_left].sum())
         sizes += np.sqrt(areas[has_left]).tolist()
     if max(sizes) < radius or left <= WARNING_FRACTION * under:
         return None
     return SlidFaceSurface(left / under, max(sizes), radius)
+
+
+def _compute_radii(frame: ToolFrame, points: np.ndarray) -> np.ndarray:
+    """Return the distances of points, m, shape (n, 3), from the axis of the tool, m, shape (n,)."""
+    at = frame.transform_to_tool(points)
+    return np.hypot(at[:, 0], at[:, 1])
 
 
 def estimate_coarse_surface_error_or_none(equations: SolidEquations, force: float) -> float | None:
@@ -83,7 +94,8 @@ def estimate_coarse_surface_error_or_none(equations: SolidEquations, force: floa
     slid = _find_slid_surface_at_committed_state_or_none(equations)
     if slid is None:
         return faceting
-    return (faceting or 0.0) + force * slid.fraction / (1.0 - slid.fraction)
+    missing = force * (slid.fraction / (1.0 - slid.fraction) if slid.fraction < LARGEST_FRACTION else 1.0)
+    return (faceting or 0.0) + missing
 
 
 def coarse_surface_warnings(equations: SolidEquations) -> list[str]:

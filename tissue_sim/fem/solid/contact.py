@@ -24,6 +24,8 @@ from tissue_sim.fem.solid.contact_state import NodalContactState
 from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.pose import Pose
 
+#: Radius up to which a held node belongs to the face, over the radius of the face, 1.
+FACE_MARGIN = 1.001
 #: Settings of the active set.
 ACTIVE_SET = ActiveSetSettings(augmentation_factor=1e-5)
 
@@ -173,8 +175,10 @@ class ContactNodes:
             found = find_nearest_surface_geometry(pair, at, pressed_in)
             gap[own], shaft[own] = found.gap, found.on_shaft
             if pair.tied and pair.moves:
-                # At a sharp edge, rounding would decide between the normals of face and shaft.
-                found.normal[self.held[own] == ContactBondState.HELD] = [0.0, 0.0, -1.0]
+                # At a sharp edge, rounding would decide between the normals of face and shaft. Nodes that another part
+                # of the tool holds keep the normal of that part.
+                is_at_face = np.hypot(at[:, 0], at[:, 1]) < FACE_MARGIN * pair.profile.vertices[1, 0]
+                found.normal[is_at_face & (self.held[own] == ContactBondState.HELD)] = [0.0, 0.0, -1.0]
             rotation = frame.rotation if pair.moves else np.eye(3)
             turn[own] = rotation
             self.normals[own], meridians[own] = found.normal @ rotation.T, found.meridian @ rotation.T

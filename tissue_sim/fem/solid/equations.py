@@ -121,7 +121,10 @@ class SolidEquations:
         self.negligible_force = 1e-6 * material.mu0 * float(np.prod(np.ptp(top, axis=0)))
 
     def accepts_pose(self, pose: Pose) -> bool:
-        """Whether the contact conditions are accurate at a pose, see `largest_motion`; always above the first touch."""
+        """Whether the contact conditions are accurate at a pose, see `largest_motion`.
+
+        They are accurate at every pose above the first touch.
+        """
         x, y, z, *turn = compute_rigid_motion(self.start, pose)
         aside = math.hypot(x, y) + self._contact_radius * math.hypot(*turn[:2])
         return z >= 0.0 or max(-z, aside) <= self.largest_motion
