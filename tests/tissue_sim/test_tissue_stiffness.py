@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.realtime import simulator as simulating
+from tissue_sim.realtime import path_following
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
 CASES = {
@@ -58,7 +58,7 @@ def test_it_is_found_again_every_few_ticks():
     sim, _ = settled(CASES["needle"], "on")
     found = [sim.step(DEPTH + 5e-5 * k, 1e-3).stiffness for k in range(1, 21)]
     changes = [k for k, (one, next_) in enumerate(pairwise(found)) if one != next_]
-    assert np.diff(changes).tolist() == [simulating._STIFFNESS_LASTS] * (len(changes) - 1) and len(changes) >= 3
+    assert np.diff(changes).tolist() == [path_following._STIFFNESS_LASTS] * (len(changes) - 1) and len(changes) >= 3
 
 
 @pytest.mark.slow
