@@ -74,7 +74,7 @@ sensor_silence_s = 30.0     # a test machine may be busy with other work
 [record]
 replicates = 2
 contact_force_N = 0.1
-approach_speed_mm_s = 8.0
+approach_speed_mm_s = 2.0     # a busy machine finds a contact late; a slow tool has moved less by then
 """
 
 
