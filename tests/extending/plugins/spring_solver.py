@@ -26,8 +26,10 @@ REFERENCE = 3000.0
 LIMIT = 0.5
 #: Pose of the tool at its first touch.
 TOUCH = Pose((0.0, 0.0, 0.0))
-#: Half width and height of the drawn block, m.
-HALF_WIDTH, HEIGHT = 0.028, 0.07
+#: Half width of the drawn block, m; its diagonal fits into the specimen of the tests, a cylinder of radius 40 mm.
+HALF_WIDTH = 0.028
+#: Height of the drawn block, m; that of the specimen of the tests.
+HEIGHT = 0.07
 #: Distance from the axis at which the displacement of the block has decreased to 1/e, m.
 DECAY = 0.012
 
