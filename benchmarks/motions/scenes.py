@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from delayed_bulk import DelayedBulkLink
 
 import tissue_sim as ts
-from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLineariser

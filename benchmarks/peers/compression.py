@@ -22,11 +22,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from felupe_problem import compression_curve, reduced_polynomial
 from rich.console import Console
 
 import tissue_sim as ts
 from benchmarks.measure import about, against_lapack, cpu_seconds, option_parser, show, summary, table, verdict
-from benchmarks.peers.felupe_problem import compression_curve, reduced_polynomial
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver

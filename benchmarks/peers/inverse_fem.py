@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from felupe_indentation import Indentation
 from rich.console import Console
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
@@ -28,7 +29,6 @@ import tissue_sim as ts
 from benchmarks import ROOT
 from benchmarks.measure import about, option_parser, show, summary, table, verdict
 from benchmarks.peers.compression import PARAMETERS
-from benchmarks.peers.felupe_indentation import Indentation
 from benchmarks.peers.work_precision import HEIGHT, MODELS, NEEDLE_RADIUS, RADIUS, uniform_needle_mesh
 from calibration import calibrate
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh

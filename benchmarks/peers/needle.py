@@ -17,12 +17,12 @@ from dataclasses import replace
 
 import felupe as fem
 import numpy as np
+from felupe_problem import compression_curve, reduced_polynomial
 from rich.console import Console
 
 import tissue_sim as ts
 from benchmarks.measure import about, against_lapack, cpu_seconds, option_parser, show, spread, summary, table, verdict
 from benchmarks.peers.compression import PARAMETERS
-from benchmarks.peers.felupe_problem import compression_curve, reduced_polynomial
 from benchmarks.peers.work_precision import HEIGHT, MATERIAL, MODELS, NEEDLE_RADIUS, RADIUS, uniform_needle_mesh
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver

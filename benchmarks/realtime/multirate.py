@@ -19,10 +19,10 @@ import time
 from itertools import pairwise
 
 import numpy as np
+from delayed_bulk import DelayedBulkLink
 
 import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
-from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.linear.sparse import SparseSolver, get_pardiso_or_scipy_name
 from tissue_sim.fem.solid.discretisation import make_solver

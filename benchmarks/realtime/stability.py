@@ -4,7 +4,7 @@ The tissues are the stiffest of the documentation (EF50_0T, docs/measured_silico
 the needle of radius 8 mm. A polynomial through the simulator's forces, without the mass of the tissue, replaces
 them in the wide sweep; fewer hands are tried with the simulator itself, mass included. A hand presses with a constant
 force to the depth where the tissue balances it, after a step of its place by 0.5 mm. What counts as shaking is in
-`benchmarks.realtime.oscillation`.
+`loop_oscillation`.
 """
 
 import argparse
@@ -18,10 +18,10 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from delayed_hand import DelayedHand
+from loop_oscillation import measure_sustained_peak_to_peak, simulate_device_depths
 
 import tissue_sim as ts
-from benchmarks.realtime.delayed_hand import DelayedHand
-from benchmarks.realtime.oscillation import measure_sustained_peak_to_peak, simulate_device_depths
 from haptics.devices.contracts import AxialMotion
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.safety.coupling import VirtualCoupling

@@ -23,9 +23,9 @@ from collections.abc import Callable
 
 import felupe as fem
 import numpy as np
+from felupe_problem import reduced_polynomial
 
 import tissue_sim as ts
-from benchmarks.peers.felupe_problem import reduced_polynomial
 from tissue_sim.fem.linear.sparse import SparseSolver, factorise_or_none, get_pardiso_or_scipy_name
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus

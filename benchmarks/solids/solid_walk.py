@@ -25,10 +25,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from delayed_bulk import DelayedBulkLink
 
 import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
-from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from benchmarks.realtime.multirate import MESHES, mesh_of
 from benchmarks.viewer.processes import looked_at, reading
 from haptics.devices.motions import SpatialWalk

@@ -3,9 +3,9 @@
 import math
 
 import pytest
+from delayed_bulk import DelayedBulkLink
 
 import tissue_sim as ts
-from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLineariser

@@ -9,10 +9,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from delayed_bulk import DelayedBulkLink
 from waiting import wait_for_value
 
 import tissue_sim as ts
-from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from haptics.devices.motions import SineMotion
 from haptics.loop.bulk_process import BulkProcess
 from haptics.loop.loop import Loop, LoopSettings

@@ -1,9 +1,9 @@
 """Multirate tissue whose tool jumps, and the age of the tangent on which a tissue in motion is solved."""
 
 import pytest
+from delayed_bulk import DelayedBulkLink
 
 import tissue_sim as ts
-from benchmarks.realtime.delayed_bulk import DelayedBulkLink
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLineariser

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from delayed_hand import DelayedHand
+from loop_oscillation import measure_sustained_peak_to_peak, simulate_device_depths
 
 import tissue_sim as ts
-from benchmarks.realtime.delayed_hand import DelayedHand
-from benchmarks.realtime.oscillation import measure_sustained_peak_to_peak, simulate_device_depths
 from haptics.devices.contracts import AxialMotion
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.safety.coupling import VirtualCoupling

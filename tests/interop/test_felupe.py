@@ -6,6 +6,7 @@ Newton step is the coarser one).
 """
 
 
+import felupe_problem
 import numpy as np
 import pytest
 
@@ -24,13 +25,7 @@ LAWS = {
 }
 
 
-@pytest.fixture(scope="module")
-def felupe_problem(benchmark_module):
-    """The reference solution of the benchmarks: checked here, timed there."""
-    return benchmark_module("peers.felupe_problem")
-
-
-def felupe_law(felupe_problem, law):
+def felupe_law(law):
     make = {"reduced_polynomial_2": felupe_problem.reduced_polynomial, "ogden_1": felupe_problem.ogden}[law]
     return make(*LAWS[law].values())
 
@@ -47,10 +42,10 @@ def simulated(mesh, law, held, ratio):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_tangent_of_the_oracle(felupe_problem, law):
+def test_tangent_of_the_oracle(law):
     """The laws written for FElupe: the tangent is the derivative of the stress, at rest and at coincident stretches
     too, and the stress of a pure dilation is zero."""
-    umat = felupe_law(felupe_problem, law)
+    umat = felupe_law(law)
     F = np.eye(3)[:, :, None, None] + 0.2 * np.random.default_rng(3).normal(size=(3, 3, 2, 4))
     F[:, :, 0, 0] = np.eye(3)
     F[:, :, 0, 1] = np.diag([0.8, 1.25, 1.25])
@@ -69,10 +64,10 @@ def test_tangent_of_the_oracle(felupe_problem, law):
                          ids=["Q4/P0 condensed", "Q4/P0 mixed", "Q9/P-1"])
 @pytest.mark.parametrize("held", ["rz", "z"], ids=["bonded", "lubricated"])
 @pytest.mark.parametrize("law", LAWS)
-def test_forces_equal_those_of_felupe(felupe_problem, element, pressure, held, law):
+def test_forces_equal_those_of_felupe(element, pressure, held, law):
     mesh = cylinder_mesh(RADIUS, HEIGHT, (3, 4), element, grading=(2.0, 1.5))
     forces, bulk_modulus = simulated(mesh, law, held, 1e3)
-    theirs = felupe_problem.compression_curve(mesh, felupe_law(felupe_problem, law), bulk_modulus, DEPTHS, held=held,
+    theirs = felupe_problem.compression_curve(mesh, felupe_law(law), bulk_modulus, DEPTHS, held=held,
                                               pressure=pressure, tolerance=1e-10)
     np.testing.assert_allclose(forces, theirs, rtol=1e-9)
 
@@ -80,21 +75,21 @@ def test_forces_equal_those_of_felupe(felupe_problem, element, pressure, held, l
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [13 / 6, 50.0, 1e5])
 @pytest.mark.parametrize(("element", "pressure"), [(Q4P0, "P0"), (Q9P1, "P-1")], ids=["Q4/P0", "Q9/P-1"])
-def test_forces_equal_over_the_range_of_bulk_moduli(felupe_problem, element, pressure, ratio):
+def test_forces_equal_over_the_range_of_bulk_moduli(element, pressure, ratio):
     mesh = cylinder_mesh(RADIUS, HEIGHT, (3, 4), element)
     forces, bulk_modulus = simulated(mesh, "reduced_polynomial_2", "rz", ratio)
-    theirs = felupe_problem.compression_curve(mesh, felupe_law(felupe_problem, "reduced_polynomial_2"), bulk_modulus,
+    theirs = felupe_problem.compression_curve(mesh, felupe_law("reduced_polynomial_2"), bulk_modulus,
                                               DEPTHS, pressure=pressure)
     np.testing.assert_allclose(forces, theirs, rtol=1e-7)
 
 
-def test_taylor_hood_tends_to_the_same_forces(felupe_problem):
+def test_taylor_hood_tends_to_the_same_forces():
     """FElupe's Q9/Q1 is another element: it differs on a coarse mesh, and less on a finer one."""
     differences = []
     for counts in ((3, 4), (6, 8)):
         mesh = cylinder_mesh(RADIUS, HEIGHT, counts, Q9P1, grading=(3.0, 2.0))
         forces, bulk_modulus = simulated(mesh, "reduced_polynomial_2", "rz", 1e3)
-        theirs = felupe_problem.compression_curve(mesh, felupe_law(felupe_problem, "reduced_polynomial_2"),
+        theirs = felupe_problem.compression_curve(mesh, felupe_law("reduced_polynomial_2"),
                                                   bulk_modulus, DEPTHS, pressure="Q1")
         differences.append(abs(forces / theirs - 1).max())
     assert 1e-6 < differences[1] < 0.5 * differences[0] < 0.01

@@ -1,4 +1,4 @@
-"""The peer of benchmarks/peers/inverse_fem.py agrees with this program: bonded punch on a cylinder with a bonded base.
+"""The peer solution `felupe_indentation` agrees with this program: bonded punch on a cylinder with a bonded base.
 
 Mesh and element are equal. The side wall of the punch is left out, because FElupe has no contact there.
 """
@@ -6,6 +6,7 @@ Mesh and element are equal. The side wall of the punch is left out, because FElu
 
 import numpy as np
 import pytest
+from felupe_indentation import Indentation
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
@@ -17,12 +18,6 @@ from tissue_sim.mesh.elements import Q4P0, Q9P1
 MODULI = [(1404.9, 699.4), (1200.0, 900.0)]
 DEPTHS = np.array([0.5e-3, 1e-3, 1.5e-3])
 BULK_RATIO = 1e4
-
-
-@pytest.fixture(scope="module")
-def felupe_indentation(benchmark_module):
-    """The reference solution that the benchmark times."""
-    return benchmark_module("peers.felupe_indentation")
 
 
 def our_forces(mesh, C10, C20):
@@ -41,18 +36,18 @@ def mesh(request):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("warm", [False, True], ids=["from rest", "warm"])
-def test_forces_equal_ours(felupe_indentation, mesh, warm):
-    punch = felupe_indentation.Indentation(mesh, DEPTHS, bulk_ratio=BULK_RATIO, warm=warm)
+def test_forces_equal_ours(mesh, warm):
+    punch = Indentation(mesh, DEPTHS, bulk_ratio=BULK_RATIO, warm=warm)
     for moduli in MODULI:
         np.testing.assert_allclose(punch.forces(*moduli), our_forces(mesh, *moduli), rtol=1e-7)
     assert punch.solves == len(MODULI)
 
 
-def test_warm_start_saves_iterations_and_no_accuracy(felupe_indentation, mesh):
+def test_warm_start_saves_iterations_and_no_accuracy(mesh):
     """One modulus moved by the step of a finite difference: the same forces, at most two iterations a depth."""
     forces, iterations = [], []
     for warm in (False, True):
-        punch = felupe_indentation.Indentation(mesh, DEPTHS, bulk_ratio=BULK_RATIO, warm=warm)
+        punch = Indentation(mesh, DEPTHS, bulk_ratio=BULK_RATIO, warm=warm)
         punch.forces(1400.0, 600.0)
         first = punch.iterations
         forces.append(punch.forces(1401.4, 600.0))

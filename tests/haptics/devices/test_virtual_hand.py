@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from delayed_hand import DelayedHand
 from device_contracts import HapticDeviceContract
 
-from benchmarks.realtime.delayed_hand import DelayedHand
 from haptics.devices.back_ends import HAPTIC_DEVICES, make_haptic_device
 from haptics.devices.contracts import Motion
 from haptics.devices.motions import TargetFollowingMotion

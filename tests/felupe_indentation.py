@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import felupe as fem
 import numpy as np
+from felupe_problem import boundary, reduced_polynomial, solid, unknowns
 from scipy.sparse.linalg import splu
 
-from benchmarks.peers.felupe_problem import boundary, reduced_polynomial, solid, unknowns
 from tissue_sim.mesh import Mesh
 from tissue_sim.mesh.elements import Q4P0
 
