@@ -7,7 +7,6 @@ import io
 import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
 from pathlib import Path
 
 from msgspec.structs import replace
@@ -21,11 +20,12 @@ from calibration.effects.effect import Effect
 from calibration.fit.curves import TestCurves
 from calibration.fit.result import CalibrationResult, to_json_dictionary
 from calibration.output_folder import DIAGNOSIS_FILE, FIT_FILE
-from calibration.report.diagnosis_page import build_diagnosis_page
+from calibration.report.content import Column, Paragraph, Table
 from calibration.report.drawing import FigureEmbedder
+from calibration.report.fit_text import format_law_title
 from calibration.report.methods import make_plain_methods_text
-from calibration.report.page import format_law_title, make_html_page, make_html_table
-from calibration.report.report import build_report_page
+from calibration.report.page import build_report_page, render_page
+from calibration.report.section import CalibrationReport, DiagnosisReport
 from calibration.report.units import ReportUnits
 from tissue_sim.atomic_write import write_text
 
@@ -52,7 +52,7 @@ def write_calibration_files(result: CalibrationResult, curves: Curves,
     methods = make_plain_methods_text(result, measured, ReportUnits.choose_for_best_fit(result))
     write_text(result.output / "methods.txt", methods)
     pictures = FigureEmbedder(result.output, figures_format) if figures else None
-    write_text(result.output / "report.html", build_report_page(result, curves, methods, pictures))
+    write_text(result.output / "report.html", build_report_page(CalibrationReport(result, curves, methods, pictures)))
     text = json.dumps(to_json_dictionary([result]), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(result.output / FIT_FILE, text + "\n")
 
@@ -81,8 +81,8 @@ def write_diagnosis_and_get_result(result: DiagnosisResult, before: FitEvidence,
     diagnosis = result.diagnosis
     write_text(result.output / "residuals.csv", _format_before_and_after_residual_table(before, after))
     pictures = FigureEmbedder(result.output, figures_format) if figures else None
-    write_text(result.output / "report.html",
-               build_diagnosis_page(diagnosis, before, after, effects, measured, pictures))
+    report = DiagnosisReport(diagnosis, before, after, effects, measured, pictures)
+    write_text(result.output / "report.html", build_report_page(report))
     stages = [*diagnosis.stages, DiagnosisStage(name="report", wall_s=time.monotonic() - began)]
     result = DiagnosisResult(result.campaign, replace(diagnosis, stages=stages), result.output, result.digest)
     text = json.dumps(diagnosis_to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
@@ -92,9 +92,10 @@ def write_diagnosis_and_get_result(result: DiagnosisResult, before: FitEvidence,
 
 def write_failure_report(campaign: Campaign, failures: Mapping[str, str], folder: Path) -> None:
     """Write the report of a campaign in which no law could be fitted, with the reason for each law."""
-    rows: list[list[str | None]] = [[format_law_title(law), escape(reason)] for law, reason in failures.items()]
-    write_text(folder / "report.html", make_html_page(f"Calibration of {campaign.name}", [
-        "<p>No law has a fit.</p>", make_html_table(["Law", "Reason"], rows, text=(1,))]))
+    reasons = Table([Column("Law"), Column("Reason", text=True)],
+                    [[format_law_title(law), reason] for law, reason in failures.items()])
+    write_text(folder / "report.html", render_page(f"Calibration of {campaign.name}",
+                                                   [("", [Paragraph("No law has a fit."), reasons])], None))
 
 
 def write_summary_table(results: Sequence[CalibrationResult], path: Path) -> None:
