@@ -26,6 +26,7 @@ from calibration.diagnosis.confirmation import (
 from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.diagnosis.diagnosis import Diagnosis, DiagnosisStage
 from calibration.diagnosis.duration import describe_expected_duration_or_empty, measure_solid_simulation_cpu_s_by_test
+from calibration.diagnosis.effect_files import write_effect_files_and_get_diagnosis
 from calibration.diagnosis.evidence import (
     FitEvidence,
     Measured,
@@ -48,7 +49,7 @@ from calibration.fit.run_context import RunContext
 from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.simulation_cache import SimulationCache, hash_content_and_source_code
 from calibration.output_folder import SOLVES
-from calibration.report.diagnosis_outputs import write_diagnosis_and_get_result
+from calibration.report.outputs import write_diagnosis_and_get_result
 from calibration.tasks.executors import Workers, open_task_executor
 from tissue_sim.settings import get_changed_settings_by_name
 
@@ -273,7 +274,8 @@ class CampaignDiagnosis:
         found = diagnose_campaign(self.campaign, self.measured, self.steps, self.solves, self.limits,
                                   self.refit_settings)
         self.steps.report_progress("writing the report")
-        diagnosis = replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages])
+        diagnosis = write_effect_files_and_get_diagnosis(
+            replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages]), found.after, self.folder)
         return write_diagnosis_and_get_result(DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest),
                                               found.before,
                                               found.after, found.proposals.effects, self.measured, figures=figures,

@@ -22,6 +22,7 @@ from calibration.fit.failure import LawFailureRecord, call_and_catch_law_errors
 from calibration.fit.fit import SensorNoiseRecord
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
 from calibration.fit.influence import add_influence_to_fit
+from calibration.fit.material_file import write_material_files
 from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator
 from calibration.fit.predictor import PredictionParameters, make_held_out_predictor_or_none
 from calibration.fit.preload_cover import copy_notes_with_explained_preload
@@ -137,8 +138,8 @@ class CampaignFit:
             usability_settings=get_changed_settings_by_name(self.limits))
         if self.estimator.explores:
             self.steps.report_progress("writing the report")
-        write_calibration_files(result, curves, self.measured, self.estimator.words, figures=figures,
-                                figures_format=figures_format)
+        write_material_files(result, self.measured, self.estimator.words)
+        write_calibration_files(result, curves, self.measured, figures=figures, figures_format=figures_format)
         return result
 
     def _compute_results_and_failures_of_laws(self) -> tuple[list[Fitted], dict[str, str]]:

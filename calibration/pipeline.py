@@ -157,10 +157,10 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     measured = [read_measured_curves(campaign) for campaign in campaigns]
     from calibration.campaign_diagnosis import CampaignDiagnosis
     from calibration.diagnosis.decision_limits import LIMITS
+    from calibration.diagnosis.effect_files import list_all_possible_diagnosis_paths
     from calibration.diagnosis.refit_settings import REFITS
     from calibration.diagnosis.result import read_matching_diagnosis_or_none
     from calibration.fit.run_context import RunContext
-    from calibration.report.diagnosis_outputs import list_all_possible_diagnosis_paths
 
     with open_task_executor(workers or Workers()) as tasks:
         parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,

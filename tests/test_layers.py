@@ -22,6 +22,7 @@ IMPORTERS = {  # outside package -> where it may be imported
     "viser": ("scenes/",),
     "rich": ("scenes/", "calibration/"),
     "matplotlib": ("scenes/", "calibration/"),
+    "jinja2": ("calibration/report/page.py",),
     "socket": ("haptics/", "scenes/doctor/"),
 }
 #: What opens a file to read it, or parses what is in one; and who may: the doors, and readers of what is our own.
@@ -219,6 +220,7 @@ def test_wheel_holds_exactly_the_four_packages(tmp_path):
                          if name.endswith("entry_points.txt"))
     assert {name.split("/")[0] for name in places} == set(PACKAGES)
     assert {name for name in places if name.endswith(".py")} == {place(path) for path in SOURCES}
+    assert {f"calibration/report/templates/{file}" for file in ("page.html", "style.css")} <= places
     # For the type checkers of programs that use them.
     assert {f"{package}/{file}" for package in PACKAGES for file in ("py.typed", "__init__.pyi")} <= places
     assert entry_points.split() == ["[console_scripts]", "tissue-sim", "=", "scenes.cli:main"]

@@ -13,6 +13,7 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, RegionMisfitTest
 from calibration.report.drawing import (
+    LAYOUT,
     add_figure_legend_above_panels,
     choose_marker_style,
     create_figure_with_panel_rows,
@@ -21,7 +22,6 @@ from calibration.report.drawing import (
     iterate_line_styles,
     make_thinning_slice,
 )
-from calibration.report.layout import LAYOUT
 from calibration.report.units import DisplayUnit, ReportUnits
 from calibration.report.views import (
     CurveTrace,

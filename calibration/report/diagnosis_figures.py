@@ -14,11 +14,11 @@ from calibration.fit.fit import RegionMisfitTest
 from calibration.report.curve_figures import MISFIT, ResidualAxis, draw_view_panel, iterate_binned_residuals_of_runs
 from calibration.report.drawing import (
     COLOURS,
+    LAYOUT,
     add_figure_legend_above_panels,
     create_figure,
     create_figure_with_panel_rows,
 )
-from calibration.report.layout import LAYOUT
 from calibration.report.rounding import NORMAL_95, format_criterion_difference, format_odds_number
 from calibration.report.units import ReportUnits
 from calibration.report.views import CurveTrace, have_times_and_several_segments, list_panels_of_test

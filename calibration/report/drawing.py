@@ -1,23 +1,107 @@
-"""Shared drawing functions of the reports: colours, style, panels, and embedding of figures in HTML pages."""
+"""Shared drawing functions of the reports: layout, colours, style, panels, and figures as images."""
 
 from __future__ import annotations
 
 import base64
 import io
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from html import escape
 from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 from calibration.output_folder import make_figure_file_name
-from calibration.report.layout import LAYOUT
+from calibration.report.content import DrawnFigure, Figure
 from calibration.report.png import render_png
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.laws import find_law
 
+
+@dataclass(frozen=True)
+class ReportLayoutSettings:
+    """Settings of the layout of all reports: sizes of figures, numbers of drawn points, and limits of lists.
+
+    Attributes:
+        width: width of a figure that fills the page, inches. A larger width makes text smaller on the page.
+        panels_per_row: largest number of panels in a row.
+        legend_columns: largest number of columns of the legend above the panels.
+        profile_legend_columns: the same above the profile likelihoods, whose entries are short.
+        print_dpi: resolution of separate PNG files, dots per inch.
+        formula_dpi: resolution of formulas, dots per inch: twice the 96 of CSS, for high-resolution screens.
+        data_points: approximate maximum number of drawn points per recording; more points make larger files.
+        dense_points: number of points of all recordings above which the markers are smaller.
+        test_row_height: height of a row of panels in the figure of a test, inches.
+        residual_row_height: height of the panels in the figure of a test of a diagnosis, inches.
+        history_row_height: height of a row of panels with the convergence of the starts, inches.
+        profile_row_height: height of a row of panels with profile likelihoods or specimens, inches.
+        window_row_height: height of a row of panels with fits to a part of the strain, inches.
+        correlation_height: height of the figure of up to four correlated parameters, inches.
+        segment_height: height of the figure of the segments of a recording, inches.
+        bar_height: height of a row of bars in a diagnosis, inches.
+        frame_height: height of title, axis labels and legend around the bars, inches.
+        specimen_width: width of one specimen in a panel, inches.
+        residual_bins: bins over the duration (or displacement range) of a test in which residuals are averaged.
+            More bins resolve shorter misfits and scatter more.
+        margin: margin between the data and the frame, as a fraction of the range of the data.
+        ignored_rates: fraction of rates at either end that is ignored for the scale of the axis.
+        few_rates: number of rates up to which all of them count for the scale of the axis.
+        min_labelled_width: minimum width of a region with a label in the residuals of a test, as a fraction of the
+            panel width.
+        min_two_line_width: the same for the labels of a diagnosis, which state the misfit before and after.
+        max_label_characters: total number of characters of the tick labels above which the labels are rotated.
+        note_characters: maximum length of a note in a figure, characters.
+        two_line_regions: number of regions of a test from which misfit and probability are written in two lines.
+        darkest_misfit: misfit that is drawn with the darkest colour, standard errors.
+        max_linear_ratio: quotient of the largest and the smallest parameter ratio up to which the scale is linear.
+        linear_deviations: standard deviations up to which the scale of a score is linear; logarithmic above.
+        samples_before_contact: samples before contact in the detail view of the contact.
+        fraction_after_contact: displacement after contact in the detail view, as a fraction of the largest displacement
+            after contact.
+        summary_misfits: maximum number of misfits in the summary of a calibration; the table lists all.
+        summary_regions: maximum number of regions in the summary of a diagnosis; the figure shows all.
+        drawn_effects: maximum number of effects in the figure of a diagnosis; the table lists all.
+    """
+
+    width: float = 12.0
+    panels_per_row: int = 3
+    legend_columns: int = 4
+    profile_legend_columns: int = 6
+    print_dpi: int = 300
+    formula_dpi: int = 192
+    data_points: int = 250
+    dense_points: int = 400
+    test_row_height: float = 3.15
+    residual_row_height: float = 3.4
+    history_row_height: float = 2.7
+    profile_row_height: float = 3.1
+    window_row_height: float = 2.6
+    correlation_height: float = 4.2
+    segment_height: float = 4.2
+    bar_height: float = 0.3
+    frame_height: float = 1.25
+    specimen_width: float = 0.9
+    residual_bins: int = 60
+    margin: float = 0.06
+    ignored_rates: float = 0.02
+    few_rates: int = 200
+    min_labelled_width: float = 0.11
+    min_two_line_width: float = 0.16
+    max_label_characters: int = 40
+    note_characters: int = 90
+    two_line_regions: int = 7
+    darkest_misfit: float = 6.0
+    max_linear_ratio: float = 5.0
+    linear_deviations: float = 4.0
+    samples_before_contact: int = 80
+    fraction_after_contact: float = 0.12
+    summary_misfits: int = 3
+    summary_regions: int = 4
+    drawn_effects: int = 14
+
+
+#: Layout of all reports.
+LAYOUT = ReportLayoutSettings()
 #: Palette of Okabe and Ito without yellow and black, distinguishable with every type of colour vision, and two more.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F3C8D", "#555555")
 #: Dash patterns of matplotlib, combined with `COLOURS` in the same order.
@@ -107,7 +191,7 @@ def render_figure(figure, kind: str, **options) -> bytes:
 
 @dataclass(frozen=True)
 class FigureEmbedder:
-    """Embed figures in an HTML page as PNG and optionally write each figure as a file.
+    """Draw figures as PNG images for an HTML page and optionally write each figure as a file.
 
     Attributes:
         folder: folder of the page.
@@ -117,32 +201,24 @@ class FigureEmbedder:
     folder: Path
     kind: str | None = None
 
-    def embed_figure(self, name: str, draw: Callable[[], Any], alt: str, caption: str = "") -> str:
-        """Draw a figure and return its HTML; write the figure file if `kind` is set.
-
-        Args:
-            name: name of the figure, from which `calibration.output_folder.make_figure_file_name` makes the file name.
-            draw: returns the figure, or None if there is nothing to draw; called with the style of the reports.
-            alt: plain text for readers without images.
-            caption: HTML below the figure.
+    def draw_figure_or_none(self, figure: Figure) -> DrawnFigure | None:
+        """Return a figure as an image, drawn with the style of the reports; write the figure file if `kind` is set.
 
         Returns:
-            The HTML; empty if there is nothing to draw.
+            The image; None if there is nothing to draw.
         """
         import matplotlib
 
         with matplotlib.rc_context(STYLE):
-            figure = draw()
-            if figure is None:
-                return ""
-            png = render_png(figure)
+            drawn = figure.draw()
+            if drawn is None:
+                return None
+            png = render_png(drawn)
             if self.kind is not None:
-                write_bytes(self.folder / make_figure_file_name(name, self.kind),
-                            render_figure(figure, self.kind, dpi=LAYOUT.print_dpi))
-        below = f"<figcaption>{caption}</figcaption>" if caption else ""
-        width = 100 * figure.get_figwidth() / LAYOUT.width
-        return (f'<figure><img src="{make_png_data_uri(png)}" style="width:{width:.0f}%" alt="{escape(alt)}">{below}'
-                "</figure>")
+                write_bytes(self.folder / make_figure_file_name(figure.name, self.kind),
+                            render_figure(drawn, self.kind, dpi=LAYOUT.print_dpi))
+        return DrawnFigure(make_png_data_uri(png), 100 * drawn.get_figwidth() / LAYOUT.width, figure.alt,
+                           figure.caption)
 
 
 def make_png_data_uri(png: bytes) -> str:

@@ -9,18 +9,25 @@ from scipy import special
 from scipy.interpolate import PchipInterpolator
 
 from calibration.fit.fit import Fit
+from calibration.fit.population_records import PopulationRecord
 from calibration.report.curve_figures import MISFIT
 from calibration.report.drawing import (
     COLOURS,
+    LAYOUT,
     add_figure_legend_above_panels,
     create_figure,
     create_figure_with_panel_rows,
     distribute_panels_over_rows,
     iterate_line_styles,
 )
-from calibration.report.layout import LAYOUT
-from calibration.report.page import list_parameters_with_standard_errors, use_minus_signs
-from calibration.report.rounding import format_error, format_interval, format_value_and_error
+from calibration.report.fit_text import list_parameters_with_standard_errors
+from calibration.report.rounding import (
+    NORMAL_95,
+    format_error,
+    format_interval,
+    format_value_and_error,
+    use_minus_signs,
+)
 from calibration.report.symbols import format_mathtext_symbol
 from calibration.report.units import ReportUnits
 from tissue_sim.laws import find_law
@@ -264,3 +271,35 @@ def _draw_poorly_determined_combinations(axes, fit: Fit, names: Sequence[str]) -
     axes.set_title("Least determined combinations")
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
+
+
+def draw_population_figure(fit: Fit, population: PopulationRecord, units: ReportUnits):
+    """Draw each parameter of each specimen: separate estimate, shrinkage estimate and mean of the population."""
+    specimens = len(population.specimens)
+    rows = distribute_panels_over_rows(len(population.order))
+    figure, grid = create_figure_with_panel_rows(rows, 1.5 + 0.3 * specimens)
+    firsts = {sum(rows[:row]) for row in range(len(rows))}
+    for k, axes in enumerate(grid):
+        _draw_population_parameter(axes, fit, population, k, units)
+        axes.set_yticks(range(specimens), population.specimens if k in firsts else [])
+        axes.set_ylim(specimens - 0.5, -0.5)
+    add_figure_legend_above_panels(figure)
+    return figure
+
+
+def _draw_population_parameter(axes, fit: Fit, population: PopulationRecord, k: int, units: ReportUnits) -> None:
+    """Draw the parameter with index `k` of all specimens: estimates, population mean, range of further specimens."""
+    name = f"{population.order[k]}@{population.specimens[0]}"
+    unit = units.choose_display_unit_of_si_unit(fit.units[name])
+    rows = np.arange(len(population.specimens))
+    axes.axvspan(*(end / unit.size for end in population.next_specimen[k]), color="0.93", lw=0,
+                 label="95 % of further specimens")
+    axes.axvspan(*(end / unit.size for end in population.mean_intervals[k]), color=COLOURS[0], alpha=0.2, lw=0,
+                 label="mean, 95 %")
+    axes.axvline(population.mean[k] / unit.size, color=COLOURS[0], lw=1.4)
+    values, errors = (np.array(getattr(population, key))[:, k] / unit.size for key in ("estimates", "errors"))
+    axes.errorbar(values, rows, xerr=NORMAL_95 * errors, fmt="o", color=COLOURS[1], capsize=2.5, lw=1.2, ms=5,
+                  label="specimen alone, 95 %")
+    axes.plot(np.array(population.shrunken)[:, k] / unit.size, rows, "D", mfc="white", mec="0.2", ms=4, zorder=5,
+              label="using the other specimens")
+    axes.set_xlabel(unit.format_axis_label(format_mathtext_symbol(fit.symbols[name].partition("@")[0])))

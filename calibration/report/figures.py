@@ -15,12 +15,12 @@ from calibration.fit.fit import Fit, Prediction
 from calibration.report.curve_figures import describe_region, format_p_value_text
 from calibration.report.drawing import (
     COLOURS,
+    LAYOUT,
     add_figure_legend_above_panels,
     create_figure_with_panel_rows,
     distribute_panels_over_rows,
     iterate_line_styles,
 )
-from calibration.report.layout import LAYOUT
 from calibration.report.symbols import format_mathtext_symbol
 from calibration.report.units import ReportUnits
 from tissue_sim.laws import find_law

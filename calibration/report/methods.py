@@ -15,14 +15,14 @@ from calibration.fit.result import CalibrationResult
 from calibration.forward.meshes import get_solver_fit_resolutions
 from calibration.report.drawing import format_count
 from calibration.report.figures import format_percentage_value
-from calibration.report.page import (
+from calibration.report.fit_tables import iterate_population_rows
+from calibration.report.fit_text import (
     are_laws_ranked_by_prediction,
     format_parameter_estimate,
     format_parameter_interval_without_unit,
     format_young_modulus,
-    use_minus_signs,
 )
-from calibration.report.population import iterate_population_rows
+from calibration.report.rounding import use_minus_signs
 from calibration.report.symbols import format_plain_symbol
 from calibration.report.units import ReportUnits
 from tissue_sim.laws import find_law

@@ -1,42 +1,42 @@
-"""Write the result files of a calibrated campaign."""
+"""Write reports, tables and result files of a calibrated or diagnosed campaign."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
+import time
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
 from pathlib import Path
 
-import msgspec
-import numpy as np
+from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.parameter_space import ParameterSpace
+from calibration.diagnosis.diagnosis import DiagnosisStage
+from calibration.diagnosis.evidence import FitEvidence
+from calibration.diagnosis.result import DiagnosisResult, diagnosis_to_json
+from calibration.effects.effect import Effect
 from calibration.fit.curves import TestCurves
-from calibration.fit.fit import Fit
 from calibration.fit.result import CalibrationResult, to_json_dictionary
-from calibration.fit.self_weight import describe_self_weight
-from calibration.fit.typical_material import get_shared_and_population_mean_material
-from calibration.output_folder import FIT_FILE
+from calibration.output_folder import DIAGNOSIS_FILE, FIT_FILE
+from calibration.report.content import Column, Paragraph, Table
 from calibration.report.drawing import FigureEmbedder
+from calibration.report.fit_text import format_law_title
 from calibration.report.methods import make_plain_methods_text
-from calibration.report.page import format_law_title, make_html_page, make_html_table
-from calibration.report.report import build_report_page
+from calibration.report.page import build_report_page, render_page
+from calibration.report.section import CalibrationReport, DiagnosisReport
 from calibration.report.units import ReportUnits
 from tissue_sim.atomic_write import write_text
-from tissue_sim.laws import find_law
-from tissue_sim.material.file import MaterialFile, write_material_file
 
 #: Law -> recorded and fitted curves of each test.
 Curves = Mapping[str, Sequence[TestCurves]]
 
 
-def write_calibration_files(result: CalibrationResult, curves: Curves, measured: Mapping[str, Sequence[MeasuredCurve]],
-                            method: str, *, figures: bool = True, figures_format: str | None = None) -> None:
-    """Write all result files of a calibration.
+def write_calibration_files(result: CalibrationResult, curves: Curves,
+                            measured: Mapping[str, Sequence[MeasuredCurve]], *, figures: bool = True,
+                            figures_format: str | None = None) -> None:
+    """Write tables, methods text, report and result file of a calibration.
 
     ``fit.json`` is written last, because its existence marks the campaign as finished.
 
@@ -44,88 +44,58 @@ def write_calibration_files(result: CalibrationResult, curves: Curves, measured:
         result: result of the calibration, fits best first.
         curves: recorded and fitted curves of each test, by law.
         measured: recordings of each test.
-        method: description of the fitting method for the material files.
         figures: whether the report includes figures.
         figures_format: ``svg``, ``pdf`` or ``png`` to write each figure also as a file; None: no figure files.
     """
-    for fit in result.fits:
-        if fit.material_file is not None:
-            write_material_file(build_material_file_struct(fit, result, measured, method),
-                                result.output / fit.material_file)
     write_text(result.output / "curves.csv", _format_csv_of_all_fitted_curves(curves))
     write_text(result.output / "residuals.csv", _format_residual_table(curves))
     methods = make_plain_methods_text(result, measured, ReportUnits.choose_for_best_fit(result))
     write_text(result.output / "methods.txt", methods)
     pictures = FigureEmbedder(result.output, figures_format) if figures else None
-    write_text(result.output / "report.html", build_report_page(result, curves, methods, pictures))
+    write_text(result.output / "report.html", build_report_page(CalibrationReport(result, curves, methods, pictures)))
     text = json.dumps(to_json_dictionary([result]), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(result.output / FIT_FILE, text + "\n")
 
 
-def write_failure_report(campaign: Campaign, failures: Mapping[str, str], folder: Path) -> None:
-    """Write the report of a campaign in which no law could be fitted, with the reason for each law."""
-    rows: list[list[str | None]] = [[format_law_title(law), escape(reason)] for law, reason in failures.items()]
-    write_text(folder / "report.html", make_html_page(f"Calibration of {campaign.name}", [
-        "<p>No law has a fit.</p>", make_html_table(["Law", "Reason"], rows, text=(1,))]))
+def write_diagnosis_and_get_result(result: DiagnosisResult, before: FitEvidence, after: FitEvidence | None,
+                                   effects: Mapping[str, Effect],
+                                   measured: Mapping[str, Sequence[MeasuredCurve]], *, figures: bool = True,
+                                   figures_format: str | None = None) -> DiagnosisResult:
+    """Write table, report and result file of a diagnosis.
 
-
-def build_material_file_struct(fit: Fit, result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
-                               method: str) -> MaterialFile:
-    """Return the content of the material file of a fit: parameters, uncertainty, valid range and provenance.
+    ``diagnosis.json`` is written last, because its existence marks the campaign as finished.
 
     Args:
-        fit: the fit of one law.
-        result: result of the calibration.
-        measured: recordings of each test.
-        method: description of the fitting method.
+        result: the result of the diagnosis.
+        before: the fit without the added effects.
+        after: the fit with the added effects; None if no effect was added.
+        effects: catalogue of effects by name.
+        measured: all recordings of each test.
+        figures: whether the report includes figures.
+        figures_format: ``svg``, ``pdf`` or ``png`` to write each figure also as a file; None: no figure files.
+
+    Returns:
+        The result with the time of this step.
     """
-    campaign = result.campaign
-    law = find_law(fit.law)
-    space = ParameterSpace.from_campaign(fit.law, campaign, {name: [curve.name for curve in curves]
-                                                             for name, curves in measured.items()})
-    # The file format has no standard error for the bulk response. Parameters of experiment and rig are excluded.
-    material = get_shared_and_population_mean_material(fit)
-    of_material = {each.path for each in space.unknowns if each.is_material_parameter}
-    kept = [i for i, path in enumerate(material.parameters) if path in of_material and not path.startswith("bulk.")]
-    order = [path for i, path in enumerate(material.parameters) if i in kept]
-    errors = {path: error for path, error in material.errors.items() if error is not None and path in order}
-    # A parameter at its bound counts as fixed: the covariance of the other parameters remains valid.
-    held = {name.partition("@")[0] for name in fit.on_bound}
-    complete = all(path in errors or path in held for path in order) and set(law.parameters) <= set(order)
-    covariance = material.covariance[np.ix_(kept, kept)] if complete else None
-    values = fit.parameters | {each.name: material.parameters[each.path] for each in space.unknowns
-                               if each.specimen is not None and each.path in material.parameters}
-    population, whose = None, {}
-    if fit.material_of:
-        whose = {"material_of": fit.material_of, "left_out_specimens": fit.left_out_specimens}
-    if fit.population is not None:
-        found = fit.population
-        population = {"order": found.order, "mean": found.mean, "spread": found.spread,
-                      "between_specimens": found.between, "mean_interval95": found.mean_intervals,
-                      "spread_interval95": found.spread_intervals,
-                      "specimens": dict(zip(found.specimens, found.estimates, strict=True)),
-                      "left_out": fit.left_out_specimens}
-    residual = {key: value for key, value in (("RMSE_N", fit.RMSE_N), ("RMSE_Pa", fit.RMSE_Pa), ("R2", fit.R2))
-                if value is not None}
-    fitted = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
-    return MaterialFile.of(
-        space.build_material(values, campaign.density, f"{campaign.name} {law.title}"),
-        standard_errors=errors, covariance=covariance, others=[name for name in order if name not in law.parameters],
-        population=population,
-        valid_range={"stretch": list(fit.stretch_range)},
-        provenance={
-            "recordings": [{"file": curve.file.name, "sha256": curve.sha256} for curve in fitted],
-            "method": method, "residual": residual,
-            "settings": {"campaign": campaign.path.name, "campaign_sha256": campaign.sha256,
-                         "offset": campaign.fit.offset, "noise_Pa": result.noise_Pa,
-                         "noise_source": result.noise_source,
-                         "tests": [test.name for test in campaign.tests if not test.hold_out],
-                         "intervals95": {name: list(pair) for name, pair in fit.intervals95.items()
-                                         if pair is not None},
-                         "not_identifiable": fit.not_identifiable, "left_out_percent": fit.left_out,
-                         "self_weight": describe_self_weight(campaign, fit), "status": fit.status, "BIC": fit.BIC,
-                         "unusable": fit.unusable, "alternatives": msgspec.to_builtins(fit.alternatives),
-                         "covariance_from": fit.covariance_from, **whose}})
+    began = time.monotonic()
+    diagnosis = result.diagnosis
+    write_text(result.output / "residuals.csv", _format_before_and_after_residual_table(before, after))
+    pictures = FigureEmbedder(result.output, figures_format) if figures else None
+    report = DiagnosisReport(diagnosis, before, after, effects, measured, pictures)
+    write_text(result.output / "report.html", build_report_page(report))
+    stages = [*diagnosis.stages, DiagnosisStage(name="report", wall_s=time.monotonic() - began)]
+    result = DiagnosisResult(result.campaign, replace(diagnosis, stages=stages), result.output, result.digest)
+    text = json.dumps(diagnosis_to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
+    write_text(result.output / DIAGNOSIS_FILE, text + "\n")
+    return result
+
+
+def write_failure_report(campaign: Campaign, failures: Mapping[str, str], folder: Path) -> None:
+    """Write the report of a campaign in which no law could be fitted, with the reason for each law."""
+    reasons = Table([Column("Law"), Column("Reason", text=True)],
+                    [[format_law_title(law), reason] for law, reason in failures.items()])
+    write_text(folder / "report.html", render_page(f"Calibration of {campaign.name}",
+                                                   [("", [Paragraph("No law has a fit."), reasons])], None))
 
 
 def write_summary_table(results: Sequence[CalibrationResult], path: Path) -> None:
@@ -182,6 +152,26 @@ def _format_residual_table(curves: Curves) -> str:
                     time, curve.displacement.tolist(), curve.force.tolist(), model.tolist(), strict=True)]
     return format_csv_table(["law", "replicate", "time [s]", "abscissa", "value", "displacement [mm]", "measured [N]",
                              "model [N]", "residual [N]", "measured [Pa]", "model [Pa]", "residual [Pa]"], rows)
+
+
+def _format_before_and_after_residual_table(before: FitEvidence, after: FitEvidence | None) -> str:
+    """Return a CSV table of all samples: measured force, and forces of the models without and with the added effects.
+
+    The model forces include the contact offset and the force zero of each recording.
+
+    Forces are in N; for recordings of stress the values are in Pa and the displacement is a strain.
+    """
+    rows = []
+    forces = [before.evaluation.force, before.evaluation.force if after is None else after.evaluation.force]
+    for curve, samples in zip(before.problem.measured, before.problem.rows, strict=True):
+        factor = 1.0 if curve.test.specimen is None else 1e3
+        for i, force in enumerate(curve.force):
+            models = [float(force_of[samples][i]) for force_of in forces]
+            rows.append([curve.name, None if curve.segment is None else str(curve.segment[i]),
+                         None if curve.time is None else float(curve.time[i]), factor * float(curve.displacement[i]),
+                         float(force), models[0], None if after is None else models[1], curve.noise.deviation])
+    return format_csv_table(["replicate", "segment", "time [s]", "displacement [mm]", "measured [N]",
+                             "model before [N]", "model after [N]", "noise [N]"], rows)
 
 
 def _make_cells_of_abscissa_force_and_stress(test: TestCurves, displacement: float, forces: Sequence[float],

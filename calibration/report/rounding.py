@@ -8,6 +8,7 @@ of Particle Physics, Introduction, section 5.3).
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import TypeGuard
 
@@ -87,6 +88,16 @@ def format_error(error: float) -> str:
     """Return a standard error as text, rounded by the rule of this module, such as ``0.0053``."""
     is_plain = _is_usable_error(error) and _FORMAT.min_plain / 10 < error < _FORMAT.max_plain
     return _scale_and_round(error, find_last_kept_power_of_ten(error), 0) if is_plain else f"{error:.2g}"
+
+
+def use_minus_signs(text: str) -> str:
+    """Replace the hyphen before each number by a minus sign."""
+    return re.sub(r"(?<![\w.-])-(?=\d)", "−", text)
+
+
+def format_significant_digits_or_dash(value: float | None, digits: int) -> str:
+    """Return a number as text with this many significant digits; ``-`` for None."""
+    return "-" if value is None else f"{value:.{digits}g}"
 
 
 def format_criterion_difference(gain: float) -> str:

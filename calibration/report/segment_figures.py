@@ -1,22 +1,15 @@
-"""Draw the segments of recordings and write the report section about segments."""
+"""Draw the segments of recordings."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
-from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.output_folder import make_numbered_test_figure_name
-from calibration.report.drawing import FigureEmbedder, create_figure
-from calibration.report.layout import LAYOUT
-from calibration.report.page import make_html_list
+from calibration.report.drawing import LAYOUT, create_figure
 from tissue_sim.recording.contact import Contact
 
 if TYPE_CHECKING:
-    from calibration.campaign.campaign import Campaign
     from calibration.campaign.measured import MeasuredCurve
     from tissue_sim.recording.segments import Segmentation
 
@@ -118,68 +111,9 @@ def _draw_contact_detail(axes, travel: np.ndarray, load: np.ndarray, clock: np.n
     axes.legend(loc="upper left", fontsize=8.5)
 
 
-def iterate_segment_section_html(campaign: Campaign, recordings: Mapping[str, Sequence[MeasuredCurve]],
-                                 pictures: FigureEmbedder | None) -> Iterator[str]:
-    """Yield the HTML of the section on segments: segments and fitted samples of each recording, one figure per test.
-
-    The figure shows the first recording with a note, or the first recording if none has a note.
-    """
-    known = {test: [curve for curve in curves if curve.whole is not None] for test, curves in recordings.items()}
-    if not any(known.values()):
-        return
-    yield "<h2>Segments</h2>"
-    yield ('<p class="quiet">Segments are the labels in the file. Without labels they are found from the motion, the '
-           "first rise of the force above its zero and drift (contact), and the first loss of force during loading "
-           "(failure).</p>")
-    for number, test in enumerate(each.name for each in campaign.tests):
-        if not (curves := known.get(test)):
-            continue
-        yield f"<h3>{escape(test)}</h3>"
-        yield make_html_list(_describe_recording(curve) for curve in curves)
-        if pictures is not None:
-            drawn = next((curve for curve in curves if curve.notes), curves[0])
-            yield pictures.embed_figure(make_numbered_test_figure_name(campaign, number, "segments"),
-                                        partial(_make_segments_figure, drawn), f"Segments of {drawn.name}",
-                                        f"{escape(drawn.name)}: raw recording; the fitted samples are blue if only a "
-                                        "part is fitted.")
-
-
-def _make_segments_figure(curve: MeasuredCurve):
+def draw_segments_of_recording(curve: MeasuredCurve):
     """Draw the segments of the whole recording from which a curve was selected; return the matplotlib figure."""
     whole = curve.whole
     assert whole is not None
     return draw_segment_figure(whole.displacement + whole.shift, whole.recorded_force, whole.time, whole.segmentation,
                                whole.used)
-
-
-def _describe_recording(curve: MeasuredCurve) -> str:
-    """Return an HTML sentence on a recording: its segments, number of fitted samples, contact and notes."""
-    whole = curve.whole
-    assert whole is not None
-    found = whole.segmentation
-    runs = [name for name, _, _ in found.iterate_segment_names_and_bounds()]
-    parts = [f"{'stated' if found.stated else 'found'}: {_format_segments_with_repeat_counts(runs)}",
-             f"{int(whole.used.sum())} of {whole.used.size} samples fitted"]
-    if found.contact is not None:
-        parts.append(found.contact.in_words(stressed=found.stressed))
-    if whole.shift:
-        parts.append(f"displacement measured from {1e3 * whole.shift:.4g} mm")
-    notes = "".join(f'<br><span class="bad">{escape(note)}</span>' for note in curve.notes.values())
-    return f"<b>{escape(curve.name)}</b>: {escape('; '.join(parts))}{notes}"
-
-
-def _format_segments_with_repeat_counts(runs: Sequence[str]) -> str:
-    """Return the names of the segments as text, equal pairs counted: ``approach, ramp, 3 × (unload, reload)``."""
-    parts: list[str] = []
-    k = 0
-    while k < len(runs):
-        pair, count = list(runs[k:k + 2]), 1
-        while len(pair) == 2 and list(runs[k + 2 * count:k + 2 * count + 2]) == pair:
-            count += 1
-        if count > 1:
-            parts.append(f"{count} × ({', '.join(pair)})")
-            k += 2 * count
-        else:
-            parts.append(runs[k])
-            k += 1
-    return ", ".join(parts)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import re
-from html import escape
 
 _GREEK = {"alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "eta": "η", "theta": "θ",
           "kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "rho": "ρ", "sigma": "σ", "tau": "τ", "phi": "φ"}
 _PARTS = re.compile(r"([A-Za-z]+)_?(\d*)$")
 
 
-def format_html_symbol(symbol: str) -> str:
-    """Return a symbol as HTML, such as ``μ<sub>1</sub>``, with its specimen, test or recording in brackets."""
+def get_symbol_letter_index_owner_and_slant(symbol: str) -> tuple[str, str, str, bool]:
+    """Return a symbol in parts for a page, such as ``("μ", "1", "A", True)`` for ``mu1@A``.
+
+    The parts are the letter or word, its index, the specimen, test or recording to which the symbol belongs (index and
+    owner may be empty), and whether the letter is in italics.
+    """
     name, index, owner = _split_symbol_name_index_and_owner(symbol)
-    letter = f"<i>{escape(_GREEK.get(name, name))}</i>" if index or name in _GREEK else escape(name)
-    return letter + (f"<sub>{index}</sub>" if index else "") + (f" ({escape(owner)})" if owner else "")
+    return _GREEK.get(name, name), index, owner, bool(index) or name in _GREEK
 
 
 def format_mathtext_symbol(symbol: str) -> str:

@@ -15,9 +15,11 @@ from calibration.diagnosis.words import summarise_diagnosis
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.run_context import RunContext
-from calibration.report.diagnosis_page import build_diagnosis_page
-from calibration.report.diagnosis_tables import format_detectable_sizes, format_fitted_parameter_as_html
+from calibration.report.content import get_parts
+from calibration.report.diagnosis_tables import format_detectable_sizes, make_fitted_parameter_text
 from calibration.report.drawing import FigureEmbedder
+from calibration.report.page import build_report_page
+from calibration.report.section import DiagnosisReport
 from calibration.report.units import DisplayUnit, ReportUnits
 from calibration.tasks.executors import Workers, open_task_executor
 
@@ -224,8 +226,8 @@ def test_pages_of_verdicts(diagnosed, tmp_path):
     effects = parts.proposals.effects
 
     def page(pictures=None, **changes):
-        return build_diagnosis_page(replace(parts.diagnosis, **changes), parts.before, None, effects, measured,
-                                    pictures)
+        return build_report_page(DiagnosisReport(replace(parts.diagnosis, **changes), parts.before, None, effects,
+                                                 measured, pictures))
 
     plain = page(FigureEmbedder(tmp_path))
     assert next(iter(summary(plain))) == "No effect missing" and summary(plain)["Where"] == "Every region agrees."
@@ -272,4 +274,5 @@ def test_sizes_are_in_units_that_people_use(path, unit, absent, value, words):
 
 def test_numbers_do_not_break():
     number = EffectParameter(path="rig.compliance", symbol="c", unit="m/N", value=2.04e-5, standard_error=3.1e-7)
-    assert format_fitted_parameter_as_html(number, UNITS) == "c\u00a0=\u00a00.02040\u00a0±\u00a00.00031\u00a0mm/N"
+    symbol, text = get_parts(make_fitted_parameter_text(number, UNITS))
+    assert symbol.text == "c" and text == "\u00a0=\u00a00.02040\u00a0±\u00a00.00031\u00a0mm/N"

@@ -20,6 +20,7 @@ from calibration.diagnosis.diagnosis import (
     HeldOutPrediction,
     SegmentMisfit,
 )
+from calibration.diagnosis.effect_files import write_effect_files_and_get_diagnosis
 from calibration.diagnosis.evidence import (
     compute_upper_limit_of_estimated_jitter,
     make_one_law_whole_recording_campaign,
@@ -31,7 +32,6 @@ from calibration.effects.plate_friction import PlateFriction
 from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.run_context import RunContext
-from calibration.report.effect_files import write_effect_files_and_get_diagnosis
 from calibration.tasks.executors import Workers, open_task_executor
 from tissue_sim.errors import InputError
 from tissue_sim.toml_text import format_toml

@@ -30,8 +30,9 @@ from calibration.fit.result import CalibrationResult
 from calibration.report import curve_figures, estimate_figures, figures
 from calibration.report.drawing import FigureEmbedder
 from calibration.report.methods import make_plain_methods_text
+from calibration.report.page import build_report_page
 from calibration.report.png import render_png
-from calibration.report.report import build_report_page
+from calibration.report.section import CalibrationReport
 from calibration.report.units import ReportUnits
 from calibration.statistics.sensor_noise import SensorNoise
 from tissue_sim import KINDS, Specimen, find_law
@@ -247,7 +248,8 @@ def written(campaign, tmp_path, figures=True):
     result, curves = campaign
     measured = {c.test.name: c.measured for c in next(iter(curves.values()))}
     methods = make_plain_methods_text(result, measured, ReportUnits.choose_for_best_fit(result))
-    return build_report_page(result, curves, methods, FigureEmbedder(tmp_path, "svg") if figures else None)
+    return build_report_page(CalibrationReport(result, curves, methods,
+                                               FigureEmbedder(tmp_path, "svg") if figures else None))
 
 
 def texts_of(axes):

@@ -4,15 +4,22 @@ from types import SimpleNamespace
 
 import pytest
 
-from calibration.report.page import (
+from calibration.report.content import Paragraph, Span
+from calibration.report.fit_text import (
     compute_shear_modulus_error_or_none,
     format_young_and_shear_modulus_values,
     format_young_modulus,
     iterate_fit_groups_with_remarks,
+)
+from calibration.report.page import render_page
+from calibration.report.rounding import (
+    format_error,
+    format_interval,
+    format_odds_number,
+    format_value_and_error,
     use_minus_signs,
 )
-from calibration.report.rounding import format_error, format_interval, format_odds_number, format_value_and_error
-from calibration.report.symbols import format_html_symbol, format_mathtext_symbol, format_plain_symbol
+from calibration.report.symbols import format_mathtext_symbol, format_plain_symbol
 from calibration.report.units import ReportUnits
 
 
@@ -59,7 +66,8 @@ def test_the_error_of_a_modulus_follows_from_the_covariance():
 
 
 def test_symbols():
-    assert format_html_symbol("mu1@cast <A>") == "<i>μ</i><sub>1</sub> (cast &lt;A&gt;)"
+    page = render_page("", [("", [Paragraph(Span("mu1@cast <A>", "symbol"))])], None)
+    assert "<p><i>μ</i><sub>1</sub> (cast &lt;A&gt;)</p>" in page
     assert format_mathtext_symbol("tau2") == r"$\tau_{2}$" and format_mathtext_symbol("C10@A") == "$C_{10}$ (A)"
     assert format_plain_symbol("alpha1@B") == "α1 (B)" and format_plain_symbol("rig.compliance") == "rig.compliance"
 

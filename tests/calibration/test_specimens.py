@@ -11,7 +11,7 @@ from scipy import stats
 import calibration
 import tissue_sim as ts
 from calibration.fit.self_weight import describe_self_weight
-from calibration.report.page import compute_shear_modulus_error_or_none
+from calibration.report.fit_text import compute_shear_modulus_error_or_none
 from scenes.cli import main
 from tissue_sim.closed_form.column import Column
 from tissue_sim.errors import InputError
@@ -259,7 +259,7 @@ def test_the_error_of_the_youngs_modulus_is_that_of_the_mean(tmp_path):
     # mu0 = 2 C10; the scatter of five specimens makes the error.
     assert compute_shear_modulus_error_or_none(fit) == pytest.approx(2 * np.std(FIVE[:, 0], ddof=1) / 5**0.5, rel=0.02)
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "E<sub>0</sub> = 8.5 ± 0.4 kPa" in report
+    assert "<i>E</i><sub>0</sub> = 8.5 ± 0.4 kPa" in report
     # Without weight the sentence says how far each would sag.
     assert "it would sag 0.2 to 0.26 mm" in report
 

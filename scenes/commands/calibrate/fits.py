@@ -7,32 +7,31 @@ from dataclasses import dataclass
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
-from rich.text import Text
-
 from calibration.fit.ranking import does_any_law_predict_a_held_out_test
 from calibration.fit.self_weight import describe_self_weight
 from calibration.report.curve_figures import describe_region, format_p_value_text
 from calibration.report.drawing import format_count
-from calibration.report.page import (
-    format_parameter_estimate,
-    format_parameter_interval_without_unit,
-    format_significant_digits_or_dash,
-    format_stable_stretches,
-    format_young_and_shear_modulus_values,
-    iterate_fit_groups_with_remarks,
+from calibration.report.fit_tables import (
+    describe_poorly_determined_combination,
+    describe_suggested_test_and_errors,
+    make_parameter_table,
+    make_population_table,
+    make_prediction_table,
+    make_ranking_table,
 )
-from calibration.report.report_tables import describe_poorly_determined_combination, describe_suggested_test_and_errors
+from calibration.report.fit_text import iterate_fit_groups_with_remarks
 from calibration.report.units import ReportUnits
-from scenes.commands.calibrate.population import make_population_table_or_none
-from scenes.commands.shared.text_table import make_table_with_headings, print_sentence
+from scenes.commands.shared.report_table import make_printed_table, make_printed_table_of_groups
+from scenes.commands.shared.text_table import print_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Table as PrintedTable
 
     from calibration.campaign.campaign import Test
     from calibration.fit.fit import Fit, Prediction, RegionMisfitTest
     from calibration.fit.result import CalibrationResult
+    from calibration.report.content import Table
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ def print_fit_tables(result: CalibrationResult, console: Console) -> None:
     fits, tests, units = result.fits, {test.name: test
                                        for test in result.campaign.tests}, ReportUnits.choose_for_best_fit(result)
     heading, meaning = _get_ranking_heading_and_explanation(result)
-    console.print(_make_ranking_table(fits, heading, units))
+    console.print(make_printed_table(make_ranking_table(fits, units, heading)))
     star = "" if fits[0].unusable else "* best usable law; "
     print_sentence(console, f"{star}{meaning}; stable: range of stable stretches")
     console.print()
@@ -67,11 +66,14 @@ def print_fit_tables(result: CalibrationResult, console: Console) -> None:
     if legend := _join_symbol_and_derivative_notes(fits):
         print_sentence(console, legend)
         console.print()
-    if table := make_population_table_or_none(fits, units):
-        console.print(table)
+    if any(fit.population for fit in fits):
+        console.print(_make_printed_table_of_laws([(fit.law, make_population_table([fit], units)) for fit in fits
+                                                   if fit.population], text=5))
         console.print()
     if result.predictions:
-        console.print(_make_prediction_table(result.predictions, tests, units))
+        table = make_printed_table(make_prediction_table(result.predictions, tests, units), text=3)
+        table.columns[1].no_wrap, table.columns[1].overflow = False, "fold"
+        console.print(table)
         chance = "; by chance: error expected from noise, jitter and the errors of the parameters"
         several = any(prediction.mean_of for prediction in result.predictions)
         chance += "; by the mean: predicted with the mean of other specimens, whose scatter is part of the chance" \
@@ -104,55 +106,22 @@ def _get_ranking_heading_and_explanation(result: CalibrationResult) -> tuple[str
     return "left out %", "left out: error in each test, predicted by a fit to the other tests"
 
 
-def _make_ranking_table(fits: Sequence[Fit], heading: str, units: ReportUnits) -> Table:
-    """Return the table of the laws with ranking criterion, errors, moduli and stable stretches."""
-    best, pressure = fits[0], units.pressure
-    forces = best.RMSE_N is not None or best.RMSE_Pa is None
-    load = units.force if forces else pressure
-    table = make_table_with_headings("law", heading, "R2", f"RMSE {load.name}", f"E0 {pressure.name}",
-                                     f"mu0 {pressure.name}", "stable")
-    for fit in fits:
-        error = fit.RMSE_N if forces else fit.RMSE_Pa
-        above = None if fit.unusable else fit.BIC - best.BIC
-        table.add_row(_format_law_name_with_best_star(fit, best),
-                      format_significant_digits_or_dash(above if heading == "dBIC" else fit.left_out, 3),
-                      _format_R2(fit), "-" if error is None else f"{error / load.size:.4g}",
-                      *format_young_and_shear_modulus_values(fit, units), format_stable_stretches(fit),
-                      style=_choose_bold_for_best_law(fit, best))
-    return table
-
-
-def _format_law_name_with_best_star(fit: Fit, best: Fit) -> str:
-    """Return the name of a law, with a star if it is the best usable law; without a usable law none has a star."""
-    return f"{fit.law} *" if fit is best and fit.unusable is None else fit.law
-
-
-def _choose_bold_for_best_law(fit: Fit, best: Fit) -> str | None:
-    """Return the style of a row of the ranking: bold for the best usable law."""
-    return "bold" if fit is best and fit.unusable is None else None
-
-
-def _format_R2(fit: Fit) -> str:
-    """Return the coefficient of determination of a fit as text."""
-    return f"{fit.R2:.5f}" if fit.R2 > -1 else f"{fit.R2:.3g}"
-
-
-def _make_parameter_table(fits: Sequence[Fit], units: ReportUnits) -> Table:
+def _make_parameter_table(fits: Sequence[Fit], units: ReportUnits) -> PrintedTable:
     """Return the table of the parameters of all laws with standard errors and profile-likelihood intervals."""
-    table = make_table_with_headings("parameter", "value ± standard error", "95 % interval", text=3)
+    table = _make_printed_table_of_laws([(fit.law, make_parameter_table(fit, units)) for fit in fits], text=3)
     table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
     table.columns[0].max_width = _LAYOUT.name_width
-    for fit in fits:
-        if len(fits) > 1:
-            table.add_row(fit.law, "", "")
-        for name in fit.parameters:
-            undetermined = fit.standard_errors.get(name) is None and name not in fit.on_bound \
-                and not fit.alternatives
-            table.add_row(f"{'  ' if len(fits) > 1 else ''}{fit.symbols[name]}",
-                          f"{format_parameter_estimate(fit, name, units)}{' (not determined)' if undetermined else ''}",
-                          f"{format_parameter_interval_without_unit(fit, name, units)}"
-                          f"{' (cut)' if name in fit.interval_notes else ''}")
     return table
+
+
+def _make_printed_table_of_laws(tables: Sequence[tuple[str, Table]], *, text: int) -> PrintedTable:
+    """Return the tables of some laws as one printed table; the laws are named if there are several.
+
+    Args:
+        tables: name of each law and its table.
+        text: number of left-aligned columns at the left.
+    """
+    return make_printed_table_of_groups(tables if len(tables) > 1 else [("", table) for _, table in tables], text=text)
 
 
 def _join_symbol_and_derivative_notes(fits: Sequence[Fit]) -> str:
@@ -164,24 +133,6 @@ def _join_symbol_and_derivative_notes(fits: Sequence[Fit]) -> str:
     if inexact:
         parts.append(f"derivatives by finite differences: {', '.join(inexact)}")
     return "; ".join(parts)
-
-
-def _make_prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Test], units: ReportUnits) -> Table:
-    """Return the table of the errors in tests to which a law was not fitted."""
-    table = make_table_with_headings("law", "predicts", "", "RMSE", "%", "by chance", text=3)
-    table.columns[1].no_wrap, table.columns[1].overflow = False, "fold"
-    last = None
-    for p in predictions:
-        test = tests[p.test]
-        error = p.RMSE_Pa if test.specimen is None else p.RMSE_N
-        load = units.get_load_unit(test)
-        chance = "-" if p.expected_N is None else load.format_quantity(p.expected_N, 2)
-        how = f"{'left out' if p.fitted else 'held out'}{f', by the mean of {len(p.mean_of)}' if p.mean_of else ''}"
-        table.add_row(p.law if p.law != last else "", Text(p.test), how,
-                      "none" if error is None else load.format_quantity(error, 3),
-                      format_significant_digits_or_dash(p.percent, 2), chance)
-        last = p.law
-    return table
 
 
 def _iterate_missing_prediction_reasons(predictions: Sequence[Prediction]) -> Iterator[str]:

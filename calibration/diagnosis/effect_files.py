@@ -6,7 +6,6 @@ Tissue effects go into a material file, effects of the rig into rig files, conta
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,13 @@ from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.named_files import replace_mesh_profile_and_rig_paths, resolve_path_to_text
 from calibration.diagnosis.diagnosis import Diagnosis, FoundEffect
 from calibration.diagnosis.evidence import FitEvidence
+from calibration.fit.material_file import make_material_file_of_fit
 from calibration.fit.result import CalibrationResult
-from calibration.report.outputs import build_material_file_struct
+from calibration.output_folder import list_possible_diagnosis_result_paths
 from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import read_toml_dict
 from tissue_sim.experiment.interfaces import AS_TOOL
+from tissue_sim.laws import LAWS
 from tissue_sim.material.file import MaterialFile, write_material_file
 from tissue_sim.parameters import convert_to_file_values, with_values
 from tissue_sim.rig.file import write_rig
@@ -31,9 +32,14 @@ from tissue_sim.toml_text import format_toml
 CAMPAIGN_FILE = "diagnosed.toml"
 
 
-def list_possible_effect_file_paths(campaign: Campaign, laws: Sequence[str], folder: Path) -> list[Path]:
-    """Return the paths of all files that `write_effect_files_and_get_diagnosis` may write for these laws."""
-    return [*(folder / f"{law}.material.json" for law in laws), folder / CAMPAIGN_FILE, folder / "rig.rig.json",
+def list_all_possible_diagnosis_paths(campaign: Campaign, folder: Path) -> list[Path]:
+    """Return the paths of all files that the diagnosis of a campaign may write.
+
+    Material files of all laws are included, because an effect may require a more general law than the campaign states.
+    """
+    return [*list_possible_diagnosis_result_paths(campaign, folder),
+            *(folder / f"{law}.material.json" for law in sorted(LAWS)), folder / CAMPAIGN_FILE,
+            folder / "rig.rig.json",
             *(folder / _make_rig_file_name_of_test_number(number) for number in range(len(campaign.tests)))]
 
 
@@ -54,7 +60,7 @@ def write_effect_files_and_get_diagnosis(diagnosis: Diagnosis, after: FitEvidenc
         return diagnosis
     files = {}
     name = f"{after.law_name}.material.json"
-    write_material_file(_build_material_file_struct(diagnosis, after, folder), folder / name)
+    write_material_file(_make_material_file_with_effects(diagnosis, after, folder), folder / name)
     files["material"] = name
     rigs = {test.name: _copy_rig_with_fitted_values(after, test) for test in after.diagnosis_data.tests
             if test.experiment is not None}
@@ -86,7 +92,7 @@ def _make_rig_file_name_of_test_number(number: int) -> str:
     return f"test_{number + 1}.rig.json"
 
 
-def _build_material_file_struct(diagnosis: Diagnosis, after: FitEvidence, folder: Path) -> MaterialFile:
+def _make_material_file_with_effects(diagnosis: Diagnosis, after: FitEvidence, folder: Path) -> MaterialFile:
     """Return the material file of the fitted law and tissue effects, with the diagnosis in its provenance."""
     fit = diagnosis.fit_after
     assert fit is not None
@@ -95,7 +101,7 @@ def _build_material_file_struct(diagnosis: Diagnosis, after: FitEvidence, folder
                     for number in effect.parameters if number.absent is not None}
     fit = replace(fit, parameters={**fit.parameters, **switched_off})
     result = CalibrationResult(after.campaign, (fit,), (), diagnosis.message, folder, "", None, "estimated")
-    file = build_material_file_struct(fit, result, after.measured, "inverse FEM with a diagnosed effect")
+    file = make_material_file_of_fit(fit, result, after.measured, "inverse FEM with a diagnosed effect")
     added = [{"name": effect.name, "room": effect.category, "tests": effect.tests,
               "parameters": {number.path: number.value for number in effect.parameters}}
              for effect in diagnosis.effects]

@@ -1,14 +1,30 @@
-"""State the assumptions behind the numbers of a calibration report."""
+"""Section with the assumptions behind the numbers of a calibration or diagnosis."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+from calibration.diagnosis.words import join_as_enumeration
 from calibration.fit.result import CalibrationResult
 from calibration.fit.self_weight import describe_self_weight
+from calibration.report.content import Block, Listing
 from calibration.report.drawing import format_count
+from calibration.report.section import CalibrationReport, DiagnosisReport, Section
 from calibration.report.units import ReportUnits
 
 
-def list_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]:
+class Assumptions(Section):
+    """Assumptions, one sentence each."""
+
+    name, title, reports = "assumptions", "Assumptions", ("calibration", "diagnosis")
+
+    def iterate_blocks(self, report: CalibrationReport | DiagnosisReport) -> Iterator[Block]:
+        """Yield the list of the assumptions."""
+        yield Listing(_list_calibration_assumptions(report.result, report.units)
+                      if isinstance(report, CalibrationReport) else [*_iterate_diagnosis_assumptions(report)])
+
+
+def _list_calibration_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]:
     """Return the assumptions of a calibration, one sentence each."""
     campaign = result.campaign
     lines = _list_analytical_assumptions(result, units) if campaign.fit.method == "analytical" \
@@ -88,3 +104,26 @@ def _list_simulation_assumptions(result: CalibrationResult, units: ReportUnits) 
                  "intervals inside the bounds.")
     lines.append("Laws are ranked by the prediction error in tests that they were not fitted to, not by R².")
     return lines
+
+
+def _iterate_diagnosis_assumptions(report: DiagnosisReport) -> Iterator[str]:
+    """Yield the assumptions of a diagnosis, one sentence each."""
+    diagnosis, before, units = report.diagnosis, report.before, report.units
+    sources = sorted({curve.noise.source for curve in before.problem.measured})
+    colour = "white" if not diagnosis.noise_correlation_s else \
+        f"correlated over {diagnosis.noise_correlation_s:.2g} s"
+    yield (f"Noise: {units.force.format_quantity(diagnosis.noise_N, 2)} (standard deviation, "
+           f"{join_as_enumeration(sources)}), {colour}.")
+    freedom = before.problem.jitter.freedom
+    source = "stated in the campaign, or the default prior" if freedom is None else \
+        f"estimated with {format_count(freedom, 'degree')} of freedom" if freedom else \
+        "assumed, because no test has two recordings"
+    contact = units.length.format_quantity(1e-3 * diagnosis.contact_jitter_mm, 2)
+    yield (f"Between recordings the contact point scatters by {contact} and the force zero by "
+           f"{units.force.format_quantity(diagnosis.zero_jitter_N, 2)} (standard deviations), {source}; both are "
+           "marginalised.")
+    yield (f"The difference of the accurate mesh is corrected. The remaining mesh error, {diagnosis.mesh_percent:.2g} "
+           "% of the force, is included in the covariance.")
+    yield "All samples after contact are fitted, including holds and unloading, also with an elastic law."
+    yield ("An effect is accepted if it improves the BIC by at least 10, with the effective number of samples of the "
+           "correlated noise. An effect that is 20 times less likely than the best effect is rejected.")
