@@ -7,6 +7,10 @@ writes a file, claims the output folder, and runs the jobs. A job distributes it
 A run may end at any time, by Ctrl-C, by `kill` or by a power failure. Each simulation is stored as soon as it is
 finished, and each file is written atomically, the file with the result last. Therefore the same call resumes: it reads
 finished jobs, and repeats an unfinished job with its stored simulations.
+
+An exception of the progress listener cancels a job in this process: running tasks of workers are abandoned, and the
+exception is raised. A job in another process is cancelled by the end of this process, such as
+`Executor.abandon_tasks` of a `calibration.tasks.process_pool.ProcessPool`.
 """
 
 from __future__ import annotations
