@@ -41,13 +41,13 @@ def run_job(kind, campaign, out):
             evaluate_planned_experiments(campaign, samples=60)
 
 
-def interrupt_after_simulations(number, count):
-    """Send a signal to this process when `count` simulations are stored in files."""
+def interrupt_after_simulations(number, count, *, in_files):
+    """Send a signal to this process when `count` simulations are stored in files, or else in memory."""
     store, stored = SimulationCache.store_curve, set()
 
     def store_and_count(cache, key, curve):
         store(cache, key, curve)
-        if cache.folder is not None and key not in stored:
+        if (cache.folder is not None) == in_files and key not in stored:
             stored.add(key)
             if len(stored) == count:
                 os.kill(os.getpid(), number)
@@ -72,7 +72,7 @@ if __name__ == "__main__":
     # A shell that starts the tests in the background has Ctrl-C ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if int(simulations):
-        interrupt_after_simulations(int(signal_number), int(simulations))
+        interrupt_after_simulations(int(signal_number), int(simulations), in_files=job_kind in RESULT_FILES)
     else:
         interrupt_while_result_is_written(int(signal_number))
     run_job(job_kind, campaign_file, folder)
