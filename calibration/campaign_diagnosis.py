@@ -1,21 +1,19 @@
-"""Diagnose one campaign: find the effects that a plain model misses in its recordings."""
+"""Job that diagnoses one campaign: it finds the effects that a plain model misses in its recordings."""
 
 from __future__ import annotations
 
-import hashlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
+import msgspec
 import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.digest import compute_input_and_version_digest
 from calibration.campaign.measured import MeasuredCurve, make_campaign_with_scaled_offset_defaults, read_measured_curves
 from calibration.diagnosis.confirmation import (
     compare_segment_misfits,
@@ -26,7 +24,10 @@ from calibration.diagnosis.confirmation import (
 from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.diagnosis.diagnosis import Diagnosis, DiagnosisStage
 from calibration.diagnosis.duration import describe_expected_duration_or_empty, measure_solid_simulation_cpu_s_by_test
-from calibration.diagnosis.effect_files import write_effect_files_and_get_diagnosis
+from calibration.diagnosis.effect_files import (
+    list_all_possible_diagnosis_paths,
+    write_effect_files_and_get_diagnosis,
+)
 from calibration.diagnosis.evidence import (
     FitEvidence,
     Measured,
@@ -41,20 +42,16 @@ from calibration.diagnosis.result import DiagnosisResult
 from calibration.diagnosis.statements import list_candidate_results, list_found_effects
 from calibration.diagnosis.verdict import fit_effects_and_decide_verdict
 from calibration.diagnosis.words import summarise_diagnosis
-from calibration.effects.catalogue import CATALOGUE
 from calibration.fit.assess import build_fit_record
 from calibration.fit.fit import Fit
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
 from calibration.fit.run_context import RunContext
 from calibration.fit.uncertainty import compute_marginal_uncertainty
-from calibration.forward.simulation_cache import SimulationCache, hash_content_and_source_code
-from calibration.output_folder import SOLVES
+from calibration.forward.simulation_cache import SimulationCache
+from calibration.job import Job
+from calibration.output_folder import DIAGNOSIS_FILE, TABLES_OF_DIAGNOSIS, list_test_figure_file_names
 from calibration.report.outputs import write_diagnosis_and_get_result
-from calibration.tasks.executors import Workers, open_task_executor
 from tissue_sim.settings import get_changed_settings_by_name
-
-if TYPE_CHECKING:
-    from calibration.fit.run_context import Progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,100 +189,71 @@ def read_campaign_and_curves_for_diagnosis(path: str | Path, law: str | None = N
     return campaign, read_measured_curves(campaign)
 
 
-def diagnose_campaign_file_without_writing(path: str | Path, *, law: str | None = None, workers: Workers | None = None,
-                                           progress: Progress | None = None) -> DiagnosisWithFits:
-    """Diagnose a campaign file without writing files.
-
-    Args:
-        path: campaign file.
-        law: one of its laws; None: its first.
-        workers: worker processes; None: this process only.
-        progress: receives the progress, see `calibration.calibrate`.
-
-    Raises:
-        InputError: the campaign or a recording is invalid.
-        ConvergenceError: no start converges.
-    """
-    campaign, measured = read_campaign_and_curves_for_diagnosis(path, law)
-    with open_task_executor(workers or Workers()) as tasks:
-        return diagnose_campaign(campaign, measured, RunContext(campaign.name, tasks, progress))
-
-
-class CampaignDiagnosis:
+class CampaignDiagnosis(Job):
     """Diagnose one campaign and write the results to a folder.
 
     Args:
         campaign: campaign with one law, see `read_campaign_and_curves_for_diagnosis`.
         measured: recordings of each test, see `read_campaign_and_curves_for_diagnosis`.
         folder: folder of the results.
-        steps: task executor and progress reports.
-        limits: decision limits.
-        refit_settings: settings of the fits with an effect.
-
-    Attributes:
-        recordings: all recordings.
-        digest: digest of all inputs of the diagnosis: campaign, recordings, law, catalogue, and source code of solver
-            and calibration.
+        context: task executor and progress reports.
+        limits: decision limits; None: the defaults.
+        refit_settings: settings of the fits with an effect; None: the defaults.
+        figures: whether the report includes figures.
+        figures_format: format of separate figure files; None: no figure files.
     """
 
-    def __init__(self, campaign: Campaign, measured: Measured, folder: Path, steps: RunContext,
-                 limits: DecisionLimits = LIMITS, refit_settings: RefitSettings = REFITS):
-        self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
-        self.limits, self.refit_settings = limits, refit_settings
-        self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = hash_content_and_source_code("diagnosis", compute_input_and_version_digest(
-            campaign, self.recordings,
-            get_changed_settings_by_name(limits) | {
-                f"refit_settings.{name}": value
-                for name, value in get_changed_settings_by_name(refit_settings).items()}), campaign.fit.laws[0],
-                                                   sorted(CATALOGUE), _hash_calibration_source_code())
-        self.solves = SimulationCache()
+    kind, result_file = "diagnosis", DIAGNOSIS_FILE
+
+    def __init__(self, campaign: Campaign, measured: Measured, folder: Path, context: RunContext,
+                 *, limits: DecisionLimits | None = None, refit_settings: RefitSettings | None = None,
+                 figures: bool = True, figures_format: str | None = None):
+        super().__init__(campaign, measured, folder, context)
+        self.limits, self.refit_settings = limits or LIMITS, refit_settings or REFITS
+        self.figures, self.figures_format = figures, figures_format
+        self.settings = get_changed_settings_by_name(self.limits) | {
+            f"refit_settings.{name}": value
+            for name, value in get_changed_settings_by_name(self.refit_settings).items()}
         self._clock = _StageClock(self.solves)
 
-    def check_start_values_before_writing(self) -> None:
-        """Check that the campaign can be fitted, before any file is written.
+    def list_possible_files(self) -> list[Path]:
+        """Return the paths of report, tables, figures, files with the effects and ``diagnosis.json``."""
+        return list_all_possible_diagnosis_paths(self.campaign, self.folder)
 
-        Raises:
-            InputError: the campaign cannot be fitted; the error states file and field.
+    def decode_result(self, found: Mapping[str, Any]) -> tuple[DiagnosisResult, Sequence[str]]:
+        """Convert the content of ``diagnosis.json``; see `Job.decode_result`."""
+        diagnosis = msgspec.convert(found, Diagnosis)
+        return DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest, resumed=True), [
+            *TABLES_OF_DIAGNOSIS, *diagnosis.files.values(),
+            *list_test_figure_file_names(self.campaign, self.figures_format)]
+
+    def check_before_writing(self) -> None:
+        """Check that the law can be simulated at its start values, and announce a long duration.
+
+        See `Job.check_before_writing`.
         """
-        self.solves.set_read_folder(self.folder / SOLVES)
-        self.steps.report_progress("checking the start values")
+        self.context.report_progress("checking the start values")
         campaign = make_campaign_with_scaled_offset_defaults(self.campaign, self.measured)
         with self._clock.measure_stage("check of the start values"):
             estimator, law = GeneralisedLeastSquaresEstimator(campaign, self.measured,
                                                               self.solves), campaign.fit.laws[0]
             estimator.require_fittable_law(law, 0)
-            if self.steps.announce is not None and (
+            if self.context.announce is not None and (
                     words := describe_expected_duration_or_empty(
                         measure_solid_simulation_cpu_s_by_test(estimator.build_law_problem(law)))):
-                self.steps.announce(f"{campaign.name}: {words}")
+                self.context.announce(f"{campaign.name}: {words}")
 
-    def run(self, *, figures: bool, figures_format: str | None = None) -> DiagnosisResult:
+    def run(self) -> DiagnosisResult:
         """Diagnose the campaign and write all results; ``diagnosis.json`` is last and marks the campaign as finished.
-
-        Args:
-            figures: whether the report includes figures.
-            figures_format: format of separate figure files; None: no figure files.
 
         Raises:
             ConvergenceError: no start converges.
         """
-        self.solves.write_curves_and_use_folder(self.folder / SOLVES)
-        found = diagnose_campaign(self.campaign, self.measured, self.steps, self.solves, self.limits,
+        found = diagnose_campaign(self.campaign, self.measured, self.context, self.solves, self.limits,
                                   self.refit_settings)
-        self.steps.report_progress("writing the report")
+        self.context.report_progress("writing the report")
         diagnosis = write_effect_files_and_get_diagnosis(
             replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages]), found.after, self.folder)
         return write_diagnosis_and_get_result(DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest),
-                                              found.before,
-                                              found.after, found.proposals.effects, self.measured, figures=figures,
-                                              figures_format=figures_format)
-
-
-@cache
-def _hash_calibration_source_code() -> str:
-    """Return the SHA-256 digest of the source code of the package `calibration`, which affects the result."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+                                              found.before, found.after, found.proposals.effects, self.measured,
+                                              figures=self.figures, figures_format=self.figures_format)

@@ -1,9 +1,9 @@
-"""Fit one campaign and write its results, with the analytical or the inverse finite element method."""
+"""Job that fits one campaign and writes its results, with the analytical or the inverse finite element method."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -29,15 +29,20 @@ from calibration.fit.preload_cover import copy_notes_with_explained_preload
 from calibration.fit.profiles import ProfileSide, compute_profile_side
 from calibration.fit.ranking import Fitted, explain_ranking, rank_fits_predictions_and_curves
 from calibration.fit.replicates import find_replicate_disagreements
-from calibration.fit.result import CalibrationResult
+from calibration.fit.result import CalibrationResult, decode_calibration_result
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import DescentResult
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.fit.validation import LeftOutPredictionWithCost, predict_held_out_test, predict_left_out_test
 from calibration.forward.geometry import check_solvers_accept_test_geometries
-from calibration.forward.simulation_cache import SimulationCache
-from calibration.output_folder import SOLVES
-from calibration.report.outputs import write_calibration_files, write_failure_report
+from calibration.job import Job
+from calibration.output_folder import (
+    FIT_FILE,
+    TABLES,
+    list_possible_calibration_file_paths,
+    list_test_figure_file_names,
+)
+from calibration.report.outputs import write_calibration_files, write_failure_report, write_summary_table
 from calibration.statistics.uncertainty import ParameterUncertainty
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.settings import get_changed_settings_by_name
@@ -47,64 +52,72 @@ ESTIMATORS: dict[str, type[Estimator]] = {"analytical": OrdinaryLeastSquaresEsti
                                           "inverse_fem": GeneralisedLeastSquaresEstimator}
 
 
-class CampaignFit:
+class CampaignFit(Job):
     """Fit all laws of one campaign and write the results to a folder.
 
     Args:
         campaign: the campaign.
         measured: recordings of each test, see `read_measured_curves`.
         folder: folder of the results.
-        steps: task executor and progress reports.
-        limits: limits of the usability rule.
+        context: task executor and progress reports.
+        limits: limits of the usability rule; None: the defaults.
+        figures: whether the report includes figures.
+        figures_format: format of separate figure files; None: no figure files.
 
     Attributes:
-        recordings: all recordings.
-        digest: digest of all inputs on which the results depend.
         estimator: estimator of the method.
     """
 
+    kind, result_file = "fit", FIT_FILE
+
     def __init__(self, campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], folder: Path,
-                 steps: RunContext, limits: UsabilitySettings = USABILITY):
-        self.campaign = campaign = make_campaign_with_scaled_offset_defaults(campaign, measured)
-        self.measured, self.folder, self.steps = measured, folder, steps
-        self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.limits = limits
-        self.digest = compute_input_and_version_digest(campaign, self.recordings, get_changed_settings_by_name(limits))
-        self.solves = SimulationCache()
-        self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)
+                 context: RunContext, *, limits: UsabilitySettings | None = None, figures: bool = True,
+                 figures_format: str | None = None):
+        super().__init__(make_campaign_with_scaled_offset_defaults(campaign, measured), measured, folder, context)
+        self.limits, self.figures, self.figures_format = limits or USABILITY, figures, figures_format
+        self.settings = get_changed_settings_by_name(self.limits)
+        self.estimator: Estimator = ESTIMATORS[campaign.fit.method](self.campaign, measured, self.solves)
+        self.stores_simulations = self.estimator.explores
         #: Law -> number of simulations in the check of its start values.
         self.checked: dict[str, int] = {}
 
-    def check_start_values_before_writing(self) -> None:
-        """Check that the campaign can be fitted, before any file is written.
+    @cached_property
+    def digest(self) -> str:
+        """Digest of campaign, recordings, settings and version of the program."""
+        return compute_input_and_version_digest(self.campaign, self.recordings, self.settings)
 
-        Stored simulations of an earlier run of the same campaign are used.
+    def list_possible_files(self) -> list[Path]:
+        """Return the paths of material files, report, tables, figures and ``fit.json``."""
+        return list_possible_calibration_file_paths(self.campaign, self.folder)
 
-        Raises:
-            InputError: the campaign cannot be fitted; the error states file and field.
-        """
-        self.solves.set_read_folder(self.folder / SOLVES)
+    def decode_result(self, found: Mapping[str, Any]) -> tuple[CalibrationResult, Sequence[str]]:
+        """Convert the content of ``fit.json``; see `Job.decode_result`."""
+        result = decode_calibration_result(found, self.campaign, self.folder)
+        materials = [fit.material_file for fit in result.fits if fit.material_file is not None]
+        return result, [*TABLES, *materials, *list_test_figure_file_names(self.campaign, self.figures_format)]
+
+    @classmethod
+    def write_summary(cls, results: Sequence[CalibrationResult], path: Path) -> None:
+        """Write the table of all laws of all campaigns."""
+        write_summary_table(results, path)
+
+    def check_before_writing(self) -> None:
+        """Check that each law can be simulated at its start values; see `Job.check_before_writing`."""
         if self.estimator.explores:
             check_solvers_accept_test_geometries(self.campaign)
         for number, law in enumerate(self.campaign.fit.laws):
             if self.estimator.explores:
-                self.steps.report_progress(f"checking the start values of {law}")
+                self.context.report_progress(f"checking the start values of {law}")
             before = self.solves.counts.total()
             self.estimator.require_fittable_law(law, number)
             self.checked[law] = self.solves.counts.total() - before
 
-    def run(self, *, figures: bool, figures_format: str | None = None) -> CalibrationResult:
+    def run(self) -> CalibrationResult:
         """Fit all laws and write all results; ``fit.json`` is last and marks the campaign as finished.
-
-        Args:
-            figures: whether the report includes figures.
-            figures_format: format of separate figure files; None: no figure files.
 
         Raises:
             ConvergenceError: no law could be fitted.
         """
-        if self.estimator.explores:
-            self.solves.write_curves_and_use_folder(self.folder / SOLVES)
         disagreements = self._announce_and_describe_disagreements()
         found, failures = self._compute_results_and_failures_of_laws()
         if not found:
@@ -135,17 +148,18 @@ class CampaignFit:
             self.campaign, tuple(fits), tuple(predictions), message, self.folder, self.digest,
             self.estimator.pooled_sensor_stress_noise_or_none, sources.pop() if len(sources) == 1 else "mixed",
             noise if self.estimator.explores else (), failures=failures,
-            usability_settings=get_changed_settings_by_name(self.limits))
+            usability_settings=self.settings)
         if self.estimator.explores:
-            self.steps.report_progress("writing the report")
+            self.context.report_progress("writing the report")
         write_material_files(result, self.measured, self.estimator.words)
-        write_calibration_files(result, curves, self.measured, figures=figures, figures_format=figures_format)
+        write_calibration_files(result, curves, self.measured, figures=self.figures,
+                                figures_format=self.figures_format)
         return result
 
     def _compute_results_and_failures_of_laws(self) -> tuple[list[Fitted], dict[str, str]]:
         """Return (fit, predictions, curves) of each fitted law, and law -> reason of failure of the other laws."""
         laws = self.campaign.fit.laws
-        ends = self.estimator.fit_laws(laws, self.steps)
+        ends = self.estimator.fit_laws(laws, self.context)
         estimates = {law: estimate for law, (_, estimate) in ends.items() if isinstance(estimate, Estimate)}
         failures = {law: estimate for law, (_, estimate) in ends.items() if not isinstance(estimate, Estimate)}
         spreads: dict[str, ParameterUncertainty] = {}
@@ -160,7 +174,7 @@ class CampaignFit:
         answers: list[Fitted] = []
         for law, estimate in estimates.items():
             if self.estimator.explores:
-                self.steps.report_progress(f"uncertainty and predictions of {law}")
+                self.context.report_progress(f"uncertainty and predictions of {law}")
             answer = call_and_catch_law_errors(self._compute_results_of_one_law, estimate, spreads[law], ends[law][0],
                                                sides_of[law], left_of[law])
             if isinstance(answer, LawFailureRecord):
@@ -219,7 +233,7 @@ class CampaignFit:
                          for number in range(len(estimate.problem.tests))]
         for function, tasks, words, found in ((compute_profile_side, sides, "profiles", sides_of),
                                               (predict_left_out_test, left, "tests left out, one at a time", left_of)):
-            answers = self.steps.run_task_for_all(partial(call_and_catch_law_errors, function),
+            answers = self.context.run_task_for_all(partial(call_and_catch_law_errors, function),
                                                   [arguments for _, arguments in tasks], words) if tasks else []
             for (law, _), answer in zip(tasks, answers, strict=True):
                 # A failed profile or left-out test does not invalidate the fit.
@@ -231,7 +245,7 @@ class CampaignFit:
         """Return a sentence for each test whose recordings disagree, and send each sentence as a progress message."""
         found = [each.describe() for each in find_replicate_disagreements(self.measured)]
         for sentence in found:
-            self.steps.report_progress(sentence)
+            self.context.report_progress(sentence)
         return found
 
 

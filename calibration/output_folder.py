@@ -1,19 +1,19 @@
-"""Manage the folder of a calibration or diagnosis: its campaigns, and the files written by earlier runs."""
+"""Manage the output folder of jobs: its campaigns, and the files written by earlier runs."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.measured import MeasuredCurve
 from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
+from tissue_sim.version import __version__
 
 #: File that lists the campaigns of a folder and the files written for them.
 CLAIM_FILE = "work.json"
@@ -59,22 +59,20 @@ def list_possible_diagnosis_result_paths(campaign: Campaign, folder: Path) -> li
 
 
 def remove_earlier_results_and_claim_folder(
-        output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign], recordings: Sequence[MeasuredCurve],
-        digests: Mapping[str, str], overwrite: bool,
-        files_of: Callable[[Campaign, Path], list[Path]] = list_possible_calibration_file_paths) -> None:
-    """Prepare the output folder for these campaigns: check it, remove earlier results, and write ``work.json``.
+        output: Path, digests: Mapping[str, str], folders: Sequence[Path], files: Sequence[Path],
+        inputs: Sequence[Path], overwrite: bool) -> None:
+    """Prepare the output folder for jobs: check it, remove earlier results, and write ``work.json``.
 
-    Results of the same campaigns stay. Files of an earlier calibration are removed if ``work.json`` lists them; other
-    files are not changed.
+    Results of the same jobs stay. Files of an earlier run are removed if ``work.json`` lists them; other files are not
+    changed.
 
     Args:
         output: folder of all results.
-        folders: folder of each campaign by its name.
-        campaigns: the campaigns, whose files must not be overwritten.
-        recordings: the recordings, whose files must not be overwritten.
-        digests: digest of each campaign by its name.
+        digests: name of the campaign -> digest of its job.
+        folders: folder of each job.
+        files: all files that the jobs may write, except stored simulations.
+        inputs: files of the user, which must not be replaced.
         overwrite: whether results of other campaigns in `output` may be replaced.
-        files_of: returns the paths of all files that may be written for a campaign in its folder.
 
     Raises:
         InputError: `output` is a file, contains other results, or contains a file of another origin with the name of a
@@ -82,17 +80,17 @@ def remove_earlier_results_and_claim_folder(
     """
     if output.exists() and not output.is_dir():
         raise InputError("the output must be a folder, but this is a file; choose another path", file=output)
-    planned = [path for campaign in campaigns for path in files_of(campaign, folders[campaign.name])]
-    planned += [output / CLAIM_FILE, *([output / SUMMARY_FILE] if len(campaigns) > 1 else [])]
-    for folder in folders.values():
+    planned = [*files, output / CLAIM_FILE, *([output / SUMMARY_FILE] if len(folders) > 1 else [])]
+    for folder in folders:
         if (folder / SOLVES).exists() and not (folder / SOLVES).is_dir():
             raise InputError("the path of the folder for simulations must not be a file; move or rename this file",
                              file=folder / SOLVES)
-    _require_inputs_not_replaced(planned, campaigns, recordings)
+    _require_inputs_not_replaced(planned, inputs)
+    _remove_unfinished_temporary_files(folders, planned)
     found = _read_valid_claim_or_empty(output)
     if not overwrite and output.exists() and any(output.iterdir()):
         if found.get("campaigns") != digests:
-            content = "results of other campaigns" if found else "other files"
+            content = _describe_other_results(output, found) if found else "other files"
             raise InputError(f"the output folder must be empty or contain results of the same campaigns; it contains "
                              f"{content}. Choose an empty folder or add --overwrite", file=output)
         return
@@ -103,8 +101,8 @@ def remove_earlier_results_and_claim_folder(
                              "folder; move the file or choose another folder", file=path)
     _remove_stored_simulations({path.parent for path in earlier})
     _remove_files_and_empty_folders(earlier, output)
-    files = [path.relative_to(output).as_posix() for path in planned]
-    claimed = {"schema": CLAIM_SCHEMA, "campaigns": dict(digests), "files": files}
+    claimed = {"schema": CLAIM_SCHEMA, "campaigns": dict(digests),
+               "files": [path.relative_to(output).as_posix() for path in planned]}
     write_text(output / CLAIM_FILE, json.dumps(claimed, indent=2) + "\n")
 
 
@@ -118,10 +116,10 @@ def make_figure_file_name(name: str, kind: str) -> str:
     return f"report_{re.sub(r'[^0-9A-Za-z]+', '_', name).strip('_')}.{kind}"
 
 
-def has_figure_files_of_all_tests(campaign: Campaign, folder: Path, kind: str) -> bool:
-    """Return whether the figure files of all tests of a finished campaign exist in this format."""
-    return all((folder / make_figure_file_name(make_numbered_test_figure_name(campaign, number), kind)).is_file()
-               for number in range(len(campaign.tests)))
+def list_test_figure_file_names(campaign: Campaign, kind: str | None) -> list[str]:
+    """Return the file names of the figures of all tests in a format; none without a format."""
+    return [] if kind is None else [make_figure_file_name(make_numbered_test_figure_name(campaign, number), kind)
+                                    for number in range(len(campaign.tests))]
 
 
 def _list_possible_figure_names(campaign: Campaign) -> list[str]:
@@ -131,11 +129,22 @@ def _list_possible_figure_names(campaign: Campaign) -> list[str]:
             *(f"{name} {law}" for name in PICTURES_OF_LAW for law in campaign.fit.laws)]
 
 
-def _require_inputs_not_replaced(planned: Sequence[Path], campaigns: Sequence[Campaign],
-                                 recordings: Sequence[MeasuredCurve]) -> None:
-    """Raise an `InputError` if a planned file would replace a campaign or recording."""
-    files = {recording.file for recording in recordings}
-    inputs = [*(campaign.path for campaign in campaigns), *files, *(path.with_suffix(".json") for path in files)]
+def _describe_other_results(output: Path, claim: Mapping[str, Any]) -> str:
+    """Describe the results that a folder contains, for a message: other campaigns, or another version of the program.
+
+    Material files state the version that wrote them; `CLAIM_FILE` states none.
+    """
+    for name in claim["files"]:
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            if name.endswith(".material.json"):
+                version = read_json_value(output / name, "a material file")["provenance"]["version"]
+                if version != __version__:
+                    return f"results of tissue_sim {version}, and this is version {__version__}"
+    return "results of other campaigns"
+
+
+def _require_inputs_not_replaced(planned: Sequence[Path], inputs: Sequence[Path]) -> None:
+    """Raise an `InputError` if a planned file would replace an input."""
     existing = [path for path in inputs if path.exists()]
     for path in planned:
         # `samefile` also detects links and names that differ in case only on some file systems.
@@ -155,6 +164,15 @@ def _read_valid_claim_or_empty(output: Path) -> dict[str, Any]:
     # A list with paths outside the folder is invalid: its files must not be removed.
     inside = all(not path.is_absolute() and ".." not in path.parts and len(path.parts) <= 2 for path in paths)
     return found if inside else {}
+
+
+def _remove_unfinished_temporary_files(folders: Sequence[Path], planned: Sequence[Path]) -> None:
+    """Remove the temporary files of results and simulations whose writing was ended by `kill` or a power failure."""
+    names = {re.escape(path.name) for path in planned} | {r"[0-9a-f]{40}\.msgpack"}
+    for folder in {*(path.parent for path in planned), *(folder / SOLVES for folder in folders)}:
+        for file in folder.glob(".*.tmp"):
+            if re.fullmatch(rf"\.({'|'.join(names)})\.[0-9a-f]{{8}}\.tmp", file.name):
+                file.unlink(missing_ok=True)
 
 
 def _remove_stored_simulations(folders: Iterable[Path]) -> None:

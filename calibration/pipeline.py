@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured_curves
 from calibration.campaign.planned import PLANNED, read_or_plan_curves_of_all_tests
-from calibration.output_folder import (
-    PICTURE_FORMATS,
-    SUMMARY_FILE,
-    has_figure_files_of_all_tests,
-    list_possible_calibration_file_paths,
-    remove_earlier_results_and_claim_folder,
-)
+from calibration.output_folder import PICTURE_FORMATS
 from calibration.tasks.executors import Workers, open_task_executor
-from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.errors import InputError
 from tissue_sim.public_names import make_getattr_for_old_names
 
 __getattr__ = make_getattr_for_old_names(__name__, {"design_experiments": "evaluate_planned_experiments"})
@@ -26,6 +20,7 @@ if TYPE_CHECKING:
     from calibration.campaign.campaign import Campaign
     from calibration.diagnosis.decision_limits import DecisionLimits
     from calibration.diagnosis.design import Design
+    from calibration.diagnosis.evidence import Measured
     from calibration.diagnosis.refit_settings import RefitSettings
     from calibration.diagnosis.result import DiagnosisResult
     from calibration.fit.result import CalibrationResult
@@ -90,28 +85,10 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         >>> round(result.best.parameters["C10"], 1)
         1000.0
     """
-    output = Path(output)
     _require_known_figure_format(figures_format)
-    campaigns = _require_distinct_names([load_campaign(path) for path in paths])
-    measured = [read_measured_curves(campaign) for campaign in campaigns]
-    # Imported on use: errors in files are reported before the slow imports of the fit and of SciPy.
-    from calibration.campaign_fit import CampaignFit
-    from calibration.fit.result import read_earlier_result
-    from calibration.fit.run_context import RunContext
-    from calibration.fit.usability_settings import USABILITY
-    from calibration.report.outputs import write_summary_table
-
-    with open_task_executor(workers or Workers()) as tasks:
-        fits = [CampaignFit(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
-                            RunContext(campaign.name, tasks, progress, listen), usability or USABILITY)
-                for campaign, curves in zip(campaigns, measured, strict=True)]
-        results, failures = _run_campaigns_and_collect_failures(fits, output, read_earlier_result, overwrite, figures,
-                                                                figures_format)
-    if len(campaigns) > 1:
-        write_summary_table(results, output / SUMMARY_FILE)
-    if failures:
-        raise ConvergenceError("; ".join(failures))
-    return results
+    return run_campaign_jobs("fit", paths, output, overwrite=overwrite, workers=workers, progress=progress,
+                             listen=listen, options={"limits": usability, "figures": figures,
+                                                     "figures_format": figures_format})
 
 
 def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool = False,
@@ -148,70 +125,14 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
         ConvergenceError: a campaign could not be fitted; the results of the others are written.
         WorkerError: a worker process ends each time it works on a part.
     """
-    output = Path(output)
     _require_known_figure_format(figures_format)
     from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
 
-    campaigns = _require_distinct_names([make_one_law_whole_recording_campaign(load_campaign(path), law)
-                                         for path in paths])
-    measured = [read_measured_curves(campaign) for campaign in campaigns]
-    from calibration.campaign_diagnosis import CampaignDiagnosis
-    from calibration.diagnosis.decision_limits import LIMITS
-    from calibration.diagnosis.effect_files import list_all_possible_diagnosis_paths
-    from calibration.diagnosis.refit_settings import REFITS
-    from calibration.diagnosis.result import read_matching_diagnosis_or_none
-    from calibration.fit.run_context import RunContext
-
-    with open_task_executor(workers or Workers()) as tasks:
-        parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
-                                   RunContext(campaign.name, tasks, progress, announce=announce), limits or LIMITS,
-                                   refit_settings or REFITS)
-                 for campaign, curves in zip(campaigns, measured, strict=True)]
-        results, failures = _run_campaigns_and_collect_failures(parts, output, read_matching_diagnosis_or_none,
-                                                                overwrite, figures, figures_format,
-                                                                list_all_possible_diagnosis_paths)
-    if failures:
-        raise ConvergenceError("; ".join(failures))
-    return results
-
-
-def _run_campaigns_and_collect_failures(parts: Sequence[Any], output: Path, read_result: Callable[..., Any],
-                                        overwrite: bool, figures: bool, figures_format: str | None,
-                                        files_of: Callable[...,
-                                                           list[Path]] = list_possible_calibration_file_paths) -> tuple[
-                                            list[Any], list[str]]:
-    """Run several campaigns, except finished ones, whose results are read; collect the messages of failed campaigns.
-
-    Args:
-        parts: a `CampaignFit` or `CampaignDiagnosis` for each campaign.
-        output: folder of all results.
-        read_result: returns the result of a finished campaign, or None.
-        overwrite: whether finished campaigns are computed again and other results replaced.
-        figures: whether the reports include figures.
-        figures_format: format of separate figure files; None: no figure files.
-        files_of: returns the paths of all files that may be written for a campaign.
-
-    Returns:
-        The results, and the messages of campaigns that failed.
-    """
-    finished = [None if overwrite or not (figures_format is None or has_figure_files_of_all_tests(
-        part.campaign, part.folder, figures_format)) else read_result(part.campaign, part.folder, part.digest)
-        for part in parts]
-    for part, result in zip(parts, finished, strict=True):
-        if result is None:
-            part.check_start_values_before_writing()
-    remove_earlier_results_and_claim_folder(output, {part.campaign.name: part.folder for part in parts},
-                                            [part.campaign for part in parts],
-                                            [recording for part in parts for recording in part.recordings],
-                                            {part.campaign.name: part.digest for part in parts}, overwrite, files_of)
-    results, failures = [], []
-    for part, result in zip(parts, finished, strict=True):
-        try:
-            results.append(result or part.run(figures=figures, figures_format=figures_format))
-        except ConvergenceError as failure:
-            # A failed campaign does not stop the others.
-            failures.append(str(failure))
-    return results, failures
+    return run_campaign_jobs("diagnosis", paths, output, overwrite=overwrite, workers=workers, progress=progress,
+                             announce=announce,
+                             load=lambda path: make_one_law_whole_recording_campaign(load_campaign(path), law),
+                             options={"limits": limits, "refit_settings": refit_settings, "figures": figures,
+                                      "figures_format": figures_format})
 
 
 def evaluate_planned_experiments(path: str | Path, *, law: str | None = None, replicates: int = PLANNED.replicates,
@@ -237,13 +158,57 @@ def evaluate_planned_experiments(path: str | Path, *, law: str | None = None, re
     """
     from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
 
-    campaign = make_one_law_whole_recording_campaign(load_campaign(path, planned=True), law)
-    measured = read_or_plan_curves_of_all_tests(campaign, replicates, samples)
-    from calibration.diagnosis.design import evaluate_experiment_design
-    from calibration.fit.run_context import RunContext
+    design, = run_campaign_jobs(
+        "design", [path], None, workers=workers, progress=progress,
+        load=lambda path: make_one_law_whole_recording_campaign(load_campaign(path, planned=True), law),
+        read=lambda campaign: read_or_plan_curves_of_all_tests(campaign, replicates, samples))
+    return design
 
+
+def run_campaign_jobs(kind: str, paths: Sequence[str | Path], output: str | Path | None, *, overwrite: bool = False,
+                      workers: Workers | None = None, progress: Progress | None = None,
+                      listen: IterationListener | None = None, announce: Callable[[str], None] | None = None,
+                      load: Callable[[str | Path], Campaign] = load_campaign,
+                      read: Callable[[Campaign], Measured] = read_measured_curves,
+                      options: Mapping[str, Any] | None = None) -> list[Any]:
+    """Run one job on each campaign: a fit, a diagnosis, a design or a kind of job that a plug-in registers.
+
+    Finished jobs are read from `output`, and interrupted jobs continue with their stored simulations; see
+    `calibration.job.run_jobs`. Several campaigns are written to subfolders named by the stems of their files.
+
+    Args:
+        kind: name in `calibration.job.JOBS`.
+        paths: campaign files.
+        output: folder of the results; None: nothing is written.
+        overwrite: whether results of other campaigns in `output` may be replaced.
+        workers: worker processes; None: this process only.
+        progress: receives the progress, see `calibrate`.
+        listen: receives each solve of an inverse fit, see `calibrate`.
+        announce: receives the expected duration, see `diagnose`.
+        load: function that reads a campaign file.
+        read: function that returns the recordings of each test of a campaign.
+        options: further keyword arguments of the class of the job; None: none.
+
+    Returns:
+        The result of each job.
+
+    Raises:
+        InputError: the kind is unknown, a campaign or recording is invalid, or `output` contains other files; nothing
+            is written.
+        ConvergenceError: a job has no result; the results of the other jobs are written.
+        WorkerError: a worker process ends each time it works on a task.
+    """
+    campaigns = _require_distinct_names([load(path) for path in paths])
+    measured = [read(campaign) for campaign in campaigns]
+    # Imported on use: errors in files are reported before the slow imports of the fit and of SciPy.
+    from calibration.fit.run_context import RunContext
+    from calibration.job import JOBS, run_jobs
+
+    job, root = JOBS.find(kind), None if output is None else Path(output)
     with open_task_executor(workers or Workers()) as tasks:
-        return evaluate_experiment_design(campaign, measured, RunContext(campaign.name, tasks, progress))
+        return run_jobs([job(campaign, curves, root / campaign.name if root and len(campaigns) > 1 else root,
+                             RunContext(campaign.name, tasks, progress, listen, announce), **(options or {}))
+                         for campaign, curves in zip(campaigns, measured, strict=True)], root, overwrite=overwrite)
 
 
 def _require_known_figure_format(figures_format: str | None) -> None:

@@ -30,7 +30,7 @@ OPENING = {"read_bytes", "read_text", "loadtxt", "genfromtxt", "loads", "fromstr
 DOORS = {
     "tissue_sim/decode.py", "tissue_sim/bounded.py", "tissue_sim/packing.py",
     # Our sources and caches, the system's files, results of this program that it has just written.
-    "tissue_sim/laws/derivation.py", "calibration/forward/simulation_cache.py", "calibration/campaign_diagnosis.py",
+    "tissue_sim/laws/derivation.py", "calibration/forward/simulation_cache.py", "calibration/job.py",
     "haptics/loop/loop.py", "scenes/viewer/page/material_controls.py", "scenes/viewer/trace.py",
     "scenes/demo/hidden_figure.py", "scenes/viewer/shell/__init__.py",
     # Bytes that come from a device or are measured already.

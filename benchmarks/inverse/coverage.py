@@ -129,6 +129,7 @@ def run_campaign(number: int, seed: int, truth: Truth, drawn: bool, profiled: bo
         problem = build_generalised_problem(LAW, campaign, measured, solves)
         estimate = iterate_mesh_correction_and_jitter(problem, minimise_from_start(problem, START).theta,
                                                       STATED[method])
+        problem = estimate.problem
         cost = {"refreshes": estimate.refreshes, "cpu_s": time.process_time() - began}
         converged = estimate.converged and not estimate.warnings
         found[method] = _interval(problem, estimate.theta, estimate.error, converged, profiled) | cost

@@ -174,7 +174,7 @@ def run_start(scenes: Sequence[str], start: np.ndarray, settled: bool) -> dict:
     if settled and descent.converged:
         estimate = iterate_mesh_correction_and_jitter(problem, descent.theta,
                                                       Noise(contact_jitter=None, zero_jitter=None))
-        spread = compute_marginal_uncertainty(problem, problem.evaluate(estimate.theta))
+        spread = compute_marginal_uncertainty(estimate.problem, estimate.evaluation)
         simulated = Counter(descent.simulations) + Counter(estimate.simulations)
         found["estimate"] = {
             "parameters": estimate.theta.tolist(), "standard_errors": spread.standard_errors.tolist(),

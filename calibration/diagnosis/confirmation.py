@@ -11,7 +11,6 @@ from scipy import linalg, special
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.diagnosis import HeldOutPrediction, SegmentMisfit
 from calibration.diagnosis.evidence import FitEvidence
-from calibration.diagnosis.refits import copy_problem
 from calibration.fit.estimate import Estimate, iterate_mesh_correction_and_jitter
 from calibration.fit.fit import RegionMisfitTest
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
@@ -39,7 +38,7 @@ def refit_with_updated_corrections(evidence: FitEvidence) -> FitEvidence:
     problem = evidence.problem
     stated = GeneralisedLeastSquaresEstimator(evidence.campaign, evidence.measured,
                                               problem.solves).get_stated_or_prior_jitter(problem)
-    estimate = iterate_mesh_correction_and_jitter(copy_problem(problem), evidence.estimate.theta, stated)
+    estimate = iterate_mesh_correction_and_jitter(problem, evidence.estimate.theta, stated)
     return replace(evidence, estimate=estimate) if np.isfinite(estimate.error) else evidence
 
 

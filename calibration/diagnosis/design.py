@@ -10,7 +10,6 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve, make_campaign_with_scaled_offset_defaults
-from calibration.campaign.parameter_space import ParameterSpace
 from calibration.campaign.planned import replace_forces_of_curves
 from calibration.diagnosis.diagnosis import CandidateResult
 from calibration.diagnosis.evidence import FitEvidence
@@ -18,14 +17,11 @@ from calibration.diagnosis.proposals import score_effects
 from calibration.diagnosis.statements import list_candidate_results
 from calibration.diagnosis.verdict import VerdictWithFits
 from calibration.fit.campaign_problem import build_generalised_problem, make_stated_or_guessed_jitter
-from calibration.fit.estimate import Estimate
+from calibration.fit.estimate import Estimate, make_test_with_mesh_correction
 from calibration.fit.identifiability import find_undetermined_parameters
-from calibration.fit.problem import GeneralisedProblem
 from calibration.fit.run_context import RunContext
 from calibration.fit.uncertainty import compute_marginal_uncertainty
-from calibration.forward.contract import ForwardTest, InfeasibleError
-from calibration.forward.forms import compute_mesh_uncertainty
-from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
+from calibration.forward.contract import InfeasibleError
 from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.errors import InputError
 
@@ -109,24 +105,13 @@ def simulate_noise_free_evidence(campaign: Campaign, measured: Mapping[str, tupl
                          "depth", file=campaign.path, field="fit.start") from None
     # The default scatter between recordings is proportional to the force, which is known only now.
     jitter = make_stated_or_guessed_jitter(campaign, [curve for curves in known.values() for curve in curves])
-    problem = GeneralisedProblem(space, tuple(replace(test, measured=known[test.name]) for test in problem.tests),
-                                 solves,
-                                 jitter, tuple(_compute_expected_relative_mesh_error(test, space, theta, solves)
-                                               for test in problem.tests))
+    # A fit will correct the mesh; the forces of a design are those of the fast mesh, with the error after a correction.
+    mesh_error = tuple(make_test_with_mesh_correction(test, space, theta, solves)[2] for test in problem.tests)
+    problem = replace(problem, tests=tuple(replace(test, measured=known[test.name]) for test in problem.tests),
+                      jitter=jitter, mesh_error=mesh_error)
     evaluation = problem.evaluate(theta)
     estimate = Estimate(1, theta, evaluation.penalised_sum_of_squares, True, "", (), {}, 0.0, problem=problem)
     return FitEvidence(campaign, {**measured, **known}, estimate)
-
-
-def _compute_expected_relative_mesh_error(test: ForwardTest, space: ParameterSpace, theta: np.ndarray,
-                                          solves: SimulationCache) -> float:
-    """Return the relative error of the mesh in a fit; see `calibration.forward.forms.compute_mesh_uncertainty`."""
-    corrected = replace(test)
-    try:
-        corrected.update_mesh_force_difference_and_get_ratio(space, theta, solves)
-    except InfeasibleError:
-        return compute_mesh_uncertainty(test, FAST_MESH_ERRORS)
-    return compute_mesh_uncertainty(corrected, ACCURATE_MESH_ERRORS)
 
 
 def evaluate_experiment_design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],

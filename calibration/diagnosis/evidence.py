@@ -235,12 +235,10 @@ def fit_without_effects(campaign: Campaign, measured: Measured, solves: Simulati
         raise ConvergenceError(f"{campaign.path}: no start of {law} can be simulated over the data ({estimate}); state "
                                "another start in fit.start, or a smaller max_strain")
     problem = estimate.problem
-    problem.jitter = compute_upper_limit_of_estimated_jitter(problem, estimate.theta,
-                                                             estimator.get_stated_or_prior_jitter(problem),
-                                                             limits.jitter_exceedance)
-    problem.assign_nuisance_columns_and_drop_cache()
+    problem = replace(problem, jitter=compute_upper_limit_of_estimated_jitter(
+        problem, estimate.theta, estimator.get_stated_or_prior_jitter(problem), limits.jitter_exceedance))
     descent = minimise_from_start(problem, estimate.theta, corrected=True)
-    estimate = replace(estimate, theta=descent.theta, error=descent.error)
+    estimate = replace(estimate, theta=descent.theta, error=descent.error, problem=problem)
     return FitEvidence(campaign, measured, estimate, limits, refit_settings)
 
 

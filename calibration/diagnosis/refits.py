@@ -19,13 +19,12 @@ from calibration.diagnosis.proposals import (
 )
 from calibration.diagnosis.refit_settings import REFITS, RefitSettings
 from calibration.effects.effect import Candidate, NotTestableError
-from calibration.fit.estimate import Estimate
+from calibration.fit.estimate import Estimate, make_test_with_mesh_correction
 from calibration.fit.problem import GeneralisedProblem
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import DescentResult, minimise_from_start
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import compute_mesh_uncertainty
-from calibration.forward.meshes import ACCURATE_MESH_ERRORS
+from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.errors import InputError
 
 
@@ -89,6 +88,10 @@ class EffectRefit:
         return all(abs(values[name] - self.proposal.absent[path]) <= 1e-6 * abs(size - self.proposal.absent[path])
                    for path, size in self.proposal.candidate.sizes.items()
                    for name in values if self.problem.space.get_parameter_by_name(name).path == path)
+
+    def with_simulation_cache(self, solves: SimulationCache) -> EffectRefit:
+        """Return the fit with another cache of simulations; results of worker processes contain copies of the cache."""
+        return replace(self, problem=self.problem.with_simulation_cache(solves))
 
     def make_evidence(self, before: FitEvidence) -> FitEvidence:
         """Return the evidence with the effect; jitter and mesh corrections are those of `before`."""
@@ -159,9 +162,7 @@ def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, c
     fits = [each for each in found if each is not None]
     best: dict[str, EffectRefit] = {}
     for each in sorted(fits, key=lambda one: -one.gain):
-        # Results of worker processes contain copies of the cache.
-        each.problem.solves = evidence.problem.solves
-        best.setdefault(each.candidate_name, each)
+        best.setdefault(each.candidate_name, each.with_simulation_cache(evidence.problem.solves))
     if not best:
         return []
     limit = next(iter(best.values())).gain
@@ -174,8 +175,7 @@ def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, c
             [(each, evidence.problem, error, evidence.effective_sample_count) for each in near],
             "their mesh corrections", names=[each.proposal.candidate.title for each in near])
         for each in again:
-            each.problem.solves = evidence.problem.solves
-            best[each.candidate_name] = each
+            best[each.candidate_name] = each.with_simulation_cache(evidence.problem.solves)
     return sorted(best.values(), key=lambda one: -one.gain)
 
 
@@ -194,14 +194,15 @@ def refit_with_mesh_correction(fitted: EffectRefit, plain: GeneralisedProblem, e
         error: sum of squares plus log determinant without the effect.
         samples: effective number of samples.
     """
-    problem = copy_problem(fitted.problem)
-    try:
-        for test in problem.tests:
-            test.update_mesh_force_difference_and_get_ratio(problem.space, fitted.theta, problem.solves)
-    except InfeasibleError:
-        return fitted
-    problem.mesh_error = tuple(compute_mesh_uncertainty(test, ACCURATE_MESH_ERRORS) for test in problem.tests)
-    problem.assign_nuisance_columns_and_drop_cache()
+    tests, errors, problem = [], [], fitted.problem
+    for test in problem.tests:
+        corrected, difference, mesh_error = make_test_with_mesh_correction(test, problem.space, fitted.theta,
+                                                                           problem.solves)
+        if np.isnan(difference):
+            return fitted
+        tests.append(corrected)
+        errors.append(mesh_error)
+    problem = replace(problem, tests=tuple(tests), mesh_error=tuple(errors))
     descent = minimise_from_start(problem, fitted.theta, corrected=True, enough=fitted.settings.gain,
                                   tolerance=fitted.settings.tolerance)
     if not np.isfinite(descent.error):
@@ -209,13 +210,6 @@ def refit_with_mesh_correction(fitted: EffectRefit, plain: GeneralisedProblem, e
     penalty = _compute_bic_penalty(problem, plain, fitted.proposal.candidate, samples)
     gain = error - _compute_error_plus_log_determinant(problem, descent) - penalty
     return replace(fitted, problem=problem, theta=descent.theta, error=descent.error, gain=gain)
-
-
-def copy_problem(problem: GeneralisedProblem) -> GeneralisedProblem:
-    """Return a copy of a problem whose corrections and jitter can be changed independently."""
-    tests = tuple(replace(test, correction=list(getattr(test, "correction", ()))) if hasattr(test, "correction")
-                  else test for test in problem.tests)
-    return GeneralisedProblem(problem.space, tests, problem.solves, problem.jitter, problem.mesh_error)
 
 
 def fit_effect_or_none_if_untestable(problem: GeneralisedProblem, campaign: Campaign, proposal: ScoredCandidate,

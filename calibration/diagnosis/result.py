@@ -11,8 +11,6 @@ import msgspec
 
 from calibration.campaign.campaign import Campaign
 from calibration.diagnosis.diagnosis import Diagnosis
-from calibration.output_folder import DIAGNOSIS_FILE, TABLES_OF_DIAGNOSIS
-from tissue_sim.decode import read_json_value
 
 
 @dataclass(frozen=True)
@@ -43,26 +41,3 @@ def diagnosis_to_json(results: Sequence[DiagnosisResult]) -> dict[str, Any]:
         return {"campaigns": [diagnosis_to_json([result]) for result in results]}
     result = results[0]
     return {**msgspec.to_builtins(result.diagnosis), "output": str(result.output), "work": result.digest}
-
-
-def read_matching_diagnosis_or_none(campaign: Campaign, folder: Path, digest: str) -> DiagnosisResult | None:
-    """Read the result of an earlier run with the same inputs.
-
-    Args:
-        campaign: campaign with one law.
-        folder: output folder.
-        digest: hash of all inputs.
-
-    Returns:
-        The result; None if it is missing, unreadable or incomplete, or belongs to other inputs.
-    """
-    try:
-        found = read_json_value(folder / DIAGNOSIS_FILE, "a finished diagnosis")
-        if found["work"] != digest:
-            return None
-        diagnosis = msgspec.convert(found, Diagnosis)
-    except (OSError, ValueError, KeyError, TypeError, msgspec.ValidationError):
-        return None
-    if not all((folder / name).is_file() for name in (*TABLES_OF_DIAGNOSIS, *diagnosis.files.values())):
-        return None
-    return DiagnosisResult(campaign, diagnosis, folder, digest, resumed=True)

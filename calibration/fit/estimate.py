@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from calibration.campaign.campaign import Noise
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import DescentEvaluation, Minimum
 from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
 from calibration.fit.trust_region import DescentResult, Listener, minimise_from_start
-from calibration.forward.contract import InfeasibleError
+from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.forms import compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter, estimate_jitter
 
 
@@ -80,18 +82,17 @@ def iterate_mesh_correction_and_jitter(problem: GeneralisedProblem, theta: np.nd
     differences: tuple[float, ...] = ()
     warnings: list[str] = []
     if None in (stated.contact_jitter, stated.zero_jitter):
-        _update_jitter_of_problem_if_repeated(problem, theta, stated)
+        problem = _derive_problem_with_estimated_jitter(problem, theta, stated)
         descent = minimise_from_start(problem, theta, start=start, listen=listen, past=past)
         history += descent.history
         theta = descent.theta
     refreshes = 0
     while True:
-        differences = _update_mesh_corrections_and_errors_of_problem(problem, theta, warnings)
+        problem, differences = _derive_problem_with_mesh_correction(problem, theta, warnings)
         refreshes += 1
         jitter = problem.jitter
         if None in (stated.contact_jitter, stated.zero_jitter):
-            _update_jitter_of_problem_if_repeated(problem, theta, stated)
-        problem.assign_nuisance_columns_and_drop_cache()
+            problem = _derive_problem_with_estimated_jitter(problem, theta, stated)
         descent = minimise_from_start(problem, theta, start=start, corrected=True, listen=listen,
                                       past=past + len(history))
         history += descent.history
@@ -113,36 +114,52 @@ def iterate_mesh_correction_and_jitter(problem: GeneralisedProblem, theta: np.nd
                     problem=problem, differences=differences, refreshes=refreshes, warnings=tuple(warnings))
 
 
-def _update_mesh_corrections_and_errors_of_problem(problem: GeneralisedProblem, theta: np.ndarray,
-                                                   warnings: list[str]) -> tuple[float, ...]:
-    """Update the mesh correction of each test, and return the relative differences of the meshes.
+def make_test_with_mesh_correction(test: ForwardTest, space: ParameterSpace, theta: np.ndarray,
+                                   solves: SimulationCache) -> tuple[ForwardTest, float, float]:
+    """Return a copy of a test with the mesh correction at the given parameters.
+
+    Args:
+        test: forward model; unchanged.
+        space: parameter space.
+        theta: free parameters, SI, shape (p,).
+        solves: cache of simulations.
+
+    Returns:
+        The copy; the difference of the accurate and the fast mesh relative to the largest force; the relative standard
+        deviation of the remaining mesh error. If the accurate mesh fails, the copy has no correction, the difference is
+        NaN, and the error is that of the fast mesh.
+    """
+    corrected = replace(test)
+    try:
+        difference = corrected.update_mesh_force_difference_and_get_ratio(space, theta, solves)
+    except InfeasibleError:
+        corrected.discard_mesh_correction()
+        return corrected, float("nan"), compute_mesh_uncertainty(corrected, FAST_MESH_ERRORS)
+    return corrected, difference, compute_mesh_uncertainty(corrected, ACCURATE_MESH_ERRORS)
+
+
+def _derive_problem_with_mesh_correction(problem: GeneralisedProblem, theta: np.ndarray, warnings: list[str]
+                                         ) -> tuple[GeneralisedProblem, tuple[float, ...]]:
+    """Return the problem with the mesh correction of each test at `theta`, and the relative differences of the meshes.
 
     A test whose accurate mesh fails has no correction and the larger error of the fast mesh.
     """
-    found, errors = [], []
-    for test in problem.tests:
-        try:
-            found.append(test.update_mesh_force_difference_and_get_ratio(problem.space, theta, problem.solves))
-            errors.append(compute_mesh_uncertainty(test, ACCURATE_MESH_ERRORS))
-        except InfeasibleError:
-            test.discard_mesh_correction()
-            found.append(float("nan"))
-            errors.append(compute_mesh_uncertainty(test, FAST_MESH_ERRORS))
-            warning = f"{test.name}: the accurate mesh does not converge, so the error of the fast mesh is used"
-            if warning not in warnings:
-                warnings.append(warning)
-    problem.mesh_error = tuple(errors)
-    return tuple(found)
+    found = [make_test_with_mesh_correction(test, problem.space, theta, problem.solves) for test in problem.tests]
+    for test, difference, _ in found:
+        warning = f"{test.name}: the accurate mesh does not converge, so the error of the fast mesh is used"
+        if np.isnan(difference) and warning not in warnings:
+            warnings.append(warning)
+    tests, differences, errors = zip(*found, strict=True)
+    return replace(problem, tests=tests, mesh_error=errors), differences
 
 
-def _update_jitter_of_problem_if_repeated(problem: GeneralisedProblem, theta: np.ndarray, stated: Noise) -> None:
-    """Estimate the jitter of a problem; without repeated recordings the first guess stays (0 degrees of freedom)."""
+def _derive_problem_with_estimated_jitter(problem: GeneralisedProblem, theta: np.ndarray,
+                                          stated: Noise) -> GeneralisedProblem:
+    """Return the problem with the jitter estimated at `theta`; without repeated recordings the first guess stays."""
     if all(len(test.measured) < 2 for test in problem.tests):
-        return
-    problem.assign_nuisance_columns_and_drop_cache()
+        return problem
     replicates = problem.linearise_replicates(theta)
-    problem.jitter = estimate_jitter(replicates, contact=stated.contact_jitter, zero=stated.zero_jitter)
-    problem.assign_nuisance_columns_and_drop_cache()
+    return replace(problem, jitter=estimate_jitter(replicates, contact=stated.contact_jitter, zero=stated.zero_jitter))
 
 
 def _are_jitters_equal(one: ContactAndForceZeroJitter, other: ContactAndForceZeroJitter) -> bool:

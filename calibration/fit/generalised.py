@@ -13,7 +13,7 @@ from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
 from calibration.fit.alternatives import find_index_of_preferred_minimum, list_sign_flipped_starts
 from calibration.fit.campaign_problem import build_generalised_problem
 from calibration.fit.checks import require_fittable_start
-from calibration.fit.estimate import Estimate, iterate_mesh_correction_and_jitter
+from calibration.fit.estimate import Estimate, iterate_mesh_correction_and_jitter, make_test_with_mesh_correction
 from calibration.fit.estimator import Estimator, FitFieldInputs
 from calibration.fit.fit import MeshCorrectionSummary, Minimum, Nuisance, ReplicateJitterRecord
 from calibration.fit.identifiability import (
@@ -29,8 +29,7 @@ from calibration.fit.starts import list_starts_with_varied_exponents
 from calibration.fit.trust_region import DESCENT, DescentResult, Listener, find_distinct_minima, minimise_from_start
 from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
-from calibration.forward.forms import build_forward_test_of_inverse_fit, compute_mesh_uncertainty
-from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
+from calibration.forward.forms import build_forward_test_of_inverse_fit
 from calibration.statistics.jitter import ContactAndForceZeroJitter
 from calibration.statistics.statistics import NOISE_RATIOS, compute_r_squared
 from calibration.statistics.uncertainty import ParameterUncertainty
@@ -91,8 +90,9 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         found: dict[str, tuple[list[DescentResult], Estimate | str]] = {
             law: (descents[law], best[law].failure) for law in laws}
         for law, estimate in zip(usable, settled, strict=True):
-            estimate.problem.solves = self.solves
-            estimate = replace(estimate, minima=tuple(_collect_distinct_minima(descents[law], problems[law])))
+            # Results of worker processes contain copies of the cache.
+            estimate = replace(estimate, problem=estimate.problem.with_simulation_cache(self.solves),
+                               minima=tuple(_collect_distinct_minima(descents[law], problems[law])))
             found[law] = descents[law], estimate if np.isfinite(estimate.error) else estimate.failure
         return found
 
@@ -171,13 +171,8 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         problem = estimate.problem
         found = build_forward_test_of_inverse_fit(test, self.measured[test.name], self.campaign.fit,
                                                   problem.jitter.contact)
-        try:
-            found.update_mesh_force_difference_and_get_ratio(predictor.space, predictor.theta, self.solves)
-            error = ACCURATE_MESH_ERRORS
-        except InfeasibleError:
-            found.discard_mesh_correction()
-            error = FAST_MESH_ERRORS
-        return found, compute_mesh_uncertainty(found, error)
+        corrected, _, error = make_test_with_mesh_correction(found, predictor.space, predictor.theta, self.solves)
+        return corrected, error
 
     def get_replicate_jitter_or_none(self, estimate: Estimate) -> ContactAndForceZeroJitter | None:
         """Return the jitter over which the fit marginalises."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from tissue_sim.material.viscoelasticity import MOST_TERMS
 _BOUND_DISTANCE = 1e-6
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class OrdinaryProblem(LeastSquaresProblem):
     """Least-squares problem with residuals of the nominal stress in units of one pooled noise.
 
@@ -38,8 +39,6 @@ class OrdinaryProblem(LeastSquaresProblem):
         settings: settings of the fit, including bounds and priors of offsets.
         noise: pooled noise of the nominal stress, Pa.
         force_noise: largest force noise of the recordings, N.
-        area: cross-section at each sample, m2, shape (N,).
-        shifted: indices of the recordings with a contact offset and a zero.
     """
 
     tests: tuple[ClosedFormTest, ...]
@@ -47,21 +46,44 @@ class OrdinaryProblem(LeastSquaresProblem):
     noise: float
     force_noise: float
 
-    def __post_init__(self):
-        super().__post_init__()
-        self.mesh_error = (0.0,) * len(self.tests)
-        self.area = np.concatenate([np.full(curve.force.size, self.tests[t].area)
-                                    for (t, _), curve in zip(self.places, self.measured, strict=True)])
-        self.shifted = [i for i, curve in enumerate(self.measured) if self.settings.offset == "fit"
-                        and not curve.stressed]
-        zero_prior = self.settings.zero_prior or OFFSET_DEFAULTS.zero_prior * self.force_noise
-        zero_bound = self.settings.zero_bound or OFFSET_DEFAULTS.zero_bound * zero_prior
-        count = len(self.shifted)
-        high = np.tile([self.settings.offset_bound, zero_bound], count)
-        self.bounds = np.append(self.space.low, -high), np.append(self.space.high, high)
-        self.prior_mean = np.append(self.space.prior_mean, np.zeros(2 * count))
-        self.prior_deviation = np.append(self.space.prior_deviation,
-                                         np.tile([self.settings.offset_prior, zero_prior], count))
+    @property
+    def mesh_error(self) -> tuple[float, ...]:
+        """Mesh error of each test, 0: closed forms have no mesh."""
+        return (0.0,) * len(self.tests)
+
+    @cached_property
+    def area(self) -> np.ndarray:
+        """Cross-section at each sample, m2, shape (N,)."""
+        return np.concatenate([np.full(curve.force.size, self.tests[t].area)
+                               for (t, _), curve in zip(self.places, self.measured, strict=True)])
+
+    @cached_property
+    def shifted(self) -> list[int]:
+        """Indices of the recordings with a contact offset and a zero."""
+        return [i for i, curve in enumerate(self.measured) if self.settings.offset == "fit" and not curve.stressed]
+
+    @property
+    def _zero_prior_deviation(self) -> float:
+        """Standard deviation of the prior of a zero, N."""
+        return self.settings.zero_prior or OFFSET_DEFAULTS.zero_prior * self.force_noise
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the unknowns, shapes (k,)."""
+        zero_bound = self.settings.zero_bound or OFFSET_DEFAULTS.zero_bound * self._zero_prior_deviation
+        high = np.tile([self.settings.offset_bound, zero_bound], len(self.shifted))
+        return np.append(self.space.low, -high), np.append(self.space.high, high)
+
+    @cached_property
+    def prior_mean(self) -> np.ndarray:
+        """Means of the priors, shape (k,)."""
+        return np.append(self.space.prior_mean, np.zeros(2 * len(self.shifted)))
+
+    @cached_property
+    def prior_deviation(self) -> np.ndarray:
+        """Standard deviations of the priors, shape (k,); inf without a prior."""
+        return np.append(self.space.prior_deviation, np.tile([self.settings.offset_prior, self._zero_prior_deviation],
+                                                             len(self.shifted)))
 
     @classmethod
     def build_with_pooled_noise(cls, space: ParameterSpace, tests: Sequence[ClosedFormTest], settings: FitSettings,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -116,40 +118,71 @@ class ProblemEvaluation:
         return np.concatenate([self.residual, self.nuisances, self.prior_residual]), np.concatenate(rows)
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class LeastSquaresProblem(ABC):
     """Least-squares problem of one law over all fitted tests; the k unknowns begin with the free parameters.
+
+    A problem is immutable: `dataclasses.replace` and the methods ``with_...`` derive other problems. Forward models
+    belong to one problem; a model with another mesh correction is a copy in another problem.
 
     Attributes:
         space: parameter space.
         tests: forward models of the fitted tests.
         solves: cache of simulations.
-        places: for each recording the index of its test and its index in the test.
-        rows: for each recording the slice of its samples.
-        data: measured force of all samples, N, shape (N,).
-        bounds: lower and upper bounds of the unknowns, shapes (k,).
-        prior_mean: means of the priors, shape (k,).
-        prior_deviation: standard deviations of the priors, shape (k,); inf without a prior.
     """
 
     space: ParameterSpace
     tests: tuple[ForwardTest, ...]
     solves: SimulationCache
-    _last: ProblemEvaluation | None = field(default=None, init=False, repr=False)
+    #: The last evaluation; empty before the first one.
+    _last: list[ProblemEvaluation] = field(default_factory=list, init=False, repr=False)
 
-    def __post_init__(self):
-        self.places = [(t, r) for t, test in enumerate(self.tests) for r in range(len(test.measured))]
-        ends = np.cumsum([0, *(curve.force.size for curve in self.measured)]).tolist()
-        self.rows = list(map(slice, ends[:-1], ends[1:]))
-        self.samples = ends[-1]
-        self.data = np.concatenate([curve.force for curve in self.measured])
-        self.bounds = self.space.low, self.space.high
-        self.prior_mean, self.prior_deviation = self.space.prior_mean, self.space.prior_deviation
+    @cached_property
+    def places(self) -> list[tuple[int, int]]:
+        """For each recording the index of its test and its index in the test."""
+        return [(t, r) for t, test in enumerate(self.tests) for r in range(len(test.measured))]
 
     @property
     def measured(self) -> list[MeasuredCurve]:
         """Recordings of all tests, in the order of the rows of the residual."""
         return [self.tests[t].measured[r] for t, r in self.places]
+
+    @cached_property
+    def rows(self) -> list[slice]:
+        """For each recording the slice of its samples."""
+        ends = np.cumsum([0, *(curve.force.size for curve in self.measured)]).tolist()
+        return list(map(slice, ends[:-1], ends[1:]))
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of all recordings, N."""
+        return self.rows[-1].stop
+
+    @cached_property
+    def data(self) -> np.ndarray:
+        """Measured force of all samples, N, shape (N,)."""
+        return np.concatenate([curve.force for curve in self.measured])
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the unknowns, shapes (k,)."""
+        return self.space.low, self.space.high
+
+    @cached_property
+    def prior_mean(self) -> np.ndarray:
+        """Means of the priors, shape (k,)."""
+        return self.space.prior_mean
+
+    @cached_property
+    def prior_deviation(self) -> np.ndarray:
+        """Standard deviations of the priors, shape (k,); inf without a prior."""
+        return self.space.prior_deviation
+
+    def with_simulation_cache(self, solves: SimulationCache) -> Self:
+        """Return the same problem with another cache of simulations; the last evaluation remains valid."""
+        other = replace(self, solves=solves)
+        other._last.extend(self._last)
+        return other
 
     def compute_unknown_scales(self, theta: np.ndarray) -> np.ndarray:
         """Return the scale of each unknown, SI, shape (k,)."""
@@ -170,15 +203,15 @@ class LeastSquaresProblem(ABC):
             InfeasibleError: the material is invalid, the solver does not converge, or the force is not finite.
         """
         theta = np.array(theta, dtype=float)
-        if self._last is None or not np.array_equal(self._last.theta, theta):
+        if not self._last or not np.array_equal(self._last[0].theta, theta):
             residual, rates, columns, nuisances, force = self._compute_residual_rates_columns_and_force(theta)
             prior = np.flatnonzero(np.isfinite(self.prior_deviation))
             deviation = self.prior_deviation[prior]
             prior_rates = np.zeros((prior.size, theta.size))
             prior_rates[np.arange(prior.size), prior] = 1.0 / deviation
-            self._last = ProblemEvaluation(theta, residual, rates, columns, nuisances,
-                                           (theta[prior] - self.prior_mean[prior]) / deviation, prior_rates, force)
-        return self._last
+            self._last[:] = [ProblemEvaluation(theta, residual, rates, columns, nuisances,
+                                               (theta[prior] - self.prior_mean[prior]) / deviation, prior_rates, force)]
+        return self._last[0]
 
     @abstractmethod
     def _compute_residual_rates_columns_and_force(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -211,7 +244,7 @@ class LeastSquaresProblem(ABC):
         """
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class GeneralisedProblem(LeastSquaresProblem):
     """Generalised least-squares problem on forces; contact offsets, zeros and mesh errors are eliminated as nuisances.
 
@@ -224,24 +257,38 @@ class GeneralisedProblem(LeastSquaresProblem):
     jitter: ContactAndForceZeroJitter
     mesh_error: tuple[float, ...]
 
-    def __post_init__(self):
-        super().__post_init__()
-        self.assign_nuisance_columns_and_drop_cache()
+    @cached_property
+    def kinds(self) -> list[str]:
+        """Nuisances of each recording: contact and zero, without those that have no jitter."""
+        return [name for name in ("contact", "zero") if getattr(self.jitter, name) > 0]
 
-    def assign_nuisance_columns_and_drop_cache(self) -> None:
-        """Assign the nuisance columns again and drop the cached evaluation, after a change of correction or jitter."""
-        self._last, count = None, len(self.places)
-        self.kinds = [name for name in ("contact", "zero") if getattr(self.jitter, name) > 0]
-        self.offset_columns = [slice(i * len(self.kinds), (i + 1) * len(self.kinds)) for i in range(count)]
-        self.shared, end = [], count * len(self.kinds)
+    @cached_property
+    def offset_columns(self) -> list[slice]:
+        """For each recording the slice of its contact offset and zero in the nuisances."""
+        return [slice(i * len(self.kinds), (i + 1) * len(self.kinds)) for i in range(len(self.places))]
+
+    @property
+    def shared(self) -> list[slice]:
+        """For each test the slice of its mesh error in the nuisances; empty without a mesh error."""
+        return self._mesh_columns_and_nuisance_count[0]
+
+    @property
+    def nuisances(self) -> int:
+        """Number of nuisances, m."""
+        return self._mesh_columns_and_nuisance_count[1]
+
+    @cached_property
+    def _mesh_columns_and_nuisance_count(self) -> tuple[list[slice], int]:
+        """The values of `shared` and `nuisances`."""
+        shared, end = [], len(self.places) * len(self.kinds)
         meshes: dict[str, slice] = {}
         for test, size in zip(self.tests, self.mesh_error, strict=True):
             columns = meshes.get(test.mesh_key) or slice(end, end + MESH_MODES * (size > 0))
             if size > 0 and test.mesh_key:
                 meshes[test.mesh_key] = columns
             end = max(end, columns.stop)
-            self.shared.append(columns if size > 0 else slice(end, end))
-        self.nuisances = end
+            shared.append(columns if size > 0 else slice(end, end))
+        return shared, end
 
     def make_problem_and_unknowns_without_test(self, number: int,
                                                theta: np.ndarray) -> tuple[GeneralisedProblem, np.ndarray]:

@@ -13,8 +13,6 @@ from calibration.campaign.campaign import Campaign
 from calibration.fit.agreement import compare_method_intervals_in_sentences
 from calibration.fit.fit import Fit, Prediction, SensorNoiseRecord
 from calibration.fit.self_weight import describe_self_weight
-from calibration.output_folder import FIT_FILE, TABLES
-from tissue_sim.decode import read_json_value
 from tissue_sim.public_names import make_getattr_for_old_names
 
 __getattr__ = make_getattr_for_old_names(__name__, {"to_json": "to_json_dictionary"})
@@ -85,30 +83,21 @@ def to_json_dictionary(results: Sequence[CalibrationResult]) -> dict[str, Any]:
     }
 
 
-def read_earlier_result(campaign: Campaign, folder: Path, digest: str) -> CalibrationResult | None:
-    """Read the result of an earlier run with the same inputs.
+def decode_calibration_result(found: Mapping[str, Any], campaign: Campaign, folder: Path) -> CalibrationResult:
+    """Return the result of an earlier run from the content of ``fit.json``.
 
     Args:
+        found: content of the file.
         campaign: campaign.
         folder: output folder.
-        digest: hash of all inputs.
 
-    Returns:
-        The result; None if it is missing, unreadable or incomplete, or belongs to other inputs.
+    Raises:
+        KeyError, TypeError, msgspec.ValidationError: the content is incomplete or invalid.
     """
-    try:
-        found = read_json_value(folder / FIT_FILE, "a finished calibration")
-        if found["work"] != digest:
-            return None
-        files = [*TABLES, *(fit["material_file"] for fit in found["fits"] if fit["material_file"] is not None)]
-        if not all((folder / name).is_file() for name in files):
-            return None
-        return CalibrationResult(
-            campaign, msgspec.convert(tuple(found["fits"]), tuple[Fit, ...]),
-            msgspec.convert(tuple(found["predictions"]), tuple[Prediction, ...]), found["message"], folder, digest,
-            found["noise_Pa"], found["noise_source"],
-            msgspec.convert(tuple(found["noise"]), tuple[SensorNoiseRecord, ...]),
-            msgspec.convert(found.get("failures", {}), dict[str, str]),
-            msgspec.convert(found.get("usability_settings", {}), dict[str, int | float]), resumed=True)
-    except (OSError, ValueError, KeyError, TypeError, msgspec.ValidationError):
-        return None
+    return CalibrationResult(
+        campaign, msgspec.convert(tuple(found["fits"]), tuple[Fit, ...]),
+        msgspec.convert(tuple(found["predictions"]), tuple[Prediction, ...]), found["message"], folder, found["work"],
+        found["noise_Pa"], found["noise_source"],
+        msgspec.convert(tuple(found["noise"]), tuple[SensorNoiseRecord, ...]),
+        msgspec.convert(found.get("failures", {}), dict[str, str]),
+        msgspec.convert(found.get("usability_settings", {}), dict[str, int | float]), resumed=True)

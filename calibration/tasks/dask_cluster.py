@@ -8,6 +8,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+from calibration.tasks.executors import Workers
 from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
 from tissue_sim.packing import pack_task, run_packed_task
@@ -74,6 +75,17 @@ class DaskExecutor:
     def close(self) -> None:
         """Close the connection to the cluster; the workers of the cluster keep running."""
         self._client.close()
+
+
+def connect_to_dask_cluster(workers: Workers) -> DaskExecutor:
+    """Return an executor on the cluster with the address ``workers.dask``.
+
+    Raises:
+        InputError: there is no address, the package ``distributed`` is missing, or no scheduler answers.
+    """
+    if workers.dask is None:
+        raise InputError("the executor dask needs the address of a scheduler; state it as dask", field="dask")
+    return DaskExecutor(workers.dask)
 
 
 def _read_scheduler_file_address(file: Path) -> str:

@@ -1,4 +1,4 @@
-"""Run tasks of a calibration serially in this process, in parallel processes, or on a dask cluster."""
+"""Run tasks of a job serially in this process, in parallel processes, on a dask cluster, or with a plug-in."""
 
 from __future__ import annotations
 
@@ -7,14 +7,11 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from calibration.tasks.errors import WorkerError
 from tissue_sim.errors import InputError
-
-if TYPE_CHECKING:
-    from calibration.tasks.dask_cluster import DaskExecutor
-    from calibration.tasks.process_pool import ProcessPool
+from tissue_sim.registry import Registry
 
 #: Longest wait for a task, s; Windows delivers Ctrl-C only between waits.
 _LONGEST_WAIT = 0.5
@@ -25,18 +22,20 @@ OnDone = Callable[[int, Any], None]
 
 @dataclass(frozen=True)
 class Workers:
-    """Selection of the workers that run tasks: local processes or a dask cluster.
+    """Selection of the workers that run tasks: local processes, a dask cluster, or the executor of a plug-in.
 
     Attributes:
-        count: number of worker processes; 1: tasks run serially in this process.
+        count: number of workers; 1 without an executor: tasks run serially in this process.
         dask: address of a dask scheduler such as ``tcp://127.0.0.1:8786``, or its scheduler file; None: this machine.
+        executor: name in `EXECUTORS`; None: ``"dask"`` with an address, otherwise ``"processes"``.
 
     Raises:
-        InputError: `count` is below 1, or both `count` and `dask` are stated.
+        InputError: `count` is below 1, both `count` and `dask` are stated, or the executor is unknown.
     """
 
     count: int = 1
     dask: str | None = None
+    executor: str | None = None
 
     def __post_init__(self):
         if self.count < 1:
@@ -44,6 +43,42 @@ class Workers:
         if self.dask is not None and self.count > 1:
             raise InputError("dask and workers exclude each other, because a cluster has its own workers; state one of "
                              "them", field="dask")
+        if self.executor is not None:
+            EXECUTORS.find(self.executor, field="executor")
+
+
+class Executor(Protocol):
+    """Workers that run single tasks; `open_task_executor` distributes the tasks of a job to them.
+
+    Attributes:
+        capacity: number of tasks that are submitted at a time; `math.inf` for a queue of any length.
+        death: type of the exception in the future of a task whose worker ended.
+        most_deaths: number of worker failures during a task after which the task is given up.
+    """
+
+    capacity: float
+    death: type[BaseException]
+    most_deaths: int
+
+    def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
+        """Start ``function(*arguments)`` and return its future.
+
+        An executor in other processes sends ``tissue_sim.packing.pack_task(function, arguments)`` and calls
+        ``run_packed_task`` there, so that plug-ins are registered in the workers too.
+        """
+
+    def abandon_tasks(self) -> None:
+        """Discard all tasks and their results, if possible at once; new tasks can be submitted afterwards."""
+
+    def close(self) -> None:
+        """End the workers that this executor has started."""
+
+
+#: Name -> function that opens the executor for a selection of workers.
+EXECUTORS: Registry[Callable[[Workers], Executor]] = Registry(
+    "executor", "tissue_sim.executors", {"processes": "calibration.tasks.process_pool:open_process_pool",
+                                         "dask": "calibration.tasks.dask_cluster:connect_to_dask_cluster"},
+    accepts=callable, expected="a function of calibration.Workers that returns an Executor")
 
 
 class TaskExecutor:
@@ -89,17 +124,11 @@ def open_task_executor(workers: Workers) -> Iterator[TaskExecutor]:
     Raises:
         InputError: the cluster does not answer, or its package is missing.
     """
-    if workers.dask is None and workers.count == 1:
+    if workers.executor is None and workers.dask is None and workers.count == 1:
         yield TaskExecutor()
         return
-    executor: ProcessPool | DaskExecutor
-    if workers.dask is not None:
-        from calibration.tasks.dask_cluster import DaskExecutor
-        executor = DaskExecutor(workers.dask)
-    else:
-        # Imported on use: a calibration in one process does not need multiprocessing.
-        from calibration.tasks.process_pool import ProcessPool
-        executor = ProcessPool(workers.count)
+    name = workers.executor or ("processes" if workers.dask is None else "dask")
+    executor = EXECUTORS[name](workers)
     try:
         yield _ParallelTaskExecutor(executor)
     finally:
@@ -107,11 +136,11 @@ def open_task_executor(workers: Workers) -> Iterator[TaskExecutor]:
 
 
 class _ParallelTaskExecutor(TaskExecutor):
-    """Executor that runs tasks in parallel in a process pool or on a dask cluster."""
+    """Executor that distributes tasks to parallel workers."""
 
     parallel = True
 
-    def __init__(self, executor: ProcessPool | DaskExecutor):
+    def __init__(self, executor: Executor):
         self._executor = executor
 
     def run(self, function: Callable[..., Any], arguments: Sequence[tuple], on_done: OnDone | None = None) -> list[Any]:

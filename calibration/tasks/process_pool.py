@@ -11,6 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from calibration.tasks.errors import WorkerError
+from calibration.tasks.executors import Workers
 from tissue_sim.child_process import child_processes_ignore_ctrl_c, ignore_ctrl_c_and_exit_with_parent
 from tissue_sim.packing import pack_task, run_packed_task
 
@@ -30,11 +31,12 @@ class ProcessPool:
         most_deaths: number of worker failures during a task after which the task is given up.
     """
 
-    death = BrokenProcessPool
+    death: type[BaseException] = BrokenProcessPool
     most_deaths = 3
 
     def __init__(self, count: int):
-        self.capacity = count
+        self.capacity: float = count
+        self._count = count
         self._executor: ProcessPoolExecutor | None = None
 
     def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
@@ -58,7 +60,7 @@ class ProcessPool:
             WorkerError: the processes end before they accept a task.
         """
         # Spawned, not forked: Taichi and the threads of this process do not survive a fork.
-        self._executor = ProcessPoolExecutor(self.capacity, multiprocessing.get_context("spawn"),
+        self._executor = ProcessPoolExecutor(self._count, multiprocessing.get_context("spawn"),
                                              ignore_ctrl_c_and_exit_with_parent)
         # Start all processes now: the executor would wait forever for a process that starts while another one ends, and
         # all processes must inherit the same environment.
@@ -87,6 +89,11 @@ class ProcessPool:
         executor, self._executor = self._executor, None
         if executor is not None:
             executor.shutdown(wait=True, cancel_futures=True)
+
+
+def open_process_pool(workers: Workers) -> ProcessPool:
+    """Return a pool of ``workers.count`` processes."""
+    return ProcessPool(workers.count)
 
 
 @contextlib.contextmanager

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msgspec.structs import replace
+import msgspec
 
 import tissue_sim as ts
 from tissue_sim.atomic_write import write_text
+from tissue_sim.decode import read_json_value
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import list_all_tool_sizes_by_key
@@ -90,6 +91,60 @@ class CalibrationResult:
     unusable: str = ""
 
 
+@dataclass(frozen=True)
+class FitProgress:
+    """Progress of a running fit; the fields are the keys of the progress file.
+
+    Attributes:
+        sentence: Present activity.
+        solves: Number of simulations of the test so far.
+        rmse: Root mean square misfit, N; None before the first iteration.
+        parameters: Parameter -> present value, SI.
+        units: Parameter -> SI unit.
+    """
+
+    sentence: str
+    solves: int = 0
+    rmse: float | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+
+
+class FitProgressFile:
+    """Listener of a fit that writes each change of the progress to a file, for the process of the page.
+
+    Args:
+        path: Progress file.
+        units: Parameter -> SI unit.
+    """
+
+    def __init__(self, path: Path, units: Mapping[str, str]):
+        self._path, self._progress = path, FitProgress("loading the solver", units=units)
+        self._write_change()
+
+    def write_task(self, sentence: str, done: int = 0, of: int = 0) -> None:
+        """Write the current task, without the name of its campaign; see `calibration.calibrate`, `progress`."""
+        sentence = sentence.partition(": ")[2] or sentence
+        self._write_change(sentence=f"{sentence}, {done} of {of}" if of else sentence)
+
+    def write_iteration(self, _campaign: str, _law: str, iteration: DescentEvaluation) -> None:
+        """Count one simulation, and write its misfit and parameters; see `calibration.calibrate`, `listen`."""
+        self._write_change(solves=self._progress.solves + 1, rmse=iteration.RMSE_N, parameters=iteration.parameters)
+
+    def _write_change(self, **changed: Any) -> None:
+        """Change the progress and write it."""
+        self._progress = replace(self._progress, **changed)
+        write_text(self._path, json.dumps(asdict(self._progress)))
+
+
+def read_fit_progress_or_none(path: Path) -> FitProgress | None:
+    """Read the progress file of a fit; return None if the file does not exist or is incomplete."""
+    try:
+        return FitProgress(**read_json_value(path, "the progress of a calibration"))
+    except (InputError, TypeError):
+        return None
+
+
 def calibrate_uploaded_files(folder: str, request: CalibrationRequest) -> CalibrationResult:
     """Calibrate a material as ``tissue-sim calibrate`` does, and write the progress to `PROGRESS_FILE`.
 
@@ -103,35 +158,17 @@ def calibrate_uploaded_files(folder: str, request: CalibrationRequest) -> Calibr
         ConvergenceError: No test could be simulated.
     """
     # Imported here so that the page starts without loading SciPy.
-    import calibration
+    from calibration.pipeline import run_campaign_jobs
 
     root = Path(folder)
-    units = {path: each.declaration.unit for path, each in parameters(request.material).items()}
-    status: dict[str, Any] = {"sentence": "loading the solver", "solves": 0, "rmse": None, "parameters": {},
-                              "units": units}
-
-    def write_progress_file() -> None:
-        """Write the status to `PROGRESS_FILE`."""
-        write_text(root / PROGRESS_FILE, json.dumps(status))
-
-    def report_task(sentence: str, done: int = 0, of: int = 0) -> None:
-        """Write the current task, without the name of its campaign, to the progress file."""
-        sentence = sentence.partition(": ")[2] or sentence
-        status["sentence"] = f"{sentence}, {done} of {of}" if of else sentence
-        write_progress_file()
-
-    def report_iteration(_campaign: str, _law: str, iteration: DescentEvaluation) -> None:
-        """Count one simulation, and write misfit and parameters of the iteration to the progress file."""
-        status.update(solves=status["solves"] + 1, rmse=iteration.RMSE_N, parameters=iteration.parameters)
-        write_progress_file()
-
     campaign = root / "page.toml"
     try:
-        write_progress_file()
+        progress = FitProgressFile(root / PROGRESS_FILE, {
+            path: each.declaration.unit for path, each in parameters(request.material).items()})
         write_text(campaign, build_campaign_text_and_write_rig(request, root))
         # The report is deleted with the folder, so its figures are not drawn.
-        result, = calibration.calibrate([campaign], root / "results", progress=report_task, listen=report_iteration,
-                                        figures=False)
+        result, = run_campaign_jobs("fit", [campaign], root / "results", progress=progress.write_task,
+                                    listen=progress.write_iteration, options={"figures": False})
         fit = result.best
         if fit.material_file is None:
             raise InputError(f"The fit gives no material: {fit.unusable or fit.message}")
@@ -155,7 +192,8 @@ def _add_original_files_to_provenance(file: Path, origins: Mapping[str, Mapping[
     content = read_material_file(file)
     assert content.provenance is not None
     settings = {**content.provenance.settings, "made_from": origins}
-    write_material_file(replace(content, provenance=replace(content.provenance, settings=settings)), file)
+    provenance = msgspec.structs.replace(content.provenance, settings=settings)
+    write_material_file(msgspec.structs.replace(content, provenance=provenance), file)
 
 
 def build_campaign_text_and_write_rig(request: CalibrationRequest, folder: Path) -> str:

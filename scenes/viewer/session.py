@@ -13,8 +13,11 @@ import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice, Motion
 from haptics.devices.motions import TargetFollowingMotion
 from haptics.loop.loop import LoopSettings
-from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS, use_finished_calibration_in_scene
-from scenes.viewer.calibration_run import SessionCalibrations
+from scenes.viewer.calibration_run import (
+    CALIBRATION_COMMANDS,
+    SessionCalibrations,
+    use_finished_calibration_in_scene,
+)
 from scenes.viewer.frame import FRAMES, FrameViewer, Phase, PlotCurves, SessionFrame
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited_material

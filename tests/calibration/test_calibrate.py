@@ -328,3 +328,38 @@ def test_a_fit_that_is_no_material_gets_no_file(campaign, tmp_path):
     assert fits["neo_hooke"].material_file is None
     assert "modulus at rest" in fits["neo_hooke"].message
     assert not (tmp_path / "out" / "neo_hooke.material.json").exists()
+
+
+@pytest.mark.parametrize("version", ["0.1.0", "0.2.0"])
+def test_a_folder_of_another_version_resumes_or_is_named(version, campaign, tmp_path, monkeypatch):
+    """Folders of versions 0.1.0 and 0.2.0 have the same files; `work.json` states no version, material files do."""
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        for module in ("tissue_sim", "tissue_sim.material.file"):
+            patch.setattr(f"{module}.__version__", version)
+        first, = calibration.calibrate([campaign], out, figures=False)
+    assert set(json.loads((out / "work.json").read_text(encoding="utf-8"))) == {"schema", "campaigns", "files"}
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    if version == ts.__version__:
+        again, = calibration.calibrate([campaign], out, figures=False)
+        assert again.resumed and again.fits == first.fits
+    else:
+        with pytest.raises(ts.InputError, match=rf"contains results of tissue_sim {version}, and this is version "
+                                                rf"{ts.__version__}\. Choose an empty folder or add --overwrite"):
+            calibration.calibrate([campaign], out, figures=False)
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
+    again, = calibration.calibrate([campaign], out, figures=False, overwrite=True)
+    assert not again.resumed and again.best.parameters == first.best.parameters
+
+
+def test_temporary_files_of_a_killed_run_are_removed(campaign, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    mine = out / ".notes.txt.0a1b2c3d.tmp"
+    for name in (".work.json.0a1b2c3d.tmp", ".fit.json.00000000.tmp", ".neo_hooke.material.json.ffffffff.tmp"):
+        (out / name).write_text("{", encoding="utf-8")
+    calibration.calibrate([campaign], out, figures=False)
+    assert (out / "fit.json").is_file() and not list(out.glob(".*.tmp"))
+    mine.write_text("mine", encoding="utf-8")
+    calibration.calibrate([campaign], out, figures=False, overwrite=True)
+    assert mine.read_text(encoding="utf-8") == "mine"

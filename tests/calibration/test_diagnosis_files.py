@@ -145,12 +145,11 @@ def test_few_recordings_do_not_prove_that_nothing_scatters(drifting):
     _, found, _ = drifting
     problem, theta = found.before.problem, found.before.estimate.theta
     noise = found.before.campaign.noise
-    problem.jitter = replace(problem.jitter, contact=0.0, zero=0.0)
-    problem.assign_nuisance_columns_and_drop_cache()
+    problem = replace(problem, jitter=replace(problem.jitter, contact=0.0, zero=0.0))
     larger = compute_upper_limit_of_estimated_jitter(problem, theta, noise)
     assert 0 < larger.zero < 0.03 and larger.contact > 0
     assert compute_upper_limit_of_estimated_jitter(problem, theta, replace(noise, zero_jitter=0.0)).zero == 0.0
-    problem.jitter = replace(problem.jitter, zero=0.02)
+    problem = replace(problem, jitter=replace(problem.jitter, zero=0.02))
     assert 0.02 < compute_upper_limit_of_estimated_jitter(problem, theta, noise).zero < 0.08
 
 

@@ -1,6 +1,7 @@
 """The inverse calibration: the least-squares problem, what it finds, what it says of it, and what it refuses."""
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import distributed
@@ -132,10 +133,8 @@ class TestProblem:
         """The error is r' V^-1 r with the dense covariance of zero offset, mesh modes and correlated noise."""
         text = campaign_text("lubricated", "bonded").replace("correlation_time_s = 0", "correlation_time_s = 2.0")
         _, problem = problem_of(plates, text)
-        problem.jitter = ContactAndForceZeroJitter(0.0, 0.015, None)
         theta, errors = np.array([1390.0, 700.0]), (0.0, 0.002)
-        problem.mesh_error = errors
-        problem.assign_nuisance_columns_and_drop_cache()
+        problem = replace(problem, jitter=ContactAndForceZeroJitter(0.0, 0.015, None), mesh_error=errors)
         total = 0.0
         for test, error in zip(problem.tests, errors, strict=True):
             answer = test.solve(problem.space, theta, problem.solves)
@@ -160,8 +159,7 @@ class TestProblem:
         write_recordings(plates, "lubricated", depth, lubricated_force)
         _, problem = problem_of(plates, campaign_text("lubricated"))
         free = minimise_from_start(problem, np.array([1400.0, 600.0])).theta
-        problem.mesh_error = (0.008,)
-        problem.assign_nuisance_columns_and_drop_cache()
+        problem = replace(problem, mesh_error=(0.008,))
         held = minimise_from_start(problem, free, corrected=True).theta
         errors = compute_marginal_uncertainty(problem, problem.evaluate(held)).standard_errors
         # The carried error is in the standard error, and moves nothing.
@@ -247,9 +245,7 @@ class TestStudy:
         _, problem = problem_of(folder, campaign_text("lubricated", "bonded", "needle"))
         ends = []
         for start in ((1400.0, 600.0), (140.0, 6990.0), (14000.0, 70.0)):
-            problem.solves = SimulationCache()
-            problem.assign_nuisance_columns_and_drop_cache()
-            descent = minimise_from_start(problem, np.array(start))
+            descent = minimise_from_start(replace(problem, solves=SimulationCache()), np.array(start))
             assert descent.converged
             assert max(descent.simulations.values()) <= 9
             ends.append(descent.theta)
@@ -670,6 +666,8 @@ class TestRefused:
 
     def test_more_unknowns_than_samples(self, plates):
         campaign, problem = problem_of(plates, campaign_text("lubricated"))
-        problem.samples = 2
+        short = problem.with_samples_up_to_displacement_fraction(0.03)
+        test, = short.tests
+        problem = replace(short, tests=(replace(test, measured=test.measured[:1]),))
         with pytest.raises(ts.InputError, match=r"fit\.laws\[0\]: .* more samples than the 2 unknown .*got 2"):
             require_fittable_start(problem, campaign, 0)

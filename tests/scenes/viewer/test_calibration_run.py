@@ -12,12 +12,19 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from scenes.viewer.calibration_commands import CALIBRATED, CALIBRATION_COMMANDS, use_finished_calibration_in_scene
-from scenes.viewer.calibration_run import CalibrationState, FitProgress, SessionCalibrations, group_replicate_file_names
+from scenes.viewer.calibration_run import (
+    CALIBRATED,
+    CALIBRATION_COMMANDS,
+    CalibrationState,
+    SessionCalibrations,
+    group_replicate_file_names,
+    use_finished_calibration_in_scene,
+)
 from scenes.viewer.calibration_task import (
     PROGRESS_FILE,
     RECORDINGS,
     CalibrationResult,
+    FitProgress,
     FittedParameter,
     calibrate_uploaded_files,
 )

@@ -17,7 +17,7 @@ from haptics.devices.motions import TargetFollowingMotion
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, RingReader
-from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS
+from scenes.viewer.calibration_run import CALIBRATION_COMMANDS
 from scenes.viewer.frame import FRAMES, NullViewer, Phase
 from scenes.viewer.measurement import (
     build_measurement_from_replicates,
