@@ -15,7 +15,7 @@ from haptics.devices.virtual.rig import (
     VirtualRig,
 )
 from scenes.commands.record.protocol_file import ProtocolFile
-from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
+from scenes.commands.shared.experiment_flags import load_material_or_study_silicone
 from tissue_sim import Model, Rig, load_rig
 from tissue_sim.errors import InputError
 

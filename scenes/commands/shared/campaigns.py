@@ -10,29 +10,26 @@ from typing import TYPE_CHECKING
 
 from scenes.commands.shared.console import make_progress_console
 from scenes.commands.shared.log_lines import TaskLogLines
-from scenes.commands.shared.parsing import (
-    InputErrorArgumentParser,
-    add_json_flag,
-    add_overwrite_flag,
-    make_integer_parser,
-)
+from scenes.commands.shared.parsing import InputErrorArgumentParser, make_integer_parser
 
 if TYPE_CHECKING:
+    from calibration import Workers
     from scenes.commands.shared.progress import CampaignProgressDisplay
 
+#: Message at Ctrl-C before a campaign has results that are kept.
+NO_CAMPAIGN_FINISHED = "no campaign was finished. Run the same command to start again"
 
-def add_worker_figure_overwrite_json_flags(parser: InputErrorArgumentParser, tasks: str) -> None:
-    """Add the flags of a command that runs campaigns, and its default ``resume_hint``.
+
+def add_campaign_files_and_output_flag(parser: InputErrorArgumentParser, *, files: str, output: str) -> None:
+    """Add the campaign files and the folder of their results.
 
     Args:
         parser: parser of the command.
-        tasks: tasks that the processes share, in words for the help.
+        files: description of the campaign files for the help.
+        output: description of the folder for the help.
     """
-    add_workers_and_dask_flags(parser, tasks)
-    add_optional_figure_files_flag(parser)
-    add_overwrite_flag(parser)
-    add_json_flag(parser)
-    parser.set_defaults(resume_hint="no campaign was finished. Run the same command to start again")
+    parser.add_argument("campaigns", type=Path, nargs="+", metavar="CAMPAIGN.toml", help=files)
+    parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT", help=output)
 
 
 @contextmanager
@@ -43,18 +40,27 @@ def progress_and_resume_hint_context(arguments: Namespace, last_file: str) -> It
         arguments: parsed arguments with ``campaigns``, ``output``, ``overwrite``, ``json`` and ``resume_hint``.
         last_file: name of the file that a finished campaign has in its folder.
     """
-    from scenes.commands.shared.progress import CampaignProgressDisplay
-
     stamp = get_work_file_time_and_inode_or_none(arguments.output)
     try:
-        with CampaignProgressDisplay(make_progress_console(quiet=arguments.json), len(arguments.campaigns),
-                                     TaskLogLines(quiet=arguments.json)) as progress:
+        with make_campaign_progress_display(len(arguments.campaigns), quiet=arguments.json) as progress:
             yield progress
     except KeyboardInterrupt:
         # Until the run writes its stamp, --overwrite leaves the results of another run in the folder.
         if not arguments.overwrite or get_work_file_time_and_inode_or_none(arguments.output) != stamp:
             arguments.resume_hint = describe_kept_results_and_resuming(arguments, last_file)
         raise
+
+
+def make_campaign_progress_display(campaigns: int = 1, *, quiet: bool) -> CampaignProgressDisplay:
+    """Return a display of the progress of campaigns on stderr: live on a terminal, otherwise as log lines.
+
+    Args:
+        campaigns: number of campaigns.
+        quiet: show nothing (``--json``).
+    """
+    from scenes.commands.shared.progress import CampaignProgressDisplay
+
+    return CampaignProgressDisplay(make_progress_console(quiet=quiet), campaigns, TaskLogLines(quiet=quiet))
 
 
 def add_workers_and_dask_flags(parser: InputErrorArgumentParser, tasks: str) -> None:
@@ -69,6 +75,13 @@ def add_workers_and_dask_flags(parser: InputErrorArgumentParser, tasks: str) -> 
                        help=f"number of processes that share {tasks} (default: 1)")
     group.add_argument("--dask", metavar="ADDRESS",
                        help="share the tasks on a running dask cluster: tcp://HOST:PORT, or its scheduler file")
+
+
+def make_workers_from_flags(arguments: Namespace) -> Workers:
+    """Return the workers of ``--workers`` and ``--dask``."""
+    from calibration import Workers
+
+    return Workers(arguments.workers, arguments.dask)
 
 
 def add_optional_figure_files_flag(parser: InputErrorArgumentParser) -> None:
