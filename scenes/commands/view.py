@@ -23,7 +23,7 @@ from scenes.commands.shared.experiment_flags import (
     require_known_scene,
 )
 from scenes.commands.shared.parsing import InputErrorArgumentParser, make_integer_parser, parse_positive_number
-from scenes.doctor.platform_services import VIEWER_PORT
+from scenes.doctor import VIEWER_PORT
 from tissue_sim.errors import InputError
 
 
