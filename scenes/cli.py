@@ -61,8 +61,9 @@ def _parse_command_line_or_none(words: list[str]) -> Namespace | None:
         InputError: unknown command, action or option, or a bad value.
     """
     _require_known_command_and_action(words)
-    # The parser of a known command imports no other command.
-    parser = make_command_line_parser(words[:1] if words and words[0] in COMMANDS else None)
+    # A command is parsed without the import of other commands, and the help of the program shows summaries only.
+    parser = make_command_line_parser(words[:1] if words and words[0] in COMMANDS else None,
+                                      with_arguments=not all(word.startswith("-") for word in words))
     if not words:
         parser.print_help()
         return None
@@ -78,11 +79,13 @@ def _parse_command_line_or_none(words: list[str]) -> Namespace | None:
     return arguments
 
 
-def make_command_line_parser(names: Iterable[str] | None = None) -> InputErrorArgumentParser:
+def make_command_line_parser(names: Iterable[str] | None = None, *,
+                             with_arguments: bool = True) -> InputErrorArgumentParser:
     """Return the parser of commands; it imports no numerical package, so that ``--help`` answers at once.
 
     Args:
         names: names of the commands; None: all.
+        with_arguments: whether the parser accepts arguments of the commands, besides its own options.
     """
     parser = InputErrorArgumentParser(prog="tissue-sim",
                                       description="Calibrate soft-tissue finite-element models from measured force "
@@ -92,7 +95,7 @@ def make_command_line_parser(names: Iterable[str] | None = None) -> InputErrorAr
     parser.add_argument("--version", action="version", version=f"tissue-sim {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in COMMANDS if names is None else names:
-        COMMANDS[name].add_parser(commands)
+        COMMANDS[name].add_parser(commands, with_arguments=with_arguments)
     return parser
 
 

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from functools import partial
 from typing import TYPE_CHECKING
 
 from scenes.commands.shared.campaigns import (
-    NO_CAMPAIGN_FINISHED,
-    add_campaign_files_and_output_flag,
-    add_optional_figure_files_flag,
-    add_workers_and_dask_flags,
+    make_campaign_command,
     make_workers_from_flags,
     progress_and_resume_hint_context,
 )
-from scenes.commands.shared.command import Command, CommandResult, ExitCode
-from scenes.commands.shared.parsing import add_overwrite_flag
+from scenes.commands.shared.command import CommandResult, ExitCode
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -41,13 +36,9 @@ def _run(arguments: Namespace) -> CommandResult:
                          ExitCode.DONE if has_material else ExitCode.GOAL_MISSED)
 
 
-COMMAND = Command(
+COMMAND = make_campaign_command(
     "calibrate", "fit strain-energy laws to the recordings of one or more campaigns",
     "tissue-sim calibrate campaign.toml -o results --workers 4", _run,
-    needs=(partial(add_campaign_files_and_output_flag,
-                   files="campaign files; tissue-sim import writes them from recordings",
-                   output="folder for material files, tables and the report; a folder of the same calibration is "
-                   "resumed"),
-           partial(add_workers_and_dask_flags, tasks="the starts, profiles, laws and left-out tests of inverse fits"),
-           add_optional_figure_files_flag, add_overwrite_flag),
-    resume_hint=NO_CAMPAIGN_FINISHED)
+    files="campaign files; tissue-sim import writes them from recordings",
+    output="folder for material files, tables and the report; a folder of the same calibration is resumed",
+    tasks="the starts, profiles, laws and left-out tests of inverse fits")

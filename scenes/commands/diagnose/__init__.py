@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from functools import partial
 from typing import TYPE_CHECKING
 
 from scenes.commands.shared.campaigns import (
-    NO_CAMPAIGN_FINISHED,
-    add_campaign_files_and_output_flag,
-    add_optional_figure_files_flag,
-    add_workers_and_dask_flags,
+    make_campaign_command,
     make_workers_from_flags,
     progress_and_resume_hint_context,
 )
-from scenes.commands.shared.command import Command, CommandResult
-from scenes.commands.shared.parsing import InputErrorArgumentParser, add_overwrite_flag
+from scenes.commands.shared.command import CommandResult
+from scenes.commands.shared.parsing import InputErrorArgumentParser
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -46,11 +42,9 @@ def _run(arguments: Namespace) -> CommandResult:
     return CommandResult(lambda: diagnosis_to_json(results), print_text)
 
 
-COMMAND = Command(
+COMMAND = make_campaign_command(
     "diagnose", "find where simulation and measurement disagree, and name the physical effect that the model lacks",
     "tissue-sim diagnose campaign.toml -o diagnosis --workers 2", _run,
-    needs=(partial(add_campaign_files_and_output_flag, files='campaign files with method = "inverse_fem"',
-                   output="folder for the diagnosis and the report; a folder of the same diagnosis is resumed"),
-           _add_law_flag, partial(add_workers_and_dask_flags, tasks="the starts, the effects and their fits"),
-           add_optional_figure_files_flag, add_overwrite_flag),
-    resume_hint=NO_CAMPAIGN_FINISHED)
+    files='campaign files with method = "inverse_fem"',
+    output="folder for the diagnosis and the report; a folder of the same diagnosis is resumed",
+    tasks="the starts, the effects and their fits", own_needs=(_add_law_flag,))

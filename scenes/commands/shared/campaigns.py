@@ -3,33 +3,47 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from scenes.commands.shared.command import Command, CommandResult, Need
 from scenes.commands.shared.console import make_progress_console
 from scenes.commands.shared.log_lines import TaskLogLines
-from scenes.commands.shared.parsing import InputErrorArgumentParser, make_integer_parser
+from scenes.commands.shared.parsing import InputErrorArgumentParser, add_overwrite_flag, make_integer_parser
 
 if TYPE_CHECKING:
     from calibration import Workers
     from scenes.commands.shared.progress import CampaignProgressDisplay
 
-#: Message at Ctrl-C before a campaign has results that are kept.
-NO_CAMPAIGN_FINISHED = "no campaign was finished. Run the same command to start again"
 
+def make_campaign_command(name: str, summary: str, example: str, run: Callable[[Namespace], CommandResult], *,
+                          files: str, output: str, tasks: str, own_needs: tuple[Need, ...] = ()) -> Command:
+    """Return a command that writes the results of campaigns to a folder; worker processes share its tasks.
 
-def add_campaign_files_and_output_flag(parser: InputErrorArgumentParser, *, files: str, output: str) -> None:
-    """Add the campaign files and the folder of their results.
+    Its needs are campaigns, output folder, `own_needs`, workers, figure files and ``--overwrite``.
 
     Args:
-        parser: parser of the command.
+        name: name of the command.
+        summary: sentence for the help.
+        example: command line for the help.
+        run: function that runs the command.
         files: description of the campaign files for the help.
-        output: description of the folder for the help.
+        output: description of the output folder for the help.
+        tasks: tasks that the workers share, in words for the help.
+        own_needs: functions that add the flags of this command alone.
     """
-    parser.add_argument("campaigns", type=Path, nargs="+", metavar="CAMPAIGN.toml", help=files)
-    parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT", help=output)
+    def add_campaigns_and_output_flag(parser: InputErrorArgumentParser) -> None:
+        """Add the campaign files and the folder of their results."""
+        parser.add_argument("campaigns", type=Path, nargs="+", metavar="CAMPAIGN.toml", help=files)
+        parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT", help=output)
+
+    return Command(name, summary, example, run,
+                   needs=(add_campaigns_and_output_flag, *own_needs, partial(add_workers_and_dask_flags, tasks=tasks),
+                          add_optional_figure_files_flag, add_overwrite_flag),
+                   resume_hint="no campaign was finished. Run the same command to start again")
 
 
 @contextmanager

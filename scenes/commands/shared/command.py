@@ -96,10 +96,12 @@ class Command:
             add_json_flag(parser)
         parser.set_defaults(command=self, resume_hint=self.resume_hint)
 
-    def add_parser(self, group) -> None:
-        """Add a parser with help and arguments of this command to the result of argparse's ``add_subparsers``."""
-        self.add_arguments(group.add_parser(self.name, help=self.summary, description=self.summary,
-                                            epilog=f"example:\n  {self.example}"))
+    def add_parser(self, group, *, with_arguments: bool = True) -> None:
+        """Add a parser of this command, with or without its arguments, to the result of ``add_subparsers``."""
+        parser = group.add_parser(self.name, help=self.summary, description=self.summary,
+                                  epilog=f"example:\n  {self.example}")
+        if with_arguments:
+            self.add_arguments(parser)
 
     def run_and_print_result(self, arguments: Namespace) -> int:
         """Run the command, print its result, and return its exit code."""
