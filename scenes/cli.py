@@ -8,27 +8,10 @@ from __future__ import annotations
 import os
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from calibration.tasks.errors import WorkerError
-from scenes.commands import (
-    calibrate,
-    demo,
-    design,
-    devices,
-    diagnose,
-    doctor,
-    emulate,
-    import_files,
-    loop,
-    material,
-    record,
-    reduce,
-    serve,
-    simulate,
-    view,
-)
-from scenes.commands.shared.exit_code import ExitCode
+from scenes.commands import COMMANDS, ExitCode
 from scenes.commands.shared.parsing import InputErrorArgumentParser, describe_not_yet_available_feature
 from tissue_sim import __version__
 from tissue_sim.errors import (
@@ -38,25 +21,6 @@ from tissue_sim.errors import (
     join_location_and_problem,
     make_hint_with_similar_or_known_words,
 )
-
-#: Module of each command, in the order of the help.
-COMMANDS = {
-    "demo": demo,
-    "doctor": doctor,
-    "import": import_files,
-    "material": material,
-    "simulate": simulate,
-    "calibrate": calibrate,
-    "diagnose": diagnose,
-    "design": design,
-    "loop": loop,
-    "serve": serve,
-    "view": view,
-    "reduce": reduce,
-    "record": record,
-    "devices": devices,
-    "emulate": emulate,
-}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -70,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = None
     try:
         arguments = _parse_command_line_or_none(words)
-        code = ExitCode.DONE if arguments is None else arguments.run(arguments)
+        code = ExitCode.DONE if arguments is None else arguments.command.run_and_print_result(arguments)
         sys.stdout.flush()  # raises BrokenPipeError inside this block instead of at exit
         return code
     except InputError as error:
@@ -97,7 +61,9 @@ def _parse_command_line_or_none(words: list[str]) -> Namespace | None:
         InputError: unknown command, action or option, or a bad value.
     """
     _require_known_command_and_action(words)
-    parser = make_command_line_parser()
+    # A command is parsed without the import of other commands, and the help of the program shows summaries only.
+    parser = make_command_line_parser(words[:1] if words and words[0] in COMMANDS else None,
+                                      with_arguments=not all(word.startswith("-") for word in words))
     if not words:
         parser.print_help()
         return None
@@ -113,10 +79,13 @@ def _parse_command_line_or_none(words: list[str]) -> Namespace | None:
     return arguments
 
 
-def make_command_line_parser() -> InputErrorArgumentParser:
-    """Return the parser of all commands.
+def make_command_line_parser(names: Iterable[str] | None = None, *,
+                             with_arguments: bool = True) -> InputErrorArgumentParser:
+    """Return the parser of commands; it imports no numerical package, so that ``--help`` answers at once.
 
-    It imports no numerical package, so that ``--help`` answers at once.
+    Args:
+        names: names of the commands; None: all.
+        with_arguments: whether the parser accepts arguments of the commands, besides its own options.
     """
     parser = InputErrorArgumentParser(prog="tissue-sim",
                                       description="Calibrate soft-tissue finite-element models from measured force "
@@ -125,9 +94,8 @@ def make_command_line_parser() -> InputErrorArgumentParser:
                                       "tissue-sim COMMAND --help explains a command")
     parser.add_argument("--version", action="version", version=f"tissue-sim {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name, command in COMMANDS.items():
-        command.add_arguments(commands.add_parser(name, help=command.SUMMARY, description=command.SUMMARY,
-                                                  epilog=f"example:\n  {command.EXAMPLE}"))
+    for name in COMMANDS if names is None else names:
+        COMMANDS[name].add_parser(commands, with_arguments=with_arguments)
     return parser
 
 
@@ -139,16 +107,14 @@ def _require_known_command_and_action(words: list[str]) -> None:
     """
     if not words or words[0].startswith("-"):
         return
-    name = words[0]
-    if name not in COMMANDS:
-        raise InputError(f"unknown command {name!r}{make_hint_with_similar_or_known_words(name, COMMANDS)}")
-    actions = getattr(COMMANDS[name], "ACTIONS", ())
+    command = COMMANDS.find(words[0])
+    actions = [action.name for action in command.actions]
     if actions and len(words) > 1 and not words[1].startswith("-"):
-        if words[1] in COMMANDS[name].LATER:
-            raise InputError(describe_not_yet_available_feature(f"command {f'{name} {words[1]}'!r}"))
+        named = f"command {' '.join(words[:2])!r}"
+        if words[1] in command.planned_actions:
+            raise InputError(describe_not_yet_available_feature(named))
         if words[1] not in actions:
-            raise InputError(
-                f"unknown command {f'{name} {words[1]}'!r}{make_hint_with_similar_or_known_words(words[1], actions)}")
+            raise InputError(f"unknown {named}{make_hint_with_similar_or_known_words(words[1], actions)}")
 
 
 def _set_utf8_output() -> None:

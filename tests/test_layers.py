@@ -23,7 +23,7 @@ IMPORTERS = {  # outside package -> where it may be imported
     "rich": ("scenes/", "calibration/"),
     "matplotlib": ("scenes/", "calibration/"),
     "jinja2": ("calibration/report/page.py",),
-    "socket": ("haptics/", "scenes/doctor/"),
+    "socket": ("haptics/", "scenes/doctor.py"),
 }
 #: What opens a file to read it, or parses what is in one; and who may: the doors, and readers of what is our own.
 OPENING = {"read_bytes", "read_text", "loadtxt", "genfromtxt", "loads", "fromstring"}
@@ -32,7 +32,7 @@ DOORS = {
     # Our sources and caches, the system's files, results of this program that it has just written.
     "tissue_sim/laws/derivation.py", "calibration/forward/simulation_cache.py", "calibration/job.py",
     "haptics/loop/loop.py", "scenes/viewer/page/material_controls.py", "scenes/viewer/trace.py",
-    "scenes/demo/hidden_figure.py", "scenes/viewer/shell/__init__.py",
+    "scenes/demo/hidden_effect_demo.py", "scenes/viewer/shell/__init__.py",
     # Bytes that come from a device or are measured already.
     "haptics/protocols/haply.py", "haptics/protocols/rdt.py", "haptics/protocols/ati_calibration.py",
     "tissue_sim/recording/formats/long_text.py"}

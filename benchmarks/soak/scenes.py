@@ -35,6 +35,6 @@ def draw(rng: np.random.Generator, material: Path) -> tuple[list[str], float]:
 def model_of(flags: list[str]) -> ts.Model:
     """Return the model that `serve` builds from these flags."""
     parser = InputErrorArgumentParser(prog="soak")
-    serve.add_arguments(parser)
+    serve.COMMAND.add_arguments(parser)
     arguments = parser.parse_args(flags)
     return ts.Model(make_experiment_from_flags(arguments, make_protocol_from_flags(arguments), MATERIAL), MATERIAL)

@@ -1,11 +1,29 @@
-"""Commands of `tissue-sim`: one module for each command, or a package for a command with tables or reports.
+"""Commands of `tissue-sim`: a module of each command declares its `Command`, and `COMMANDS` finds it by name.
 
-The module of a command defines
-
-- ``SUMMARY`` and ``EXAMPLE``, texts of the help;
-- ``add_arguments(parser)``, which declares the arguments;
-- ``run(arguments)``, which runs the command and returns its exit code.
-
-numpy and the packages that need it are imported inside `run`, so that ``--help`` answers at once. `scenes.cli.COMMANDS`
-lists the commands.
+An installed package adds a command by an entry point of the group ``tissue_sim.commands``, a program by
+``COMMANDS.register``.
 """
+
+from scenes.commands.shared.command import Command, CommandResult, ExitCode
+from tissue_sim.registry import Registry
+
+#: Commands by name, in the order of the help; the module of a command is imported when its help or the command runs.
+COMMANDS: Registry[Command] = Registry("command", "tissue_sim.commands", {
+    "demo": "scenes.commands.demo:COMMAND",
+    "doctor": "scenes.commands.doctor:COMMAND",
+    "import": "scenes.commands.import_files:COMMAND",
+    "material": "scenes.commands.material:COMMAND",
+    "simulate": "scenes.commands.simulate:COMMAND",
+    "calibrate": "scenes.commands.calibrate:COMMAND",
+    "diagnose": "scenes.commands.diagnose:COMMAND",
+    "design": "scenes.commands.design:COMMAND",
+    "loop": "scenes.commands.loop:COMMAND",
+    "serve": "scenes.commands.serve:COMMAND",
+    "view": "scenes.commands.view:COMMAND",
+    "reduce": "scenes.commands.reduce:COMMAND",
+    "record": "scenes.commands.record:COMMAND",
+    "devices": "scenes.commands.devices:COMMAND",
+    "emulate": "scenes.commands.emulate:COMMAND",
+}, accepts=lambda each: isinstance(each, Command), expected="a scenes.commands.Command")
+
+__all__ = ["COMMANDS", "Command", "CommandResult", "ExitCode"]

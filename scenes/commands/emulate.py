@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import sys
 import threading
+from argparse import Namespace
 from typing import Any
 
+from scenes.commands.shared.command import Command, ExitCode
 from scenes.commands.shared.console import make_results_console, print_json
-from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import InputErrorArgumentParser, add_json_flag, parse_positive_number
+from scenes.commands.shared.parsing import InputErrorArgumentParser, parse_positive_number
 from scenes.stop_signals import call_stop_at_signals
 
-SUMMARY = "emulate force sensors, stages and a haptic device with their own protocols, and faults on request"
-EXAMPLE = "tissue-sim emulate rdt tic --faults loss=0.02 --seconds 60"
 #: Emulators for the help, which imports no emulator.
 _NAMES = "rdt, ati-serial, tic, grbl, haply"
 
 
-def add_arguments(parser: InputErrorArgumentParser) -> None:
-    """Declare the arguments of `tissue-sim emulate`."""
+def _add_emulator_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the flags of emulated devices, faults, rate and duration."""
     parser.add_argument("names", nargs="+", metavar="NAME[:SETTINGS]",
                         help=f"emulated device: {_NAMES}, or an emulator of an installed package; all devices share "
                         "one virtual rig, so that the sensor measures the specimen that the stage presses")
@@ -27,11 +27,9 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
     parser.add_argument("--rate-hz", type=parse_positive_number, metavar="N", default=1000.0,
                         help="sampling rate of the sensor (default: %(default)g)")
     parser.add_argument("--seconds", type=parse_positive_number, metavar="N", help="duration (default: until Ctrl-C)")
-    add_json_flag(parser)
-    parser.set_defaults(run=run)
 
 
-def run(arguments) -> int:
+def _run(arguments: Namespace) -> int:
     """Emulate the devices until Ctrl-C or the end of the duration.
 
     Raises:
@@ -66,8 +64,6 @@ def run(arguments) -> int:
                           "stage is at zero", soft_wrap=True)
             after = f" (automatic end after {arguments.seconds:g} s)" if arguments.seconds else ""
             console.print(f"Ctrl-C ends the emulation{after}")
-        import sys
-
         sys.stdout.flush()
         stop.wait(arguments.seconds)
     return ExitCode.DONE
@@ -82,7 +78,7 @@ def _make_virtual_reference_study_rig(rate: float, faults: Any) -> Any:
     """
     import tissue_sim as ts
     from haptics.devices.virtual.rig import ElasticSpecimenForceModel, VirtualRig
-    from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
+    from scenes.commands.shared.experiment_flags import load_material_or_study_silicone
 
     needle = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(10e-3), tool=ts.Tool("flat", radius=8e-3),
@@ -91,3 +87,8 @@ def _make_virtual_reference_study_rig(rate: float, faults: Any) -> Any:
                                                 10e-3),
                       ts.Rig(force_noise=0.02),
                       channels=("Fx", "Fy", "Fz", "Tx", "Ty", "Tz"), rate=rate, faults=faults)
+
+
+COMMAND = Command("emulate",
+                  "emulate force sensors, stages and a haptic device with their own protocols, and faults on request",
+                  "tissue-sim emulate rdt tic --faults loss=0.02 --seconds 60", _run, needs=(_add_emulator_flags,))

@@ -4,48 +4,46 @@ from __future__ import annotations
 
 import math
 import sys
+from argparse import Namespace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-from scenes.catalogue import SCENES
-from scenes.commands.shared.console import make_progress_console, print_json
-from scenes.commands.shared.exit_code import ExitCode
+from scenes.commands.shared.command import Command, CommandResult
 from scenes.commands.shared.experiment_flags import (
     add_experiment_flags,
+    add_scene_and_optional_material_flag,
+    load_material_or_study_silicone,
     make_experiment_from_flags,
     require_known_scene,
 )
 from scenes.commands.shared.log_lines import display_task
 from scenes.commands.shared.parsing import (
     InputErrorArgumentParser,
-    add_json_flag,
+    add_overwrite_flag,
     make_integer_parser,
     make_open_interval_number_parser,
     parse_non_negative_number,
     parse_positive_number,
 )
-from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
 from tissue_sim.errors import InputError
 
-SUMMARY = "make a reduced model of a three-dimensional test for 1000 steps per second, for tool poses inside a box"
-EXAMPLE = ("tissue-sim reduce needle_indentation --material m.material.json --tool flat --tool-radius-mm 8 "
-           "--depth-mm 4 --sideways-mm 3 --turn-deg 5 -o needle.reduced.npz")
 #: Relative rms error of the force above which the command recommends a better reduction.
 _ACCEPTABLE_ERROR = 0.03
 
 
-def add_arguments(parser: InputErrorArgumentParser) -> None:
-    """Declare the arguments of `tissue-sim reduce`."""
-    parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
-                        help=f"test to reduce: {', '.join(SCENES)} (default: %(default)s)")
-    parser.add_argument("--material", type=Path, metavar="FILE",
-                        help="material file NAME.material.json (default: silicone of the reference study, law "
-                        "reduced_polynomial_2)")
+def _add_material_and_output_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the further materials and the file of the reduced model."""
     parser.add_argument("--also", type=Path, metavar="FILE", action="append", default=[],
                         help="further material for which the reduced model must be accurate; each material is used in "
                         "turn for the training paths (may be given several times)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE",
                         help="file of the reduced model, NAME.reduced.npz")
-    parser.add_argument("--overwrite", action="store_true", help="replace existing output")
+    add_overwrite_flag(parser)
+
+
+def _add_box_and_effort_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the box of tool poses, and the flags of accuracy and effort."""
     box = parser.add_argument_group("box of tool poses")
     box.add_argument("--depth-mm", type=parse_positive_number, metavar="N", default=4.0,
                      help="largest depth of the tool (default: %(default)g)")
@@ -72,13 +70,10 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
     effort.add_argument("--tried", type=make_integer_parser(1, 1000), metavar="N", default=3,
                         help="number of test paths, not used in training, for the error of the reduced model; at least "
                         "one path for each material (default: %(default)s)")
-    add_experiment_flags(parser, motion=False)
-    add_json_flag(parser)
-    parser.set_defaults(run=run)
 
 
-def run(arguments) -> int:
-    """Reduce the model, write its file and print its error; an interrupted reduction resumes.
+def _run(arguments: Namespace) -> CommandResult:
+    """Reduce the model and write its file; an interrupted reduction resumes.
 
     Raises:
         InputError: an output file that cannot be written, or values that the reduction does not accept.
@@ -101,8 +96,7 @@ def run(arguments) -> int:
     box = ts.PoseBox(arguments.sideways_mm * 1e-3, depth, math.radians(arguments.turn_deg))
     folder = output.with_name(f"{output.name}.strokes")
     arguments.resume_hint = "finished training paths are kept. Run the same command to resume"
-    console = make_progress_console(quiet=arguments.json)
-    with display_task(console, "generating the mesh", quiet=arguments.json) as status:
+    with display_task("generating the mesh", quiet=arguments.json) as status:
         def show_reduction_progress(stage: str, done: int, of: int, *, note: str = "") -> None:
             """Show the stage of the reduction, the number of its finished tasks and a note."""
             status.update(f"{stage}: {done} of {of}{f', {note}' if note else ''}")
@@ -113,14 +107,22 @@ def run(arguments) -> int:
             also=also, tried=arguments.tried, folder=folder, progress=show_reduction_progress)
     ts.write_reduced(reduced, output)
     remove_training_path_files(folder)
-    report = reduced.report
-    if arguments.json:
-        print_json({**report, "file": str(output)})
-        return ExitCode.DONE
+    return CommandResult(lambda: {**reduced.report, "file": str(output)},
+                         lambda _: _print_reduction_report(reduced.report, output, several=bool(also)))
+
+
+def _print_reduction_report(report: dict[str, Any], output: Path, *, several: bool) -> None:
+    """Print size and error of a reduced model, warnings, and its file.
+
+    Args:
+        report: report of the reduced model.
+        output: file of the reduced model.
+        several: whether the model was reduced for several materials.
+    """
     print(f"{report['freedoms']} degrees of freedom reduced to {report['modes']} modes, {report['elements_of_all']} "
           f"elements to {report['elements']}, from {report['snapshots']} states on {report['strokes']} training paths")
-    several = f" with {report['materials']} materials" if also else ""
-    print(f"force error on {report['tried']} test paths{several}: {100 * report['force_rms_error']:.2g} % rms, "
+    materials = f" with {report['materials']} materials" if several else ""
+    print(f"force error on {report['tried']} test paths{materials}: {100 * report['force_rms_error']:.2g} % rms, "
           f"{100 * report['force_largest_error']:.2g} % at most, of the rms force {report['force_rms_N']:.3g} N")
     if report["force_rms_error"] > _ACCEPTABLE_ERROR:
         print(f"the error is larger than {100 * _ACCEPTABLE_ERROR:g} %. Use more training paths (--strokes "
@@ -128,4 +130,11 @@ def run(arguments) -> int:
     for warning in report.get("warnings", ()):
         print(f"tissue-sim: warning: {warning}", file=sys.stderr)
     print(f"wrote {output}")
-    return ExitCode.DONE
+
+
+COMMAND = Command(
+    "reduce", "make a reduced model of a three-dimensional test for 1000 steps per second, for tool poses inside a box",
+    "tissue-sim reduce needle_indentation --material m.material.json --tool flat --tool-radius-mm 8 --depth-mm 4 "
+    "--sideways-mm 3 --turn-deg 5 -o needle.reduced.npz", _run,
+    needs=(partial(add_scene_and_optional_material_flag, purpose="reduce"), _add_material_and_output_flags,
+           _add_box_and_effort_flags, partial(add_experiment_flags, motion=False)))

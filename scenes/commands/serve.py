@@ -6,31 +6,28 @@ import gc
 import json
 import os
 import sys
+from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenes.catalogue import SCENES
+from scenes.commands.shared.command import Command, ExitCode
 from scenes.commands.shared.console import make_progress_console
 from scenes.commands.shared.experiment_flags import (
     add_experiment_flags,
-    make_experiment_from_flags,
-    make_protocol_from_flags,
+    add_reduced_flag,
+    add_resolution_and_solver_flags,
+    load_reduced_model_and_set_flags,
+    make_model_from_flags,
     refuse_tilt_and_slip_correction_flags,
     require_known_scene,
 )
 from scenes.commands.shared.parsing import (
     InputErrorArgumentParser,
-    add_json_flag,
     make_integer_parser,
     parse_non_negative_number,
     parse_positive_number,
-)
-from scenes.commands.shared.tissue_flags import (
-    add_reduced_flag,
-    add_resolution_and_solver_flags,
-    load_reduced_model_and_set_flags,
-    require_known_solver,
 )
 from scenes.stop_signals import call_stop_at_signals
 from tissue_sim.errors import InputError
@@ -38,9 +35,6 @@ from tissue_sim.errors import InputError
 if TYPE_CHECKING:
     from haptics.server.server import TissueServer
     from tissue_sim import Experiment
-
-SUMMARY = "run a force server for other programs: poses in and forces out over UDP, configuration as JSON over TCP"
-EXAMPLE = "tissue-sim serve --scene needle_indentation --material m.material.json --port 47700"
 
 
 @dataclass(frozen=True)
@@ -71,14 +65,16 @@ class ServeFlagDefaults:
 SETTINGS = ServeFlagDefaults()
 
 
-def add_arguments(parser: InputErrorArgumentParser) -> None:
-    """Declare the arguments of `tissue-sim serve`."""
+def _add_scene_and_material_flags(parser: InputErrorArgumentParser) -> None:
+    """Add ``--scene`` and ``--material``."""
     parser.add_argument("--scene", metavar="SCENE", default="needle_indentation",
                         help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
                         help="material file NAME.material.json; required without --reduced")
-    add_resolution_and_solver_flags(parser)
-    add_reduced_flag(parser)
+
+
+def _add_network_safety_and_timing_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the flags of ports and clients, of the largest force, and of the timing."""
     network = parser.add_argument_group("network")
     network.add_argument("--port", type=make_integer_parser(0, SETTINGS.max_port), metavar="N", default=SETTINGS.port,
                          help=f"UDP port of the poses; 0 selects a free port (default: {SETTINGS.port})")
@@ -109,12 +105,9 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
     timing.add_argument("--real-time", action="store_true",
                         help="request real-time scheduling (SCHED_FIFO) and locked memory; useful where other programs "
                         "load the computer")
-    add_experiment_flags(parser)
-    add_json_flag(parser)
-    parser.set_defaults(run=run)
 
 
-def run(arguments) -> int:
+def _run(arguments: Namespace) -> int:
     """Serve the tissue until Ctrl-C or SIGTERM, then print the counters.
 
     Raises:
@@ -122,7 +115,6 @@ def run(arguments) -> int:
     """
     require_known_scene(arguments.scene)
     refuse_tilt_and_slip_correction_flags(arguments)
-    require_known_solver(arguments.solver)
     reduced = load_reduced_model_and_set_flags(arguments)
     if arguments.material is None and reduced is None:
         raise InputError("is required without --reduced. Give a material file NAME.material.json", field="--material")
@@ -145,13 +137,11 @@ def run(arguments) -> int:
         material_file = ts.MaterialFile.of(reduced.model.material)
     else:
         material_file = ts.read_material_file(arguments.material)
-    material = material_file.material
-    experiment = (reduced.model.experiment if reduced else
-                  make_experiment_from_flags(arguments, make_protocol_from_flags(arguments), material))
+    model = make_model_from_flags(arguments, material_file.material, reduced)
     port = arguments.port if arguments.configuration_port is None else arguments.configuration_port
     progress = make_progress_console(quiet=arguments.json)
 
-    build = make_real_time_tissue_factory(ts.Model(experiment, material), resolution=arguments.resolution,
+    build = make_real_time_tissue_factory(model, resolution=arguments.resolution,
                                           budget=get_step_budget_or_none(arguments), inertia=arguments.inertia,
                                           solver=arguments.solver, mesh=reduced)
 
@@ -163,12 +153,13 @@ def run(arguments) -> int:
 
     with progress.status("generating the mesh"):
         simulator = build()
-    limits = ServerLimits(deepest=SETTINGS.max_depth * experiment.specimen.height, force=arguments.largest_force_N)
+    limits = ServerLimits(deepest=SETTINGS.max_depth * model.experiment.specimen.height,
+                          force=arguments.largest_force_N)
     # The ports are opened before the compilation, so that a port in use is reported at once.
     with TissueServer(simulator, host=arguments.host, port=arguments.port, configuration_port=port,
-                      description=lambda: make_served_scene_json_object(arguments, experiment, material_file, simulator,
-                                                                        reduced),
-                      parameters={} if reduced and reduced.rest else parameter_values(material),
+                      description=lambda: make_served_scene_json_object(arguments, model.experiment, material_file,
+                                                                        simulator, reduced),
+                      parameters={} if reduced and reduced.rest else parameter_values(model.material),
                       silence=arguments.silence_s, limits=limits,
                       rebuild=build_warmed_up_tissue, session=arguments.session,
                       spin=get_busy_wait_time(arguments),
@@ -181,7 +172,7 @@ def run(arguments) -> int:
             print_ready_line(arguments, server, features)
             server.run()
     print_packet_counters(server, sys.stderr if arguments.json else sys.stdout)
-    return 0
+    return ExitCode.DONE
 
 
 def get_step_budget_or_none(arguments) -> float | None:
@@ -270,3 +261,10 @@ def print_packet_counters(server: TissueServer, stream) -> None:
     print(f"not answered: {counters.skipped} superseded by newer poses, {counters.stale} stale, {counters.malformed} "
           f"malformed; rejected: {counters.turned_away} of other clients, {counters.other_version} of another protocol "
           f"version, {counters.flooded} above the rate limit", file=stream)
+
+
+COMMAND = Command(
+    "serve", "run a force server for other programs: poses in and forces out over UDP, configuration as JSON over TCP",
+    "tissue-sim serve --scene needle_indentation --material m.material.json --port 47700", _run,
+    needs=(_add_scene_and_material_flags, add_resolution_and_solver_flags, add_reduced_flag,
+           _add_network_safety_and_timing_flags, add_experiment_flags))

@@ -3,56 +3,42 @@
 from __future__ import annotations
 
 import sys
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from haptics.devices.back_ends import HAPTIC_DEVICES, make_haptic_device
 from scenes.catalogue import SCENES
-from scenes.commands.shared.console import print_json
-from scenes.commands.shared.exit_code import ExitCode
+from scenes.commands.shared.command import Command, CommandResult, ExitCode
 from scenes.commands.shared.experiment_flags import (
     add_experiment_flags,
-    make_experiment_from_flags,
-    make_protocol_from_flags,
+    add_reduced_flag,
+    add_resolution_and_solver_flags,
+    add_scene_and_optional_material_flag,
+    load_reduced_model_and_set_flags,
+    load_scene_material,
+    make_model_from_flags,
     refuse_tilt_and_slip_correction_flags,
     require_known_scene,
 )
-from scenes.commands.shared.parsing import (
-    InputErrorArgumentParser,
-    add_json_flag,
-    make_integer_parser,
-    parse_positive_number,
-)
-from scenes.commands.shared.tissue_flags import (
-    add_reduced_flag,
-    add_resolution_and_solver_flags,
-    load_reduced_model_and_set_flags,
-    load_scene_material,
-    require_known_solver,
-)
-from scenes.doctor.platform_services import VIEWER_PORT
+from scenes.commands.shared.parsing import InputErrorArgumentParser, make_integer_parser, parse_positive_number
+from scenes.doctor import VIEWER_PORT
 from tissue_sim.errors import InputError
 
-SUMMARY = "simulate a test interactively on a page in the browser, and compare it with measurements"
-EXAMPLE = "tissue-sim view needle_indentation --material m.material.json --measured needle_1.csv needle_2.csv"
 
-
-def add_arguments(parser: InputErrorArgumentParser) -> None:
-    """Declare the arguments of `tissue-sim view`."""
-    parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
-                        help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
-    parser.add_argument("--material", type=Path, metavar="FILE",
-                        help="material file NAME.material.json (default: silicone of the reference study, law "
-                        "reduced_polynomial_2)")
+def _add_folder_and_measurement_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the folder of the material files, and the recordings for comparison."""
     parser.add_argument("--materials", type=Path, metavar="DIR",
                         help="folder in which the page lists and saves material files (default: folder of --material, "
                         "otherwise the current folder)")
     parser.add_argument("--measured", type=Path, nargs="+", metavar="FILE", default=[],
                         help="recordings for comparison; a recording belongs to the kind of test that its sidecar "
                         "names, otherwise to SCENE")
-    add_resolution_and_solver_flags(parser)
-    add_reduced_flag(parser)
+
+
+def _add_device_and_bench_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the haptic device, and the flags of the page of a test bench."""
     parser.add_argument("--device", metavar="NAME:SETTINGS",
                         help="haptic device that moves the tool and displays the force: one of "
                         f"{', '.join(HAPTIC_DEVICES)}")
@@ -64,15 +50,15 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
     bench.add_argument("--sensor", metavar="NAME:SETTINGS",
                        help="show the readings of a force sensor, such as rdt://192.168.1.1")
     bench.add_argument("--stage", metavar="NAME:SETTINGS", help="with --sensor: also show the position of this stage")
-    add_page_flags(parser)
+
+
+def _add_headless_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the flags of a run without a browser."""
     headless = parser.add_argument_group("without a browser")
     headless.add_argument("--headless", action="store_true",
                           help="run --protocol without a page and print a summary; requires --seconds")
     headless.add_argument("--seconds", type=parse_positive_number, metavar="N",
                           help="end after this time (default: at Ctrl-C)")
-    add_experiment_flags(parser)
-    add_json_flag(parser)
-    parser.set_defaults(run=run)
 
 
 def add_page_flags(parser: InputErrorArgumentParser) -> None:
@@ -94,7 +80,7 @@ def add_page_flags(parser: InputErrorArgumentParser) -> None:
     page.add_argument("--dark", action="store_true", help="start with the dark colour theme")
 
 
-def run(arguments) -> int:
+def _run(arguments: Namespace) -> CommandResult | int:
     """Serve the page until its end, or run without a browser and print a summary.
 
     Raises:
@@ -106,7 +92,6 @@ def run(arguments) -> int:
     refuse_tilt_and_slip_correction_flags(arguments)
     if arguments.run_folder or arguments.sensor or arguments.stage:
         return _serve_bench_page(arguments)
-    require_known_solver(arguments.solver)
     reduced = load_reduced_model_and_set_flags(arguments)
 
     from scenes.viewer.live_simulation import PATIENT, SETTINGS
@@ -114,10 +99,9 @@ def run(arguments) -> int:
     from scenes.viewer.scene import BUILT_IN, Scene, read_measurements_by_kind
 
     material = load_scene_material(arguments.material, reduced)
-    experiment = (reduced.model.experiment if reduced else
-                  make_experiment_from_flags(arguments, make_protocol_from_flags(arguments), material))
+    model = make_model_from_flags(arguments, material, reduced)
     source = arguments.material or arguments.reduced
-    scene = Scene(SCENES[arguments.scene], experiment, material, source.name if source else BUILT_IN,
+    scene = Scene(SCENES[arguments.scene], model.experiment, material, source.name if source else BUILT_IN,
                   read_measurements_by_kind(arguments.measured, arguments.scene), arguments.solver, reduced=reduced)
     # Other solvers may need more than a tick for a step. The page can wait for them; a haptic device cannot.
     other = arguments.solver not in (Scene.solver, "reduced")
@@ -131,17 +115,20 @@ def run(arguments) -> int:
     if arguments.headless:
         answer = run_headless_and_return_results(scene, arguments.seconds, protocol=arguments.protocol,
                                                  speed=arguments.speed_mm_s * 1e-3, **options)
-        if arguments.json:
-            print_json(answer)
-        elif answer["phase"] == "stopped":
-            print(f"tissue-sim: {answer['message']}", file=sys.stderr)
-        else:
-            print(f"{answer['frames']} frames in {answer['seconds']:.1f} s; {answer['phase']}; "
-                  f"largest force {answer['largest_force_N']:.3f} N", file=sys.stdout)
-        return ExitCode.DONE if answer["phase"] != "stopped" else ExitCode.GOAL_MISSED
+        return CommandResult(lambda: answer, lambda _: _print_headless_summary(answer),
+                             ExitCode.DONE if answer["phase"] != "stopped" else ExitCode.GOAL_MISSED)
     folder = arguments.materials or (arguments.material.parent if arguments.material else Path())
     return run_viewer_page(scene, folder, make_page_options_dict(arguments), seconds=arguments.seconds,
                            json=arguments.json, **options)
+
+
+def _print_headless_summary(answer: dict[str, Any]) -> None:
+    """Print the summary of a run without a browser, or on stderr the reason why the loop stopped."""
+    if answer["phase"] == "stopped":
+        print(f"tissue-sim: {answer['message']}", file=sys.stderr)
+    else:
+        print(f"{answer['frames']} frames in {answer['seconds']:.1f} s; {answer['phase']}; "
+              f"largest force {answer['largest_force_N']:.3f} N")
 
 
 def _serve_bench_page(arguments) -> int:
@@ -176,3 +163,10 @@ def make_page_options_dict(arguments) -> dict:
     return {"host": arguments.host, "port": arguments.port, "exposed": arguments.expose,
             "token": "" if arguments.no_token else make_access_token(), "open": arguments.open,
             "low_graphics": arguments.low_graphics, "dark": arguments.dark}
+
+
+COMMAND = Command(
+    "view", "simulate a test interactively on a page in the browser, and compare it with measurements",
+    "tissue-sim view needle_indentation --material m.material.json --measured needle_1.csv needle_2.csv", _run,
+    needs=(add_scene_and_optional_material_flag, _add_folder_and_measurement_flags, add_resolution_and_solver_flags,
+           add_reduced_flag, _add_device_and_bench_flags, add_page_flags, _add_headless_flags, add_experiment_flags))

@@ -187,7 +187,7 @@ class Shown:
 def shown(browser, tmp_path_factory):
     """Viewer with a needle scene, shared by all tests of the page."""
     import tissue_sim as ts
-    from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
+    from scenes.commands.shared.experiment_flags import load_material_or_study_silicone
     from scenes.viewer.measurement import build_measurement_from_replicates
     from scenes.viewer.scene import Scene
     from tissue_sim.experiment.kinds.indentation import NEEDLE
@@ -214,7 +214,7 @@ def shown_solid(browser, tmp_path_factory):
     from coarse_solid import make_coarse_solid
 
     import tissue_sim as ts
-    from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
+    from scenes.commands.shared.experiment_flags import load_material_or_study_silicone
     from scenes.viewer.scene import Scene
     from tissue_sim.experiment.kinds.indentation import NEEDLE
     from tissue_sim.fem.solver import SOLVERS

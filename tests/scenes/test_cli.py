@@ -10,14 +10,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from scenes.cli import COMMANDS, main, make_command_line_parser
-from scenes.commands import material
+from scenes.cli import main, make_command_line_parser
+from scenes.commands import COMMANDS
+from scenes.commands.shared.parsing import InputErrorArgumentParser
 from tissue_sim.errors import MissingBackendError
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = ("taichi", "viser", "scipy", "numpy", "matplotlib", "sympy", "rich", "msgspec")
 HELPS = [["--help"], [], ["--version"], *([name, "--help"] for name in COMMANDS),
-         *(["material", action, "--help"] for action in material.ACTIONS)]
+         *(["material", action.name, "--help"] for action in COMMANDS["material"].actions)]
 
 
 ANSWERS = f"""
@@ -55,13 +56,13 @@ def test_every_help_has_a_description_and_an_example(words, capsys):
     name = " ".join(words[:-1])
     assert f"example:\n  tissue-sim {name.split()[0]}" in text
     if name in COMMANDS:
-        assert COMMANDS[name].SUMMARY in text
-        assert COMMANDS[name].EXAMPLE in text
+        assert COMMANDS[name].summary in text
+        assert COMMANDS[name].example in text
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_example_of_a_help_is_valid(name):
-    words = shlex.split(COMMANDS[name].EXAMPLE)
+    words = shlex.split(COMMANDS[name].example)
     assert words[0] == "tissue-sim"
     _, rest = make_command_line_parser().parse_known_args(words[1:])
     assert rest == []
@@ -142,20 +143,37 @@ def test_version(capsys):
     (PermissionError(13, "Permission denied", "out/fit.json"), 2, "out/fit.json: Permission denied"),
 ])
 def test_expected_errors_are_one_sentence(error, code, expected, capsys, monkeypatch):
-    def run(arguments):
+    def calibrate(*arguments, **options):
         raise error
 
-    monkeypatch.setattr("scenes.commands.calibrate.run", run)
+    monkeypatch.setattr("calibration.calibrate", calibrate)
     assert expected in fails(capsys, ["calibrate", "c.toml", "-o", "out"], code)
 
 
 def test_a_programming_error_is_not_hidden(monkeypatch):
-    def run(arguments):
+    def calibrate(*arguments, **options):
         raise ZeroDivisionError
 
-    monkeypatch.setattr("scenes.commands.calibrate.run", run)
+    monkeypatch.setattr("calibration.calibrate", calibrate)
     with pytest.raises(ZeroDivisionError):
         main(["calibrate", "c.toml", "-o", "out"])
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_prints_json(name):
+    command = COMMANDS[name]
+    for action in command.actions or [command]:
+        parser = InputErrorArgumentParser(prog=name)
+        action.add_arguments(parser)
+        assert "--json" in parser.list_option_names()
+
+
+def test_a_command_imports_no_other_command():
+    script = ("import sys; from scenes.cli import main; main(['devices', '--help']); "
+              "print([name for name in sys.modules if name.startswith('scenes.commands.')])")
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, encoding="utf-8")
+    imported = done.stdout.splitlines()[-1]
+    assert "scenes.commands.devices" in imported and "scenes.commands.loop" not in imported, done.stderr
 
 
 def test_closed_pipe_is_no_error(tmp_path):

@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 
+from scenes import doctor
 from scenes.cli import main
-from scenes.doctor import CheckResult, clock, installation, platform_services, taichi_backend
 
 SECONDS = "0.05"
 
@@ -34,7 +34,7 @@ def test_the_text_output_has_one_line_per_check(capsys):
 
 
 def test_a_failed_check_fails_the_command(monkeypatch, capsys):
-    broken = CheckResult("numpy", "fail", "not installed", "python -m pip install numpy")
+    broken = doctor.CheckResult("numpy", "fail", "not installed", "python -m pip install numpy")
     monkeypatch.setattr("scenes.doctor.run_checks", lambda clock_seconds: iter([broken]))
     assert main(["doctor"]) == 1
     text = capsys.readouterr().out
@@ -54,46 +54,46 @@ def test_lateness_is_measured_against_fixed_deadlines(monkeypatch):
         asleep.append(seconds)
         now[0] += 5e-3 + seconds if len(asleep) == 3 else seconds
 
-    monkeypatch.setattr(clock.time, "perf_counter", perf_counter)
-    monkeypatch.setattr(clock.time, "sleep", sleep)
-    lateness = clock.measure_lateness_of_each_tick(0.010)
+    monkeypatch.setattr(doctor.time, "perf_counter", perf_counter)
+    monkeypatch.setattr(doctor.time, "sleep", sleep)
+    lateness = doctor.measure_lateness_of_each_tick(0.010)
     assert lateness.shape == (10,)
     np.testing.assert_allclose(lateness * 1e3, [0, 0, 4.8, 3.8, 2.8, 1.8, 0.8, 0, 0, 0], atol=2e-3)
 
 
 @pytest.mark.parametrize(("lateness", "status"), [(1e-6, "ok"), (2e-3, "fail")])
 def test_clock_verdict(monkeypatch, lateness, status):
-    monkeypatch.setattr(clock, "measure_lateness_of_each_tick", lambda seconds: np.full(1000, lateness))
-    check = clock.check_clock_lateness(1.0)
+    monkeypatch.setattr(doctor, "measure_lateness_of_each_tick", lambda seconds: np.full(1000, lateness))
+    check = doctor.check_clock_lateness(1.0)
     assert check.status == status and bool(check.remedy) == (status != "ok")
 
 
 def test_clock_warns_of_rare_late_ticks(monkeypatch):
     lateness = np.full(1000, 1e-6)
     lateness[::100] = 3e-3
-    monkeypatch.setattr(clock, "measure_lateness_of_each_tick", lambda seconds: lateness)
-    check = clock.check_clock_lateness(1.0)
+    monkeypatch.setattr(doctor, "measure_lateness_of_each_tick", lambda seconds: lateness)
+    check = doctor.check_clock_lateness(1.0)
     assert check.status == "warn" and check.values["later_than_1_ms"] == pytest.approx(0.01)
 
 
-@pytest.mark.skipif(not hasattr(clock.os, "sched_getscheduler"), reason="this platform has one scheduler only")
+@pytest.mark.skipif(not hasattr(doctor.os, "sched_getscheduler"), reason="this platform has one scheduler only")
 def test_the_scheduler_is_restored():
-    before = clock.os.sched_getscheduler(0)
-    clock.check_clock_lateness(0.01)
-    assert clock.os.sched_getscheduler(0) == before
+    before = doctor.os.sched_getscheduler(0)
+    doctor.check_clock_lateness(0.01)
+    assert doctor.os.sched_getscheduler(0) == before
 
 
 def test_missing_scheduler_is_a_warning_with_a_remedy(monkeypatch):
     def refuse(*arguments):
         raise PermissionError(1, "Operation not permitted")
 
-    monkeypatch.setattr(clock.os, "sched_setscheduler", refuse, raising=False)
-    check = clock.check_real_time_priority()
+    monkeypatch.setattr(doctor.os, "sched_setscheduler", refuse, raising=False)
+    check = doctor.check_real_time_priority()
     assert check.status == "warn" and "rtprio" in check.remedy
 
 
 def test_packages_come_from_one_folder():
-    assert installation.check_common_package_folder().status == "ok"
+    assert doctor.check_common_package_folder().status == "ok"
 
 
 def test_a_shadowed_package_is_detected(tmp_path, monkeypatch):
@@ -102,7 +102,7 @@ def test_a_shadowed_package_is_detected(tmp_path, monkeypatch):
     stray.write_text("", encoding="utf-8")
     monkeypatch.delitem(sys.modules, "calibration", raising=False)
     monkeypatch.syspath_prepend(str(tmp_path))
-    check = installation.check_common_package_folder()
+    check = doctor.check_common_package_folder()
     assert check.status == "fail" and str(stray) in check.finding and check.remedy
 
 
@@ -115,20 +115,20 @@ def test_a_missing_package_is_detected(monkeypatch):
         return installed(name)
 
     monkeypatch.setattr(importlib.metadata, "version", version)
-    checks = {check.name: check for check in installation.iterate_required_package_checks()}
+    checks = {check.name: check for check in doctor.iterate_required_package_checks()}
     assert checks["sympy"].status == "fail" and checks["sympy"].remedy == "python -m pip install sympy"
     assert checks["numpy"].status == "ok" and checks["numpy"].finding == installed("numpy")
 
 
 def test_an_old_python_is_detected(monkeypatch):
-    monkeypatch.setattr(installation.sys, "version_info", (3, 10, 4))
-    check = installation.check_python_version_and_platform()
+    monkeypatch.setattr(doctor.sys, "version_info", (3, 10, 4))
+    check = doctor.check_python_version_and_platform()
     assert check.status == "fail" and "3.11" in check.remedy
 
 
 def test_the_kernel_runs():
-    check = taichi_backend.check_taichi_kernel()
-    if not installation.has_taichi_wheel_for_platform():
+    check = doctor.check_taichi_kernel()
+    if not doctor.has_taichi_wheel_for_platform():
         assert check.status == "warn"
     else:
         assert check.status == "ok", check
@@ -138,16 +138,16 @@ def test_the_kernel_runs():
 
 def test_a_crashing_probe_keeps_its_results(monkeypatch):
     probe = "import os, sys; print(sys.argv[1], flush=True); print('noise', flush=True); os.abort()"
-    monkeypatch.setattr(taichi_backend, "_PROBE", probe)
-    assert taichi_backend.find_usable_gpu_backends() == ["cuda"]
-    monkeypatch.setattr(taichi_backend.sys, "executable", "/no/such/python")
-    assert taichi_backend.find_usable_gpu_backends() == []
+    monkeypatch.setattr(doctor, "_PROBE", probe)
+    assert doctor.find_usable_gpu_backends() == ["cuda"]
+    monkeypatch.setattr(doctor.sys, "executable", "/no/such/python")
+    assert doctor.find_usable_gpu_backends() == []
 
 
 def test_a_used_port_is_detected(monkeypatch):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        monkeypatch.setattr(platform_services, "VIEWER_PORT", taken.getsockname()[1])
-        assert platform_services.check_viewer_port().status == "warn"
-    assert platform_services.check_viewer_port().status == "ok"
+        monkeypatch.setattr(doctor, "VIEWER_PORT", taken.getsockname()[1])
+        assert doctor.check_viewer_port().status == "warn"
+    assert doctor.check_viewer_port().status == "ok"

@@ -14,7 +14,7 @@ from calibration.effects.backlash import Backlash
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from scenes.cli import main
-from scenes.commands.demo.found_scene import make_found_effects_scene_with_plain_curve
+from scenes.commands.demo import make_found_effects_scene_with_plain_curve
 from scenes.demo.hidden_effect import (
     HIDEABLE_EFFECTS,
     PLATES,

@@ -20,7 +20,7 @@ from haptics.devices.virtual.hand import VirtualHand
 from haptics.loop.process import LoopProcess
 from haptics.loop.ring import RingReader, RingWriter
 from scenes.cli import main
-from scenes.commands.loop.report import LoopStatusLine
+from scenes.commands.loop import LoopStatusLine
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce
 

@@ -12,7 +12,7 @@ from haptics.emulators.rdt import RdtEmulator
 from haptics.emulators.tic import make_tic_emulator
 from haptics.protocols.rdt import BoxSettings
 from scenes.cli import main
-from scenes.commands.record.bench import make_virtual_rig
+from scenes.commands.record import make_virtual_rig
 from scenes.commands.record.protocol_file import read_protocol_file
 from scenes.demo.specimen import PHANTOM
 from tissue_sim import read_recording

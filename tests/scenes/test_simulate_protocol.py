@@ -9,7 +9,7 @@ import tissue_sim as ts
 from scenes import draw_simulation
 from scenes.cli import main
 from scenes.commands.shared.text_table import TABLES
-from scenes.commands.simulate.report import select_printed_sample_indices
+from scenes.commands.simulate import select_printed_sample_indices
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.rig.file import write_rig
 from tissue_sim.rig.rig import Rig

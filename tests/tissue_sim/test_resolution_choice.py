@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from scenes.commands.shared import tissue_flags
-from scenes.doctor import realtime_mesh
+from scenes import doctor
+from scenes.commands.shared import experiment_flags
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_levels_finest_first
 from tissue_sim.fem.solver import ResolutionLevel
 from tissue_sim.realtime import resolution_choice, simulator
@@ -117,7 +117,7 @@ def test_a_mesh_on_which_nothing_stands_is_left_out(monkeypatch):
 def test_everybody_calls_them_the_same():
     names = [name for name, one in RESOLUTIONS.items() if one.force_errors]
     assert [level.resolution for level in list_realtime_levels_finest_first(model("plates").experiment)] == names
-    assert list(tissue_flags._REALTIME_LEVELS) == names and names[-1] == realtime_mesh.COARSEST
+    assert list(experiment_flags._REALTIME_LEVELS) == names and names[-1] == doctor.COARSEST
 
 
 @pytest.mark.slow

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from scenes.commands.shared.campaigns import add_workers_and_dask_flags
-from scenes.commands.shared.console import make_progress_console, make_results_console, print_json
-from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.log_lines import TaskLogLines
-from scenes.commands.shared.parsing import InputErrorArgumentParser, add_json_flag, make_integer_parser
+from scenes.commands.shared.campaigns import (
+    add_workers_and_dask_flags,
+    make_campaign_progress_display,
+    make_workers_from_flags,
+)
+from scenes.commands.shared.command import Command, CommandResult
+from scenes.commands.shared.parsing import InputErrorArgumentParser, make_integer_parser
 
-SUMMARY = "predict, before an experiment, the errors of the material parameters and which effects are detectable"
-EXAMPLE = "tissue-sim design plan.toml --replicates 3 --workers 2"
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 @dataclass(frozen=True)
@@ -34,8 +39,8 @@ class ReplicateAndSampleDefaults:
 FLAGS = ReplicateAndSampleDefaults()
 
 
-def add_arguments(parser: InputErrorArgumentParser) -> None:
-    """Declare the arguments of `tissue-sim design`."""
+def _add_campaign_replicate_and_law_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the campaign and the flags of the planned recordings and the law."""
     parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml",
                         help='campaign file with method = "inverse_fem", the expected parameters as start, and force_N '
                         'under [noise]; each test has recordings or a motion such as protocol = "ramp 10mm; '
@@ -45,27 +50,34 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
     parser.add_argument("--samples", type=make_integer_parser(FLAGS.min_samples), default=FLAGS.samples, metavar="N",
                         help=f"number of samples of a recording, evenly spaced in time (default: {FLAGS.samples})")
     parser.add_argument("--law", help="material law, one of the laws of the campaign (default: its first law)")
-    add_workers_and_dask_flags(parser, "the evaluation of the effects")
-    add_json_flag(parser)
-    parser.set_defaults(run=run)
 
 
-def run(arguments) -> int:
-    """Predict and print the accuracy of the planned experiments."""
-    from calibration import Workers, evaluate_planned_experiments
-    from scenes.commands.shared.progress import CampaignProgressDisplay
+def _run(arguments: Namespace) -> CommandResult:
+    """Predict the accuracy of the planned experiments."""
+    from calibration import evaluate_planned_experiments
 
-    with CampaignProgressDisplay(make_progress_console(quiet=arguments.json),
-                                 lines=TaskLogLines(quiet=arguments.json)) as progress:
+    with make_campaign_progress_display(quiet=arguments.json) as progress:
         design = evaluate_planned_experiments(arguments.campaign, law=arguments.law, replicates=arguments.replicates,
                                               samples=arguments.samples, progress=progress.show_task,
-                                              workers=Workers(arguments.workers, arguments.dask))
-    if arguments.json:
+                                              workers=make_workers_from_flags(arguments))
+
+    def make_json() -> dict:
+        """Return the fields of the prediction as a JSON object."""
         from msgspec import to_builtins
 
-        print_json(to_builtins(design))
-    else:
+        return to_builtins(design)
+
+    def print_text(console: Console) -> None:
+        """Print planned tests, expected errors and detectable effects as tables."""
         from scenes.commands.design.results import print_design_tables
 
-        print_design_tables(design, make_results_console())
-    return ExitCode.DONE
+        print_design_tables(design, console)
+
+    return CommandResult(make_json, print_text)
+
+
+COMMAND = Command(
+    "design", "predict, before an experiment, the errors of the material parameters and which effects are detectable",
+    "tissue-sim design plan.toml --replicates 3 --workers 2", _run,
+    needs=(_add_campaign_replicate_and_law_flags,
+           partial(add_workers_and_dask_flags, tasks="the evaluation of the effects")))

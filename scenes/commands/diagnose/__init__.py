@@ -2,44 +2,49 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from argparse import Namespace
+from typing import TYPE_CHECKING
 
-from scenes.commands.shared.campaigns import add_worker_figure_overwrite_json_flags, progress_and_resume_hint_context
-from scenes.commands.shared.console import make_results_console, print_json
-from scenes.commands.shared.exit_code import ExitCode
+from scenes.commands.shared.campaigns import (
+    make_campaign_command,
+    make_workers_from_flags,
+    progress_and_resume_hint_context,
+)
+from scenes.commands.shared.command import CommandResult
 from scenes.commands.shared.parsing import InputErrorArgumentParser
 
-SUMMARY = "find where simulation and measurement disagree, and name the physical effect that the model lacks"
-EXAMPLE = "tissue-sim diagnose campaign.toml -o diagnosis --workers 2"
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
-def add_arguments(parser: InputErrorArgumentParser) -> None:
-    """Declare the arguments of `tissue-sim diagnose`."""
-    parser.add_argument("campaigns", type=Path, nargs="+", metavar="CAMPAIGN.toml",
-                        help='campaign files with method = "inverse_fem"')
-    parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT",
-                        help="folder for the diagnosis and the report; a folder of the same diagnosis is resumed")
+def _add_law_flag(parser: InputErrorArgumentParser) -> None:
+    """Add ``--law``, the material law of the model."""
     parser.add_argument("--law", help="material law of the model, one of the laws of the campaign (default: its first "
                         "law)")
-    add_worker_figure_overwrite_json_flags(parser, "the starts, the effects and their fits")
-    parser.set_defaults(run=run)
 
 
-def run(arguments) -> int:
-    """Diagnose the campaigns and print the verdicts; `ExitCode.DONE` for every verdict, "unknown" included."""
-    from calibration import Workers, diagnose
+def _run(arguments: Namespace) -> CommandResult:
+    """Diagnose the campaigns; `ExitCode.DONE` for every verdict, "unknown" included."""
+    from calibration import diagnose, diagnosis_to_json
 
     with progress_and_resume_hint_context(arguments, "diagnosis.json") as progress:
         results = diagnose(arguments.campaigns, arguments.output, overwrite=arguments.overwrite,
                            progress=progress.show_task, announce=progress.print_above_display,
                            figures_format=arguments.figures_format, law=arguments.law,
-                           workers=Workers(arguments.workers, arguments.dask))
-    if arguments.json:
-        from calibration import diagnosis_to_json
+                           workers=make_workers_from_flags(arguments))
 
-        print_json(diagnosis_to_json(results))
-    else:
+    def print_text(console: Console) -> None:
+        """Print the verdicts with their evidence."""
         from scenes.commands.diagnose.results import print_diagnoses
 
-        print_diagnoses(results, make_results_console())
-    return ExitCode.DONE
+        print_diagnoses(results, console)
+
+    return CommandResult(lambda: diagnosis_to_json(results), print_text)
+
+
+COMMAND = make_campaign_command(
+    "diagnose", "find where simulation and measurement disagree, and name the physical effect that the model lacks",
+    "tissue-sim diagnose campaign.toml -o diagnosis --workers 2", _run,
+    files='campaign files with method = "inverse_fem"',
+    output="folder for the diagnosis and the report; a folder of the same diagnosis is resumed",
+    tasks="the starts, the effects and their fits", own_needs=(_add_law_flag,))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from scenes.commands.shared.console import make_results_console, print_json
-from scenes.commands.shared.exit_code import ExitCode
+from scenes.commands.shared.command import Command, CommandResult, ExitCode
 from scenes.commands.shared.parsing import (
     InputErrorArgumentParser,
     add_json_flag,
@@ -17,39 +17,14 @@ from scenes.commands.shared.parsing import (
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from tissue_sim.material.material import Material
     from tissue_sim.material.viscoelasticity import Prony
 
-SUMMARY = "write, print, check and export material files"
-EXAMPLE = "tissue-sim material show phantom.material.json"
-ACTIONS = ("new", "show", "check", "export")
-#: Planned actions.
-LATER = ("import",)
 
-#: Description and example of each action.
-_NEW = ("write a material file from the parameters of a law",
-        "tissue-sim material new --law reduced_polynomial_2 --set C10=1404.9 --set C20=699.4 --bulk-ratio 1000 "
-        "-o m.material.json")
-_SHOW = ("print formula, parameters, moduli, stability and provenance of a material file",
-         "tissue-sim material show m.material.json")
-_CHECK = ("check a material file; exit code 0: valid, 1: the law is unstable in its valid range, 2: unreadable",
-          "tissue-sim material check m.material.json")
-_EXPORT = ("convert a material file to the format of another program",
-           "tissue-sim material export m.material.json --to abaqus -o m.inp")
-
-
-def add_arguments(parser: InputErrorArgumentParser) -> None:
-    """Declare the actions of `tissue-sim material` and their arguments."""
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-
-    def add_action(name, texts, run) -> InputErrorArgumentParser:
-        """Add one action with its help, its function and ``--json``; return its parser."""
-        inner = actions.add_parser(name, help=texts[0], description=texts[0], epilog=f"example:\n  {texts[1]}")
-        inner.set_defaults(run=run)
-        add_json_flag(inner)
-        return inner
-
-    new = add_action("new", _NEW, write_new_material)
+def _add_new_material_flags(new: InputErrorArgumentParser) -> None:
+    """Add the flags of ``material new``."""
     new.add_argument("--law", required=True,
                      help="material law: neo_hooke, mooney_rivlin, reduced_polynomial_1 to _3, ogden_1 to _3, or a law "
                      "of an installed package")
@@ -74,18 +49,21 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
     new.add_argument("--density-kg-m3", type=parse_positive_number, metavar="N", help="density of the material")
     new.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE",
                      help="material file NAME.material.json")
-    add_overwrite_flag(new)
-    show, check = add_action("show", _SHOW, print_material_file), add_action("check", _CHECK, check_material_stability)
-    export = add_action("export", _EXPORT, export_material_file)
-    for each in (show, check, export):
-        each.add_argument("file", type=Path, metavar="FILE", help="material file NAME.material.json")
+
+
+def _add_material_file(parser: InputErrorArgumentParser) -> None:
+    """Add the material file of the other actions."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="material file NAME.material.json")
+
+
+def _add_export_flags(export: InputErrorArgumentParser) -> None:
+    """Add the flags of ``material export``."""
     export.add_argument("--to", required=True, metavar="PROGRAM",
                         help="abaqus (also read by CalculiX), or a program that an installed package adds")
     export.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT", help="output file")
-    add_overwrite_flag(export)
 
 
-def write_new_material(arguments) -> int:
+def _write_new_material(arguments: Namespace) -> CommandResult:
     """Write a material file from the parameters of the flags.
 
     Raises:
@@ -107,15 +85,16 @@ def write_new_material(arguments) -> int:
                            regions=load_region_materials(arguments.region))
     require_verified_bulk_ratio(material, "--bulk-ratio" if arguments.bulk_ratio is not None else "--bulk-modulus-pa")
     ts.write_material_file(ts.MaterialFile.of(material), arguments.output)
-    if arguments.json:
-        print_json({"material_file": str(arguments.output)})
-    else:
+
+    def print_moduli(console: Console) -> None:
+        """Print the written file and the moduli of the material."""
         from calibration.report.units import format_pressure
 
         relaxed = "" if material.viscoelastic is None else f", long-term mu {format_pressure(material.mu_long_term)}"
-        make_results_console().print(f"wrote {arguments.output}: E0 {format_pressure(material.E0)}, "
-                                     f"mu0 {format_pressure(material.mu0)}{relaxed}", markup=False, soft_wrap=True)
-    return ExitCode.DONE
+        console.print(f"wrote {arguments.output}: E0 {format_pressure(material.E0)}, "
+                      f"mu0 {format_pressure(material.mu0)}{relaxed}", markup=False, soft_wrap=True)
+
+    return CommandResult(lambda: {"material_file": str(arguments.output)}, print_moduli)
 
 
 def require_verified_bulk_ratio(material, option: str) -> None:
@@ -217,20 +196,16 @@ def load_region_materials(regions: list[str]) -> dict[str, Material]:
     return read
 
 
-def print_material_file(arguments) -> int:
-    """Print a material file."""
+def _summarise_material(arguments: Namespace) -> CommandResult:
+    """Summarise a material file."""
     from scenes.commands.material.summary import print_material_summary_as_text, summarise_material_file
     from tissue_sim import read_material_file
 
     summary = summarise_material_file(read_material_file(arguments.file))
-    if arguments.json:
-        print_json(summary)
-    else:
-        print_material_summary_as_text(summary, make_results_console())
-    return ExitCode.DONE
+    return CommandResult(lambda: summary, lambda console: print_material_summary_as_text(summary, console))
 
 
-def check_material_stability(arguments) -> int:
+def _check_material_stability(arguments: Namespace) -> CommandResult:
     """Check the stability of a material; `ExitCode.GOAL_MISSED` if it is unstable in its valid range."""
     from scenes.commands.material.summary import (
         describe_drucker_instability,
@@ -246,16 +221,19 @@ def check_material_stability(arguments) -> int:
     notes = list_effect_and_region_lines(summary)
     # The moduli are printed only where effects may make instantaneous and long-term moduli differ.
     notes = [*list_moduli_lines(summary), *notes] if notes else []
-    if arguments.json:
-        print_json({"material_file": str(arguments.file), "stable": instability is None,
-                    "message": instability or "good", "notes": notes})
-    else:
-        for sentence in (*notes, f"{arguments.file}: {instability or 'good'}"):
-            make_results_console().print(sentence, markup=False, soft_wrap=True)
-    return ExitCode.DONE if instability is None else ExitCode.GOAL_MISSED
+    message = instability or "good"
+
+    def print_notes_and_message(console: Console) -> None:
+        """Print the notes, then the result of the check."""
+        for sentence in (*notes, f"{arguments.file}: {message}"):
+            console.print(sentence, markup=False, soft_wrap=True)
+
+    return CommandResult(lambda: {"material_file": str(arguments.file), "stable": instability is None,
+                                  "message": message, "notes": notes}, print_notes_and_message,
+                         ExitCode.DONE if instability is None else ExitCode.GOAL_MISSED)
 
 
-def export_material_file(arguments) -> int:
+def _export_material_file(arguments: Namespace) -> CommandResult:
     """Write a material in the format of another program.
 
     Raises:
@@ -274,8 +252,25 @@ def export_material_file(arguments) -> int:
     except InputError as error:
         raise error.with_location(file=arguments.file) from None
     write_text(arguments.output, text)
-    if arguments.json:
-        print_json({"file": str(arguments.output), "to": arguments.to})
-    else:
-        make_results_console().print(f"wrote {arguments.output} for {arguments.to}", markup=False, soft_wrap=True)
-    return ExitCode.DONE
+    return CommandResult(lambda: {"file": str(arguments.output), "to": arguments.to},
+                         lambda console: console.print(f"wrote {arguments.output} for {arguments.to}", markup=False,
+                                                       soft_wrap=True))
+
+
+COMMAND = Command(
+    "material", "write, print, check and export material files", "tissue-sim material show phantom.material.json",
+    actions=(
+        Command("new", "write a material file from the parameters of a law",
+                "tissue-sim material new --law reduced_polynomial_2 --set C10=1404.9 --set C20=699.4 --bulk-ratio 1000 "
+                "-o m.material.json", _write_new_material,
+                needs=(add_json_flag, _add_new_material_flags, add_overwrite_flag)),
+        Command("show", "print formula, parameters, moduli, stability and provenance of a material file",
+                "tissue-sim material show m.material.json", _summarise_material,
+                needs=(add_json_flag, _add_material_file)),
+        Command("check", "check a material file; exit code 0: valid, 1: the law is unstable in its valid range, "
+                "2: unreadable", "tissue-sim material check m.material.json", _check_material_stability,
+                needs=(add_json_flag, _add_material_file)),
+        Command("export", "convert a material file to the format of another program",
+                "tissue-sim material export m.material.json --to abaqus -o m.inp", _export_material_file,
+                needs=(add_json_flag, _add_material_file, _add_export_flags, add_overwrite_flag))),
+    planned_actions=("import",))

@@ -2,34 +2,46 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenes.commands.shared.console import make_progress_console, make_results_console, print_json
-from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import InputErrorArgumentParser, add_json_flag
+from scenes.commands.shared.command import Command, CommandResult, ExitCode
+from scenes.commands.shared.console import make_progress_console
+from scenes.commands.shared.experiment_flags import load_material_or_study_silicone
+from scenes.commands.shared.parsing import InputErrorArgumentParser
+from scenes.commands.shared.text_table import make_table_with_headings, print_sentence
 from scenes.stop_signals import call_stop_at_signals
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from calibration.campaign.campaign import Test
+    from haptics.devices.contracts import Bench
+    from haptics.devices.virtual.rig import SpecimenForceModel, VirtualRig
+    from haptics.recorder.plan import BenchTestPlan
     from haptics.recorder.recorder import RunProgress
     from haptics.recorder.run_folder import RunFolder
+    from haptics.safety.motion_guard import MotionLimits
     from scenes.commands.record.protocol_file import ProtocolFile
 
-SUMMARY = "record tests on real devices or a virtual rig: find contact, move along a protocol, measure the force"
-EXAMPLE = "tissue-sim record protocol.toml -o run --dry-run"
 #: Name of the campaign file in the folder of a run.
 CAMPAIGN = "campaign.toml"
+#: Device name of the virtual rig.
+VIRTUAL = "virtual:"
+#: Back-ends that are not coupled to real hardware.
+_SIMULATED_BACK_ENDS = ("virtual", "replay")
 
 
-def add_arguments(parser: InputErrorArgumentParser) -> None:
-    """Declare the arguments of `tissue-sim record`."""
+def _add_protocol_and_run_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the protocol file, the folder of the run, and the flags of the motor and the dry run."""
     parser.add_argument("protocol", type=Path, metavar="PROTOCOL.toml",
                         help="campaign file with a protocol for each test and the tables [limits], [devices], [record] "
                         "and [virtual]")
@@ -44,23 +56,18 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
     parser.add_argument("--resume", action="store_true",
                         help="record the missing recordings of an interrupted run; the stage is homed, and zero and "
                         "contact are checked again")
-    add_json_flag(parser)
-    parser.set_defaults(run=run)
 
 
-def run(arguments) -> int:
-    """Record the tests, or print the plan of a dry run; `ExitCode.GOAL_MISSED` if the run was stopped.
+def _run(arguments: Namespace) -> CommandResult:
+    """Record the tests, or plan them in a dry run; `ExitCode.GOAL_MISSED` if the run was stopped.
 
     Raises:
         InputError: an invalid protocol file, or flags that do not suit its tests and devices.
     """
-    from scenes.commands.record.bench import make_unstarted_bench, uses_virtual_rig
     from scenes.commands.record.protocol_file import read_protocol_file
-    from scenes.commands.record.results import print_recording_plans, print_run_state
 
     protocol = read_protocol_file(arguments.protocol)
     tests = _find_test_or_list_all_tests(protocol, arguments.test)
-    console = make_results_console(quiet=arguments.json)
     if arguments.dry_run:
         from haptics.recorder.plan import check_plans_and_compute_duration
 
@@ -68,18 +75,13 @@ def run(arguments) -> int:
         seconds = sum(check_plans_and_compute_duration([protocol.plans[test.name]], protocol.limits, bench.stage,
                                                        1.0 / bench.sensor.rate)
                       for test in tests)
-        if arguments.json:
-            print_json({"state": "planned", "seconds": seconds, "tests": [
-                {"name": test.name, "motion": protocol.plans[test.name].motion_summary,
-                 "replicates": protocol.plans[test.name].replicates} for test in tests]})
-        else:
-            used = protocol.devices
-            devices = ("Devices: virtual rig; no motor moves." if uses_virtual_rig(protocol) else
-                       f"Devices: sensor {used.sensor}, stage {used.stage}; the motor moves only with --arm.")
-            print_recording_plans([protocol.plans[test.name] for test in tests], protocol.limits, bench, devices,
-                                  seconds,
-                                  console)
-        return ExitCode.DONE
+        plans, used = [protocol.plans[test.name] for test in tests], protocol.devices
+        devices = ("Devices: virtual rig; no motor moves." if uses_virtual_rig(protocol) else
+                   f"Devices: sensor {used.sensor}, stage {used.stage}; the motor moves only with --arm.")
+        return CommandResult(
+            lambda: {"state": "planned", "seconds": seconds, "tests": [
+                {"name": plan.name, "motion": plan.motion_summary, "replicates": plan.replicates} for plan in plans]},
+            lambda console: print_recording_plans(plans, protocol.limits, bench, devices, seconds, console))
     if arguments.output is None:
         raise InputError("is required without --dry-run. Name the folder of the run with -o DIR", field="--output")
     virtual = uses_virtual_rig(protocol)
@@ -89,7 +91,7 @@ def run(arguments) -> int:
     if not virtual and len(tests) > 1:
         raise InputError("is required, because only one test can be mounted. Name it: "
                          f"{', '.join(test.name for test in tests)}", field="--test")
-    return _record_tests_and_get_exit_code(arguments, protocol, tests, console, print_run_state)
+    return _record_tests(arguments, protocol, tests)
 
 
 def _find_test_or_list_all_tests(protocol: ProtocolFile, name: str | None) -> list[Any]:
@@ -108,16 +110,13 @@ def _find_test_or_list_all_tests(protocol: ProtocolFile, name: str | None) -> li
     return tests
 
 
-def _record_tests_and_get_exit_code(arguments, protocol: ProtocolFile, tests: list[Any], console: Console,
-                                    show: Callable[[RunFolder, Console], None]) -> int:
-    """Record the tests into the run folder, then print its state with `show` or as JSON.
+def _record_tests(arguments: Namespace, protocol: ProtocolFile, tests: list[Any]) -> CommandResult:
+    """Record the tests into the run folder.
 
     Args:
         arguments: parsed arguments.
         protocol: protocol file.
         tests: tests to record.
-        console: console of the results.
-        show: prints the state of a run folder.
 
     Raises:
         InputError: the folder holds another run, or a run without ``--resume``.
@@ -127,7 +126,6 @@ def _record_tests_and_get_exit_code(arguments, protocol: ProtocolFile, tests: li
     from haptics.recorder.live import LiveProgressFile
     from haptics.recorder.recorder import Recorder
     from haptics.recorder.run_folder import RunFolder
-    from scenes.commands.record.bench import make_unstarted_bench
     from tissue_sim import __version__
 
     folder = RunFolder(arguments.output, protocol.digest)
@@ -165,20 +163,20 @@ def _record_tests_and_get_exit_code(arguments, protocol: ProtocolFile, tests: li
                                    for plan in protocol.plans.values()):
             folder.update_state(state="complete")
         _write_campaign_file(protocol, folder)
-    if arguments.json:
-        print_json({"state": "stopped" if stopped else folder.state["state"], "message": stopped,
-                    "folder": arguments.output,
-                    "recordings": folder.state["done"], "stops": folder.state["stops"],
-                    "left_out": folder.state.get("left_out", {}),
-                    "campaign": arguments.output / CAMPAIGN if folder.state["done"] else None})
-    else:
-        show(folder, console)
-    if stopped:
-        if not arguments.json:
+
+    def print_state_and_stop(console: Console) -> None:
+        """Print the state of the run, and on stderr the reason of a stop."""
+        print_run_state(folder, console)
+        if stopped:
             print(f"tissue-sim: {stopped}; the recordings are in {arguments.output}. Continue with --resume",
                   file=sys.stderr)
-        return ExitCode.GOAL_MISSED
-    return ExitCode.DONE
+
+    return CommandResult(
+        lambda: {"state": "stopped" if stopped else folder.state["state"], "message": stopped,
+                 "folder": arguments.output, "recordings": folder.state["done"], "stops": folder.state["stops"],
+                 "left_out": folder.state.get("left_out", {}),
+                 "campaign": arguments.output / CAMPAIGN if folder.state["done"] else None},
+        print_state_and_stop, ExitCode.GOAL_MISSED if stopped else ExitCode.DONE)
 
 
 def _write_campaign_file(protocol: ProtocolFile, folder: RunFolder) -> None:
@@ -245,3 +243,122 @@ def _display_run_status(quiet: bool) -> Iterator[Callable[[RunProgress], None]]:
                 "press Enter to stop"))
 
         yield update_status_line
+
+
+def print_recording_plans(plans: Sequence[BenchTestPlan], limits: MotionLimits, bench: Bench, devices: str,
+                          seconds: float, console: Console) -> None:
+    """Print the planned motion, its duration, the devices and the stop conditions.
+
+    Args:
+        plans: plans of the tests.
+        limits: limits of the motion.
+        bench: devices.
+        devices: sentence on the devices.
+        seconds: least duration of all recordings, s.
+        console: console of the results.
+    """
+    table = make_table_with_headings("test", "motion", "recordings", "preconditioning", "duration", text=2)
+    table.columns[1].no_wrap = False
+    for plan in plans:
+        table.add_row(plan.name, plan.motion_summary, f"{plan.replicates}", f"{plan.preconditioning}",
+                      f"{plan.replicate_duration:.4g} s each")
+    console.print(table)
+    console.print()
+    print_sentence(console, devices)
+    print_sentence(console, f"Duration: at least {seconds:.0f} s, plus the time to find contact.")
+    print_sentence(console, f"The run stops at a force above {limits.force:g} N, a position outside "
+                   f"{limits.lowest * 1e3:g} to {limits.highest * 1e3:g} mm, a speed above "
+                   f"{limits.speed * 1e3:g} mm/s, a duration above {limits.duration:g} s, a sensor that is "
+                   f"saturated, faulty or silent for {limits.sensor_silence:g} s, or a fault of the stage. "
+                   "After a stop the tool "
+                   + ("retracts, unless the position of the stage is unreliable." if limits.retracts else
+                      "stays where it is."))
+    print_sentence(console, f"{_describe_motion_after_program_crash(bench.stage.runs_on)} "
+                   + ("The encoder detects a stalled motor." if bench.stage.measures_position else
+                      "A stalled motor is not detected, because the stage reports its commanded position."))
+
+
+def _describe_motion_after_program_crash(seconds: float) -> str:
+    """Describe the behaviour of the stage after a crash of the program; `seconds` is how long it can move on."""
+    if seconds == 0.0:
+        return "If this program crashes, the stage stops."
+    return ("If this program crashes, the stage moves on to its target." if math.isinf(seconds) else
+            f"If this program crashes, the stage moves on for at most {seconds:g} s.")
+
+
+def print_run_state(folder: RunFolder, console: Console) -> None:
+    """Print the recordings of a run, its stops and the next command."""
+    state = folder.state
+    print_sentence(console, f"{len(state['done'])} recordings in {folder.folder}: {', '.join(state['done']) or 'none'}")
+    for name, left_out in state.get("left_out", {}).items():
+        print_sentence(console, f"{name}: {left_out['samples']} samples are left out: {left_out['reason']}")
+    for stop in state["stops"]:
+        print_sentence(console, f"stopped ({stop['cause']}) in {stop['test']}, {stop['phase']}: {stop['message']}")
+    if state["done"]:
+        print_sentence(console, f"next: tissue-sim calibrate {folder.folder / 'campaign.toml'} -o OUT")
+
+
+def uses_virtual_rig(protocol: ProtocolFile) -> bool:
+    """Return whether the run uses the virtual rig.
+
+    Raises:
+        InputError: a virtual sensor with a real stage or vice versa (the sensor would not measure the specimen that the
+            stage presses), a replayed sensor, or settings of the virtual rig outside ``[virtual]``.
+    """
+    sensor, stage = (name.partition(":")[0] for name in (protocol.devices.sensor, protocol.devices.stage))
+    if (sensor in _SIMULATED_BACK_ENDS) != (stage in _SIMULATED_BACK_ENDS) or (sensor == "replay"):
+        raise InputError(f"the sensor {sensor!r} cannot measure the specimen that the stage {stage!r} presses. Make "
+                         "both virtual, or give the sensor at the tool", field="devices", file=protocol.path)
+    for name, field in ((protocol.devices.sensor, "devices.sensor"), (protocol.devices.stage, "devices.stage")):
+        if sensor == "virtual" and name != VIRTUAL:
+            raise InputError(f"must be {VIRTUAL!r}; got {name!r}. Settings of the virtual rig belong under [virtual]",
+                             field=field, file=protocol.path)
+    return sensor == "virtual"
+
+
+def make_unstarted_bench(protocol: ProtocolFile, test: Test) -> Bench:
+    """Return the devices for a test, not started.
+
+    Raises:
+        InputError: an unknown device, or a specimen that cannot be simulated.
+    """
+    from haptics.devices.back_ends import make_sensor, make_stage
+    from haptics.devices.contracts import Bench
+
+    if not uses_virtual_rig(protocol):
+        return Bench(make_sensor(protocol.devices.sensor), make_stage(protocol.devices.stage))
+    return make_virtual_rig(protocol, test).bench
+
+
+def make_virtual_rig(protocol: ProtocolFile, test: Test) -> VirtualRig:
+    """Return the virtual rig of a test; its specimen has the material of ``[virtual]``.
+
+    Raises:
+        InputError: the test is not simulated with a tool, or an invalid material or rig file.
+    """
+    from haptics.devices.contracts import StageLimits
+    from haptics.devices.virtual.faults import parse_faults
+    from haptics.devices.virtual.rig import ElasticSpecimenForceModel, HistoryDependentForceModel, VirtualRig
+    from tissue_sim import Model, Rig, load_rig
+
+    table, limits, folder = protocol.virtual, protocol.limits, protocol.path.parent
+    rig = Rig() if table.rig is None else load_rig(folder / table.rig)
+    plan = protocol.plans[test.name]
+    compliance = 0.0 if table.remembers else rig.compliance
+    material = load_material_or_study_silicone(None if table.material is None else folder / table.material)
+    if test.experiment is None:
+        raise InputError("the kind of test has no tool, so that the virtual rig cannot perform it. Leave the test out",
+                         field=test.place, file=protocol.path)
+    model = Model(test.experiment, material, replace(Rig(), compliance=compliance))
+    specimen: SpecimenForceModel = (HistoryDependentForceModel(model) if table.remembers else
+                                    ElasticSpecimenForceModel(model, 1.05 * plan.largest_depth))
+    surface = 0.0 if plan.contact == "here" else table.surface_mm * 1e-3
+    return VirtualRig(specimen, rig, surface=surface,
+                      limits=StageLimits(min(limits.lowest, -0.01), max(limits.highest, 0.01), limits.speed),
+                      sign=plan.sign, rate=table.rate_Hz, reach=table.range_N, resolution=table.resolution_N,
+                      encoder=table.encoder, faults=parse_faults(table.faults))
+
+
+COMMAND = Command(
+    "record", "record tests on real devices or a virtual rig: find contact, move along a protocol, measure the force",
+    "tissue-sim record protocol.toml -o run --dry-run", _run, needs=(_add_protocol_and_run_flags,))

@@ -3,36 +3,47 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from scenes.commands.shared.command import Command, CommandResult, Need
 from scenes.commands.shared.console import make_progress_console
 from scenes.commands.shared.log_lines import TaskLogLines
-from scenes.commands.shared.parsing import (
-    InputErrorArgumentParser,
-    add_json_flag,
-    add_overwrite_flag,
-    make_integer_parser,
-)
+from scenes.commands.shared.parsing import InputErrorArgumentParser, add_overwrite_flag, make_integer_parser
 
 if TYPE_CHECKING:
+    from calibration import Workers
     from scenes.commands.shared.progress import CampaignProgressDisplay
 
 
-def add_worker_figure_overwrite_json_flags(parser: InputErrorArgumentParser, tasks: str) -> None:
-    """Add the flags of a command that runs campaigns, and its default ``resume_hint``.
+def make_campaign_command(name: str, summary: str, example: str, run: Callable[[Namespace], CommandResult], *,
+                          files: str, output: str, tasks: str, own_needs: tuple[Need, ...] = ()) -> Command:
+    """Return a command that writes the results of campaigns to a folder; worker processes share its tasks.
+
+    Its needs are campaigns, output folder, `own_needs`, workers, figure files and ``--overwrite``.
 
     Args:
-        parser: parser of the command.
-        tasks: tasks that the processes share, in words for the help.
+        name: name of the command.
+        summary: sentence for the help.
+        example: command line for the help.
+        run: function that runs the command.
+        files: description of the campaign files for the help.
+        output: description of the output folder for the help.
+        tasks: tasks that the workers share, in words for the help.
+        own_needs: functions that add the flags of this command alone.
     """
-    add_workers_and_dask_flags(parser, tasks)
-    add_optional_figure_files_flag(parser)
-    add_overwrite_flag(parser)
-    add_json_flag(parser)
-    parser.set_defaults(resume_hint="no campaign was finished. Run the same command to start again")
+    def add_campaigns_and_output_flag(parser: InputErrorArgumentParser) -> None:
+        """Add the campaign files and the folder of their results."""
+        parser.add_argument("campaigns", type=Path, nargs="+", metavar="CAMPAIGN.toml", help=files)
+        parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT", help=output)
+
+    return Command(name, summary, example, run,
+                   needs=(add_campaigns_and_output_flag, *own_needs, partial(add_workers_and_dask_flags, tasks=tasks),
+                          add_optional_figure_files_flag, add_overwrite_flag),
+                   resume_hint="no campaign was finished. Run the same command to start again")
 
 
 @contextmanager
@@ -43,18 +54,27 @@ def progress_and_resume_hint_context(arguments: Namespace, last_file: str) -> It
         arguments: parsed arguments with ``campaigns``, ``output``, ``overwrite``, ``json`` and ``resume_hint``.
         last_file: name of the file that a finished campaign has in its folder.
     """
-    from scenes.commands.shared.progress import CampaignProgressDisplay
-
     stamp = get_work_file_time_and_inode_or_none(arguments.output)
     try:
-        with CampaignProgressDisplay(make_progress_console(quiet=arguments.json), len(arguments.campaigns),
-                                     TaskLogLines(quiet=arguments.json)) as progress:
+        with make_campaign_progress_display(len(arguments.campaigns), quiet=arguments.json) as progress:
             yield progress
     except KeyboardInterrupt:
         # Until the run writes its stamp, --overwrite leaves the results of another run in the folder.
         if not arguments.overwrite or get_work_file_time_and_inode_or_none(arguments.output) != stamp:
             arguments.resume_hint = describe_kept_results_and_resuming(arguments, last_file)
         raise
+
+
+def make_campaign_progress_display(campaigns: int = 1, *, quiet: bool) -> CampaignProgressDisplay:
+    """Return a display of the progress of campaigns on stderr: live on a terminal, otherwise as log lines.
+
+    Args:
+        campaigns: number of campaigns.
+        quiet: show nothing (``--json``).
+    """
+    from scenes.commands.shared.progress import CampaignProgressDisplay
+
+    return CampaignProgressDisplay(make_progress_console(quiet=quiet), campaigns, TaskLogLines(quiet=quiet))
 
 
 def add_workers_and_dask_flags(parser: InputErrorArgumentParser, tasks: str) -> None:
@@ -69,6 +89,13 @@ def add_workers_and_dask_flags(parser: InputErrorArgumentParser, tasks: str) -> 
                        help=f"number of processes that share {tasks} (default: 1)")
     group.add_argument("--dask", metavar="ADDRESS",
                        help="share the tasks on a running dask cluster: tcp://HOST:PORT, or its scheduler file")
+
+
+def make_workers_from_flags(arguments: Namespace) -> Workers:
+    """Return the workers of ``--workers`` and ``--dask``."""
+    from calibration import Workers
+
+    return Workers(arguments.workers, arguments.dask)
 
 
 def add_optional_figure_files_flag(parser: InputErrorArgumentParser) -> None:

@@ -6,10 +6,9 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from scenes.commands.shared.console import make_progress_console
 
 #: Least time before the first line and between two lines, s. A shorter command prints none.
 MIN_INTERVAL = 60.0
@@ -43,17 +42,17 @@ class TaskLogLines:
 
 
 @contextmanager
-def display_task(console: Console, sentence: str, *, quiet: bool) -> Iterator[TaskDisplay]:
+def display_task(sentence: str, *, quiet: bool) -> Iterator[TaskDisplay]:
     """Show the current task on the progress console or, without a terminal, as log lines.
 
     Args:
-        console: progress console; see `scenes.commands.shared.console.make_progress_console`.
         sentence: first task.
         quiet: show nothing (``--json``).
 
     Yields:
         Display whose `update` replaces the sentence.
     """
+    console = make_progress_console(quiet=quiet)
     if console.quiet:
         yield TaskLogLines(quiet=quiet)
         return

@@ -7,7 +7,7 @@ import pytest
 from waiting import wait_for_value
 
 import tissue_sim as ts
-from scenes.commands.shared.tissue_flags import load_material_or_study_silicone
+from scenes.commands.shared.experiment_flags import load_material_or_study_silicone
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 

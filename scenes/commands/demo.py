@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import os
+from argparse import Namespace
+from collections.abc import Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from scenes.commands.shared.console import make_progress_console, make_results_console, print_json
-from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.log_lines import TaskLogLines
-from scenes.commands.shared.parsing import (
-    InputErrorArgumentParser,
-    add_json_flag,
-    add_overwrite_flag,
-    make_integer_parser,
-)
+from scenes.commands.shared.campaigns import make_campaign_progress_display
+from scenes.commands.shared.command import Command, ExitCode
+from scenes.commands.shared.console import make_results_console, print_json
+from scenes.commands.shared.parsing import InputErrorArgumentParser, add_overwrite_flag, make_integer_parser
 from scenes.commands.view import add_page_flags, make_page_options_dict
 
-SUMMARY = "measure a virtual specimen, calibrate its material and predict tests that the calibration did not use"
-EXAMPLE = "tissue-sim demo --hidden --view -o my-demo"
+if TYPE_CHECKING:
+    from calibration import Diagnosis, DiagnosisResult
+    from scenes.viewer.scene import Scene
+
 #: Default folder of the results.
 FOLDER = Path("tissue-sim-demo")
 #: Default folder of the results with ``--hidden``.
@@ -27,8 +28,8 @@ HIDDEN_FOLDER = Path("tissue-sim-demo-hidden")
 _MAX_SEED = 10_000
 
 
-def add_arguments(parser: InputErrorArgumentParser) -> None:
-    """Declare the arguments of `tissue-sim demo`."""
+def _add_demo_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the flags of the hidden effect, the folder, the seed and the page."""
     parser.add_argument("--hidden", action="store_true",
                         help="hide a random effect (or none) in the specimen or the rig, diagnose the measurements, "
                         "then reveal the effect")
@@ -40,13 +41,9 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
     parser.add_argument("--view", action="store_true",
                         help="then show the calibrated indentation test and the measurements on a page in the browser; "
                         "with --hidden the models with and without the found effect")
-    add_overwrite_flag(parser)
-    add_page_flags(parser)
-    add_json_flag(parser)
-    parser.set_defaults(run=run, resume_hint="run the command again with --overwrite")
 
 
-def run(arguments) -> int:
+def _run(arguments: Namespace) -> int:
     """Run the demo, and with ``--view`` show its result."""
     # The demo replaces its default folder without a flag; a folder named by the user needs --overwrite.
     overwrite = arguments.overwrite or arguments.output is None
@@ -79,7 +76,6 @@ def _run_hidden_effect_demo(arguments, output: Path, overwrite: bool) -> int:
     if arguments.json:
         print_json(answer.make_json_object())
     if arguments.view:
-        from scenes.commands.demo.found_scene import make_found_effects_scene_with_plain_curve
         from scenes.viewer.run import run_viewer_page
 
         return run_viewer_page(make_found_effects_scene_with_plain_curve(answer.result, output / "measured"),
@@ -94,9 +90,7 @@ def _display_demo_progress(*, quiet: bool):
     Yields:
         Function that shows the current task.
     """
-    from scenes.commands.shared.progress import CampaignProgressDisplay
-
-    with CampaignProgressDisplay(make_progress_console(quiet=quiet), lines=TaskLogLines(quiet=quiet)) as progress:
+    with make_campaign_progress_display(quiet=quiet) as progress:
         yield progress.show_task
 
 
@@ -112,3 +106,62 @@ def _serve_result_page(arguments, output: Path, material_file: Path) -> int:
     measured = read_measurements_by_kind(sorted((output / "measured").glob("*.csv")), NEEDLE.name)
     scene = Scene(NEEDLE, experiment, ts.load_material(material_file), material_file.name, measured)
     return run_viewer_page(scene, material_file.parent, make_page_options_dict(arguments), json=arguments.json)
+
+
+def make_found_effects_scene_with_plain_curve(result: DiagnosisResult, measured: Path) -> Scene:
+    """Return the scene of the test that shows the found effects best, with measurements and the curve without effects.
+
+    The test is the needle indentation for effects of the tissue, otherwise the test in which the model without effects
+    deviates most.
+
+    Args:
+        result: diagnosis of the campaign of the demo.
+        measured: folder of the recordings.
+    """
+    import tissue_sim as ts
+    from scenes.demo.hidden_effect import make_model_with_effect
+    from scenes.demo.hidden_effect_demo import KINDS, build_plain_models
+    from scenes.viewer.measurement import make_first_cycle_motion_protocol
+    from scenes.viewer.scene import Scene, read_measurements_by_kind
+
+    diagnosis = result.diagnosis
+    test = _find_test_name_showing_effects_best(diagnosis)
+    kind = ts.KINDS[KINDS[test]]
+    measurements = read_measurements_by_kind(sorted(measured.glob("*.csv")), kind.name)
+    plain = build_plain_models()[test]
+    fitted = {name: diagnosis.fit_before.parameters[name] for name in plain.material.parameters}
+    found = plain = replace(plain, material=replace(plain.material, parameters=fitted, name="plain model"))
+    if diagnosis.fit_after is not None:
+        found = replace(plain, material=ts.load_material(result.output / diagnosis.files["material"]))
+    for each in diagnosis.effects:
+        # Effects of the tissue are part of the material; parameters of experiment and rig are added here.
+        values = {number.path.partition("@")[0]: number.value for number in each.parameters
+                  if number.path.startswith(("experiment.", "rig."))}
+        if values and (not each.tests or test in each.tests):
+            found = make_model_with_effect(each.name, values, found)
+    compared = None
+    if diagnosis.effects:
+        name = f"without {' and '.join(each.title for each in diagnosis.effects)}"
+        tested = replace(plain.experiment, protocol=make_first_cycle_motion_protocol(measurements[kind.name]))
+        compared = (name, ts.simulate(replace(plain, experiment=tested), estimate_error=False))
+    source = "plain model" if diagnosis.fit_after is None else diagnosis.files["material"]
+    return Scene(kind, found.experiment, found.material, source, measurements, rig=found.rig, compared=compared)
+
+
+def _find_test_name_showing_effects_best(diagnosis: Diagnosis) -> str:
+    """Return the name of the test that shows the found effects best."""
+    from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, NEEDLE
+    from scenes.demo.hidden_effect_demo import KINDS
+
+    if not diagnosis.effects or any(each.category == "tissue" for each in diagnosis.effects):
+        return NEEDLE
+    tests_of_effects: dict[str, Sequence[str]] = {each.name: each.tests for each in HIDEABLE_EFFECTS}
+    tests = {test for each in diagnosis.effects for test in each.tests or tests_of_effects.get(each.name, tuple(KINDS))}
+    return max((region for region in diagnosis.regions if region.test in tests),
+               key=lambda region: region.before_sigma).test
+
+
+COMMAND = Command(
+    "demo", "measure a virtual specimen, calibrate its material and predict tests that the calibration did not use",
+    "tissue-sim demo --hidden --view -o my-demo", _run, needs=(_add_demo_flags, add_overwrite_flag, add_page_flags),
+    resume_hint="run the command again with --overwrite")

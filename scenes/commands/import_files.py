@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from scenes.commands.shared.console import make_results_console, print_json
-from scenes.commands.shared.exit_code import ExitCode
+from scenes.commands.shared.command import Command, CommandResult, ExitCode
 from scenes.commands.shared.parsing import (
     InputErrorArgumentParser,
-    add_json_flag,
     add_overwrite_flag,
     make_integer_parser,
     parse_contact_interface_or_friction,
     parse_positive_number,
 )
+from scenes.commands.shared.text_table import TABLES, make_table_with_headings, print_sentence
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.specimen import specimen_sizes
 from tissue_sim.specimen.specimen import add_indefinite_article, map_shape_keys_to_required
+from tissue_sim.units import get_display_unit_and_factor
 
-SUMMARY = "read data files of a test machine, detect their format and write a campaign file"
-EXAMPLE = "tissue-sim import gel_1.csv gel_2.csv gel_3.csv -o gel.toml --radius-mm 10 --height-mm 12"
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from calibration.importing.imported import ImportResult, ReplicateFile
+    from calibration.importing.motion import RecordedMotion
+
 #: Channel name on the command line -> channel of a recording.
 _CHANNELS = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
              "strain": "strain", "shear_strain": "shear strain", "shear strain": "shear strain",
@@ -32,10 +37,12 @@ _CHANNELS = {"time": "time", "displacement": "displacement", "force": "force", "
 _GENERAL_SIZES = ("radius_mm", "area_mm2", "height_mm")
 #: Flags that become keys of the tests in the campaign.
 _TEST_KEYS = ("tool", "tool_radius_mm", "friction", "speed_mm_s", "max_strain", "control")
+#: Delimiter -> its name.
+_DELIMITER_NAMES = {"\t": "tab", " ": "spaces", ",": "comma", ";": "semicolon", "|": "bar", None: ""}
 
 
-def add_arguments(parser: InputErrorArgumentParser) -> None:
-    """Declare the arguments of `tissue-sim import`."""
+def _add_file_and_test_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the data files, the campaign file, and the flags of specimen and test."""
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE",
                         help="data file: text in any common encoding, xlsx, xls, ods, mat, tdms, h5, or a file of an "
                         "atomic force microscope")
@@ -72,6 +79,10 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
                       "sensor was not zeroed (default: determined from the curve)")
     test.add_argument("--laws", metavar="LAW,...",
                       help="material laws to fit (default: laws with one or two parameters)")
+
+
+def _add_column_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the flags of format and columns."""
     columns = parser.add_argument_group(
         "columns, where the detection is wrong (CHANNEL: time, displacement, force, stretch, strain, shear_strain, "
         "stress)")
@@ -96,13 +107,10 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
                          help="treat all tables of a file as replicates of one material, even if their titles differ")
     columns.add_argument("--skip-lines", type=make_integer_parser(0), default=0, metavar="N",
                          help="number of lines to skip at the top")
-    add_overwrite_flag(parser)
-    add_json_flag(parser)
-    parser.set_defaults(run=run, resume_hint="nothing was written")
 
 
-def run(arguments) -> int:
-    """Import the files and print the result; `ExitCode.GOAL_MISSED` if the campaign is incomplete.
+def _run(arguments: Namespace) -> CommandResult:
+    """Import the files; `ExitCode.GOAL_MISSED` if the campaign is incomplete.
 
     Raises:
         InputError: files that cannot be read, contradictory flags, or an output file that cannot be written.
@@ -115,13 +123,9 @@ def run(arguments) -> int:
                          field="--overwrite")
     imported = import_files(arguments.files, arguments.output, _make_import_options(arguments),
                             overwrite=arguments.overwrite)
-    if arguments.json:
-        print_json(make_json_dictionary_of_import(imported))
-    else:
-        from scenes.commands.import_files.results import print_import_result
-
-        print_import_result(imported, make_results_console())
-    return ExitCode.DONE if imported.is_complete else ExitCode.GOAL_MISSED
+    return CommandResult(lambda: make_json_dictionary_of_import(imported),
+                         lambda console: print_import_result(imported, console),
+                         ExitCode.DONE if imported.is_complete else ExitCode.GOAL_MISSED)
 
 
 def _make_import_options(arguments):
@@ -236,3 +240,112 @@ def _parse_one_or_several_sheets(names: list[str] | None) -> Any:
         return None
     sheets = [int(name) if name.isdigit() else name for name in names]
     return sheets[0] if len(sheets) == 1 else sheets
+
+
+def print_import_result(imported: ImportResult, console: Console) -> None:
+    """Print the recordings, the assumptions, warnings, written files and missing information of an import."""
+    from calibration.importing.assumption_table import describe_unused_columns_of_each_file
+
+    files = make_table_with_headings("file", "format", "test", "samples", "Hz", "reaches", "contact", "cycles",
+                                     "segments", text=3)
+    for column in (0, 1, 2, 6, 8):
+        files.columns[column].no_wrap, files.columns[column].overflow = False, "fold"
+    files.columns[8].justify = "left"
+    rows = [(test.name, part, number, motion) for test in imported.tests for part in test.parts
+            for number, motion in enumerate(part.motions, start=1)]
+    for name, part, number, motion in rows[:TABLES.max_recordings]:
+        several = f" {number}" if len(part.motions) > 1 else ""
+        files.add_row(part.file.name + several, _describe_file_format(part), name,
+                      str(len(part.reading.recordings[number - 1])),
+                      "-" if motion.rate is None else f"{motion.rate:.3g}", _format_largest_channel_value(part, motion),
+                      _format_contact_displacement_interval(motion), str(motion.loading_cycle_count),
+                      ", ".join(_list_segment_names_or_counts(motion)))
+    console.print(files)
+    if len(rows) > TABLES.max_recordings:
+        print_sentence(console, f"and {len(rows) - TABLES.max_recordings} more recordings")
+    console.print()
+    _print_assumption_table(imported, console)
+    for test in imported.tests:
+        print_sentence(console, f"{test.name}: {test.kind or 'kind unknown'}; {test.reason}")
+    for each in describe_unused_columns_of_each_file(imported.tests):
+        print_sentence(console, f"columns not used: {each}")
+    for warning in imported.warnings:
+        print_sentence(console, f"note: {warning}")
+    if imported.output is not None:
+        console.print(f"wrote {imported.output} and {imported.picture}", markup=False, emoji=False, soft_wrap=True)
+    for question in imported.questions:
+        print_sentence(console, f"question: {question}")
+    if imported.missing:
+        remedy = "" if imported.output is None else f". Add the flags, or fill in the lines in {imported.output}"
+        print_sentence(console, f"missing information: {'; '.join(imported.missing)}{remedy}")
+    elif imported.problem:
+        print_sentence(console, f"the campaign cannot be calibrated yet: {imported.problem}")
+    elif imported.output is not None and not imported.questions:
+        print_sentence(console, f"next: tissue-sim calibrate {imported.output} -o results")
+
+
+def _print_assumption_table(imported: ImportResult, console: Console) -> None:
+    """Print the table of the assumptions, without columns that are empty in all rows."""
+    from rich.markup import escape
+
+    from calibration.importing.assumption_table import HEADINGS, make_assumption_rows
+
+    rows = [row.cell_texts for row in make_assumption_rows(imported.tests)]
+    if not rows:
+        return
+    used = [i for i in range(len(HEADINGS)) if any(cell_texts[i] for cell_texts in rows)]
+    table = make_table_with_headings(*(HEADINGS[i] for i in used), text=len(used))
+    for column in table.columns:
+        column.no_wrap, column.overflow = False, "fold"
+    for cell_texts in rows:
+        table.add_row(*(escape(cell_texts[i]) for i in used))
+    console.print(table)
+    console.print()
+
+
+def _describe_file_format(part: ReplicateFile) -> str:
+    """Return format, delimiter, number style and encoding of a file, such as ``bluehill, comma``."""
+    understood = part.understanding
+    mark = _DELIMITER_NAMES.get(understood.delimiter, str(understood.delimiter))
+    comma = "decimal comma" if understood.decimal_mark == "," else ""
+    encoding = understood.encoding if understood.encoding not in (None, "utf-8") else ""
+    thousands = "thousands separator" if any(each.subject == "thousands separator"
+                                             for each in understood.assumptions) else ""
+    return ", ".join(filter(None, (understood.format, mark, comma, thousands, encoding)))
+
+
+def _format_largest_channel_value(part: ReplicateFile, motion: RecordedMotion) -> str:
+    """Return the largest displacement, stretch or shear strain of a motion in its display unit.
+
+    A question mark follows a value whose unit is unknown.
+    """
+    if any(column.missing_information_text_or_none for column in part.reading.columns
+           if column.channel == motion.channel):
+        return f"{max(motion.reach, key=abs):.4g} ?"
+    unit, factor = get_display_unit_and_factor("m") if motion.channel == "displacement" else ("", 1.0)
+    return f"{max(motion.reach, key=abs) * factor:.4g} {unit}".strip()
+
+
+def _format_contact_displacement_interval(motion: RecordedMotion) -> str:
+    """Return the displacement of the first contact, as in the file, with its 95 % interval."""
+    contact = motion.contact
+    if contact is None or contact.status == "none":
+        return "-"
+    if not motion.starts_in_air_or_none_if_unclear:
+        return "?" if motion.starts_in_air_or_none_if_unclear is None else "no air"
+    factor, unit = (1e3, " mm") if motion.channel == "displacement" else (1.0, "")
+    low, high = (factor * end for end in contact.interval)
+    return f"{factor * contact.displacement:.3g} ({low:.3g} to {high:.3g}){unit}"
+
+
+def _list_segment_names_or_counts(motion: RecordedMotion) -> list[str]:
+    """Return the names of the segments; of more than four segments the number of each, such as ``8 ramp``."""
+    names = [segment.name for segment in motion.segments]
+    if len(names) <= 4:
+        return names
+    return [f"{names.count(name)} {name}" for name in dict.fromkeys(names)]
+
+
+COMMAND = Command("import", "read data files of a test machine, detect their format and write a campaign file",
+                  "tissue-sim import gel_1.csv gel_2.csv gel_3.csv -o gel.toml --radius-mm 10 --height-mm 12", _run,
+                  needs=(_add_file_and_test_flags, _add_column_flags, add_overwrite_flag))

@@ -4,41 +4,54 @@ from __future__ import annotations
 
 import math
 import sys
+from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from haptics.devices.back_ends import HAPTIC_DEVICES, MOTIONS
-from scenes.catalogue import SCENES
-from scenes.commands.shared.console import make_progress_console, make_results_console, print_json
-from scenes.commands.shared.exit_code import ExitCode
+from scenes.commands.shared.command import Command, CommandResult, ExitCode
+from scenes.commands.shared.console import make_progress_console
 from scenes.commands.shared.experiment_flags import (
     MOTION_FLAGS,
     add_experiment_flags,
-    make_experiment_from_flags,
+    add_reduced_flag,
+    add_resolution_and_solver_flags,
+    add_scene_and_optional_material_flag,
+    load_reduced_model_and_set_flags,
+    load_scene_material,
+    make_model_from_flags,
     make_protocol_from_flags,
     refuse_tilt_and_slip_correction_flags,
     require_known_scene,
 )
 from scenes.commands.shared.parsing import (
     InputErrorArgumentParser,
-    add_json_flag,
     make_integer_parser,
     parse_non_negative_number,
     parse_positive_number,
 )
-from scenes.commands.shared.tissue_flags import (
-    add_reduced_flag,
-    add_resolution_and_solver_flags,
-    load_reduced_model_and_set_flags,
-    load_scene_material,
-    require_known_solver,
-)
+from scenes.commands.shared.text_table import make_table_with_headings, print_sentence
 from tissue_sim.errors import InputError
 
-SUMMARY = "run the force loop at 1 kHz with a prescribed motion or a haptic device, and report its timing"
-EXAMPLE = "tissue-sim loop needle_indentation --material m.material.json --seconds 60 --motion random"
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from haptics.loop.loop import LoopReport
+    from haptics.loop.ring import RingReader
+
 #: Interval between updates of the status line, s.
 _UPDATE_INTERVAL = 0.25
+#: Flag of a tick in the report -> its description; see `haptics.safety.rendering.RenderFlag`.
+_FLAG_DESCRIPTIONS = {
+    "limited": "with the force at its limit",
+    "rate_limited": "with a limited change of the force",
+    "invalid": "with a force that was not a finite number",
+    "lost_pose": "without a pose from the device",
+    "active": "in which the hand had received more energy than it put in",
+    "energy": "with the force switched off by the energy limit",
+    "paused": "in pause",
+}
 
 
 @dataclass(frozen=True)
@@ -71,17 +84,14 @@ class LoopFlagDefaults:
 DEFAULTS = LoopFlagDefaults()
 
 
-def add_arguments(parser: InputErrorArgumentParser) -> None:
-    """Declare the arguments of `tissue-sim loop`."""
-    parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
-                        help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
-    parser.add_argument("--material", type=Path, metavar="FILE",
-                        help="material file NAME.material.json (default: silicone of the reference study, law "
-                        "reduced_polynomial_2)")
+def _add_duration_flag(parser: InputErrorArgumentParser) -> None:
+    """Add ``--seconds``."""
     parser.add_argument("--seconds", type=parse_positive_number, metavar="N", default=60.0,
                         help="duration of the loop; Ctrl-C ends it earlier (default: 60)")
-    add_resolution_and_solver_flags(parser)
-    add_reduced_flag(parser)
+
+
+def _add_motion_source_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the flags of the prescribed motion and of the haptic device."""
     source = parser.add_argument_group("source of the motion")
     source.add_argument("--motion", metavar="NAME[:SETTINGS]",
                         help=f"prescribed motion: one of {', '.join(MOTIONS)}. random: like a hand, with lift-off; "
@@ -103,6 +113,10 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
                         "size of its box of poses)")
     source.add_argument("--seed", type=make_integer_parser(0), metavar="N", default=0,
                         help="seed of the random motion (default: 0)")
+
+
+def _add_timing_and_safety_flags(parser: InputErrorArgumentParser) -> None:
+    """Add the flags of timing, force limits, coupling and ring buffer."""
     timing = parser.add_argument_group("timing and safety")
     timing.add_argument("--spin-us", type=parse_non_negative_number, metavar="N", default=0.0,
                         help="busy-wait this long before each tick instead of sleeping: more exact ticks, but a higher "
@@ -135,13 +149,10 @@ def add_arguments(parser: InputErrorArgumentParser) -> None:
     timing.add_argument("--ring", type=Path, metavar="FILE",
                         help="file of the ring buffer, from which viewers and recorders read the ticks (default: a "
                         "temporary file in memory)")
-    add_experiment_flags(parser)
-    add_json_flag(parser)
-    parser.set_defaults(run=run)
 
 
-def run(arguments) -> int:
-    """Run the loop and print its report.
+def _run(arguments: Namespace) -> CommandResult | int:
+    """Run the loop.
 
     Raises:
         InputError: flags that contradict each other, or values that scene, motion or device do not accept.
@@ -158,18 +169,15 @@ def run(arguments) -> int:
         if getattr(arguments, flag) is not None and name != "random":
             raise InputError("applies only to the random motion of the other flags; leave --motion and --device out, "
                              "or write random:sideways_mm=...,turn_deg=...", field="--" + flag.replace("_", "-"))
-    require_known_solver(arguments.solver)
     reduced = load_reduced_model_and_set_flags(arguments)
 
     from haptics.loop.loop import LoopSettings
     from haptics.loop.process import LoopError, LoopProcess
     from haptics.loop.tissue_factory import make_real_time_tissue_factory
-    from tissue_sim import Model
 
     material = load_scene_material(arguments.material, reduced)
     protocol = make_protocol_from_flags(arguments)
-    model = Model(reduced.model.experiment if reduced else make_experiment_from_flags(arguments, protocol, material),
-                  material)
+    model = make_model_from_flags(arguments, material, reduced)
     settings = LoopSettings(seconds=arguments.seconds, spin=arguments.spin_us * 1e-6,
                             real_time=not arguments.no_real_time)
     if reduced:
@@ -191,13 +199,9 @@ def run(arguments) -> int:
     except LoopError as error:
         print(f"tissue-sim: {error}", file=sys.stderr)
         return ExitCode.GOAL_MISSED
-    if arguments.json:
-        print_json({"scene": arguments.scene, "motion": name, **report.as_json()})
-    else:
-        from scenes.commands.loop.report import print_loop_report
-
-        print_loop_report(report, make_results_console())
-    return ExitCode.INTERRUPTED if interrupted else ExitCode.DONE
+    return CommandResult(lambda: {"scene": arguments.scene, "motion": name, **report.as_json()},
+                         lambda console: print_loop_report(report, console),
+                         ExitCode.INTERRUPTED if interrupted else ExitCode.DONE)
 
 
 def fill_motion_ranges_from_box_or_refuse(arguments, reduced) -> None:
@@ -301,7 +305,6 @@ def run_loop_and_tell_if_interrupted(process, seconds: float, *, quiet: bool):
         KeyboardInterrupt: Ctrl-C before the first tick.
     """
     from haptics.loop.process import LoopError
-    from scenes.commands.loop.report import LoopStatusLine
 
     console = make_progress_console(quiet=quiet)
     with process, console.status("starting") as status:
@@ -322,3 +325,71 @@ def run_loop_and_tell_if_interrupted(process, seconds: float, *, quiet: bool):
             if not process.ready:
                 raise
             raise LoopError(f"stopped by Ctrl-C before the loop wrote a report: {process.message}") from None
+
+
+class LoopStatusLine:
+    """Status of a running loop in one line, read from its ring buffer without disturbing the loop.
+
+    Args:
+        ring: reader of the ring buffer.
+        seconds: planned duration of the loop, s.
+    """
+
+    def __init__(self, ring: RingReader, seconds: float):
+        self._ring, self._seconds, self._number = ring, seconds, 0
+
+    def format_status_line(self) -> str:
+        """Return the status line at every call; its quantiles are those of the ticks since the last call."""
+        import numpy as np
+
+        ticks = self._ring.read_ticks_after(self._number)
+        self._number, records = ticks.number, ticks.records
+        if not len(records):
+            return "waiting for the next tick"
+        newest = records[-1]
+        compute, lateness = (np.quantile(records[name], 0.99) * 1e6 for name in ("compute_time", "lateness"))
+        return (f"{newest['time']:.0f} of {self._seconds:g} s: {newest['tool_depth'] * 1e3:.2f} mm, "
+                f"{newest['force']:.3f} N; p99 compute {compute:.0f}, lateness {lateness:.0f} us; "
+                f"late {newest['late']}, missed {newest['missed']}")
+
+
+def print_loop_report(report: LoopReport, console: Console) -> None:
+    """Print the report of the loop: a table of lateness and compute time, then one sentence for each other result."""
+    from rich.text import Text
+
+    from haptics.loop.ticker import TICKER
+
+    table = make_table_with_headings("", "p50", "p99", "p99.9", "max")
+    answer = report.as_json()
+    for title, key in (("lateness [us]", "lateness_us"), ("compute time [us]", "compute_us")):
+        # As text: rich reads brackets as markup.
+        table.add_row(Text(title), *(f"{value:.1f}" for value in answer[key].values()))
+    console.print(table)
+    print_sentence(console, f"{report.ticks} ticks in {report.seconds:.4g} s: {report.late} late (more than "
+                   f"{TICKER.late * 1e3:g} ms), {report.missed} missed ({answer['missed_percent']:.3g} %)")
+    answers = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.statuses.items() if count)
+    if answers:
+        print_sentence(console, f"simulation steps: {answers}")
+    for name, count in report.flagged.items():
+        if count:
+            print_sentence(console, f"ticks {_FLAG_DESCRIPTIONS.get(name, name)}: {count}")
+    if report.resolution not in ("", "own mesh"):
+        error = "" if report.force_error is None else f", force error at most {100 * report.force_error:.2g} %"
+        print_sentence(console, f"mesh: {report.resolution}{error}")
+    print_sentence(console, f"largest force: {report.largest_force:.4g} N")
+    if report.device.get("trouble"):
+        print_sentence(console, f"the connection to the device was lost: {report.device['trouble']}")
+    if report.peak_memory is not None:
+        print_sentence(console, f"peak memory: {answer['peak_memory_MB']:.0f} MB")
+    obtained = [feature.name for feature in report.real_time if feature.obtained]
+    print_sentence(console, f"real time: {', '.join(obtained) if report.real_time else 'not requested'}")
+    for feature in report.real_time:
+        if not feature.obtained:
+            print_sentence(console, f"real time: {feature.message}")
+
+
+COMMAND = Command(
+    "loop", "run the force loop at 1 kHz with a prescribed motion or a haptic device, and report its timing",
+    "tissue-sim loop needle_indentation --material m.material.json --seconds 60 --motion random", _run,
+    needs=(add_scene_and_optional_material_flag, _add_duration_flag, add_resolution_and_solver_flags, add_reduced_flag,
+           _add_motion_source_flags, _add_timing_and_safety_flags, add_experiment_flags))
