@@ -3,11 +3,17 @@
 Public names are listed once, in `__init__.pyi`, and imported on first use, so that ``import tissue_sim`` is instant.
 """
 
+import sys as _sys
+
+from tissue_sim.public_names import MovedModules as _MovedModules
 from tissue_sim.public_names import make_lazy_package_members as _import_on_use
 from tissue_sim.version import __version__
 
 #: Old public names -> new names.
 _RENAMED = {"register": "register_law", "check_stability": "find_stability_range",
             "ReducedEffect": "ForceScalingEffect"}
+#: Old names of modules that programs of users import -> new names.
+_MOVED = {"tissue_sim.simulator": "tissue_sim.realtime.simulator"}
+_sys.meta_path.append(_MovedModules(_MOVED))
 _names, __getattr__, __dir__ = _import_on_use(__name__, _RENAMED)
 __all__ = ["__version__", *_names]

@@ -6,8 +6,12 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+if TYPE_CHECKING:
+    from importlib.abc import Loader
 
 _Class = TypeVar("_Class", bound=type)
 
@@ -75,6 +79,42 @@ def make_getattr_for_old_names(module: str, renamed: Mapping[str, str]) -> Calla
         return getattr(import_module(place or module), new)
 
     return get_member_by_old_name
+
+
+class MovedModules:
+    """Finder that imports modules by their old names; reading a member gives a `DeprecationWarning`.
+
+    Args:
+        moved: old name -> new name of each module.
+
+    Source: PEP 451.
+
+    Example:
+        ``sys.meta_path.append(MovedModules({"tissue_sim.simulator": "tissue_sim.realtime.simulator"}))``
+    """
+
+    def __init__(self, moved: Mapping[str, str]):
+        self._moved = moved
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        """Return the specification of a module by its old name; None for other names."""
+        return ModuleSpec(name, cast("Loader", self)) if name in self._moved else None
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """Return None: the import system creates an empty module."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Give the module a ``__getattr__`` that warns and returns the member of the module with the new name."""
+        old, new = module.__name__, self._moved[module.__name__]
+
+        def get_member_of_moved_module(name: str) -> Any:
+            """Return the member, with a warning if it is not an attribute that the import system reads."""
+            member = getattr(import_module(new), name)
+            if not name.startswith("__"):
+                warnings.warn(f"{old}.{name} is renamed to {new}.{name}", DeprecationWarning, stacklevel=2)
+            return member
+
+        vars(module)["__getattr__"] = get_member_of_moved_module
 
 
 class OldName:

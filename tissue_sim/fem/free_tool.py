@@ -12,9 +12,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tissue_sim.pose import Pose
-from tissue_sim.public_names import make_getattr_for_old_names
-
-__getattr__ = make_getattr_for_old_names(__name__, {"FreeTool": "ToolInAirInterface"})
 
 #: Tissue that has moved by less than this fraction of the tolerance of the contact is at rest.
 AT_REST = 0.1

@@ -40,7 +40,7 @@ _OLD_MEMBERS = {"doubts": "warnings", "follow": "project_pose", "takes": "accept
 __getattr__ = make_getattr_for_old_names(__name__, {
     "Rung": "ResolutionLevel", "Comparison": "ErrorEstimationRule", "ErrorEstimate": "ErrorEstimationRule",
     "OwnStiffness": "StaticStiffnessRequest", "Derivatives": "ForceDerivatives",
-    "SpatialDerivatives": "ForceVectorDerivatives"})
+    "SpatialDerivatives": "ForceVectorDerivatives", "FreeTool": "ToolInAirInterface"})
 
 
 class StepStatus(IntEnum):

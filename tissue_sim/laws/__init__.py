@@ -5,8 +5,7 @@ a law by an entry point of the group ``tissue_sim.laws``, a program by `register
 """
 
 from tissue_sim.laws.biderman import Biderman
-from tissue_sim.laws.kernel_energy import KernelEnergy
-from tissue_sim.laws.law import InvariantLaw, Law, StretchLaw
+from tissue_sim.laws.law import InvariantLaw, KernelEnergy, Law, StretchLaw
 from tissue_sim.laws.mooney_rivlin import MooneyRivlin
 from tissue_sim.laws.neo_hooke import NeoHooke
 from tissue_sim.laws.ogden import Ogden

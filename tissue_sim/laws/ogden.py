@@ -5,8 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tissue_sim.laws.kernel_energy import KernelEnergy
-from tissue_sim.laws.law import StretchLaw
+from tissue_sim.laws.law import KernelEnergy, StretchLaw
 
 #: Largest number of terms.
 MAX_TERMS = 3

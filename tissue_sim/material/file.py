@@ -24,14 +24,6 @@ from tissue_sim.decode import (
 )
 from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
 from tissue_sim.laws import Law, find_law, find_stability_range
-from tissue_sim.material.law_entry import (
-    BulkEntry,
-    MaterialFileEntry,
-    ParameterEntry,
-    convert_entries_to_si_with_factors,
-    get_parameter_values_by_name,
-    make_law_bulk_and_parameter_entries,
-)
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.material.population import (
     PopulationEntry,
@@ -39,8 +31,11 @@ from tissue_sim.material.population import (
     make_population_entry_from_si_fields,
 )
 from tissue_sim.material.schema import (
+    BulkEntry,
     CovarianceEntry,
     LayerEntry,
+    MaterialFileEntry,
+    ParameterEntry,
     PoroelasticityEntry,
     Provenance,
     PunctureEntry,
@@ -50,7 +45,10 @@ from tissue_sim.material.schema import (
     ValidRange,
     ViscoelasticEntry,
     check_covariance,
+    convert_entries_to_si_with_factors,
+    get_parameter_values_by_name,
     make_component_entries,
+    make_law_bulk_and_parameter_entries,
     make_material_arguments_from_entries,
 )
 from tissue_sim.parameters import Parameter, parameters, split_path_into_names_and_indices

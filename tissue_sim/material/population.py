@@ -9,8 +9,7 @@ import numpy as np
 
 from tissue_sim.decode import convert_to_json_types, decode_struct
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
-from tissue_sim.material.law_entry import MaterialFileEntry
-from tissue_sim.material.schema import Range, check_covariance
+from tissue_sim.material.schema import MaterialFileEntry, Range, check_covariance
 from tissue_sim.parameters import Parameter
 
 _LISTS = ("mean", "spread", "mean_interval95", "spread_interval95")

@@ -15,12 +15,19 @@ from tissue_sim.kernel_owner import CopyError, make_single_thread_method
 from tissue_sim.material.material import BULK_RATIOS, Material
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import MotionLimits
-from tissue_sim.pose import Pose, add_screws, compute_pose_distance, scale_screw
+from tissue_sim.pose import (
+    Pose,
+    add_screws,
+    compute_pose_distance,
+    compute_rigid_motion,
+    interpolate_pose,
+    rotate_pose_about_its_position,
+    scale_screw,
+)
 from tissue_sim.realtime.accepted_models import require_moduli_in_range
 from tissue_sim.realtime.bulk_link import BulkLink
 from tissue_sim.realtime.model_transition import ModelTransition
 from tissue_sim.realtime.tissue import FORCE_BEFORE_FIRST_STEP, RealTimeTissue
-from tissue_sim.realtime.tool_track import TouchFrame, interpolate_pose_at_surface
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import (
     ForceStatus,
@@ -69,6 +76,31 @@ class MultirateSettings:
 MULTIRATE = MultirateSettings()
 #: Largest age of the model of a CONVERGED force, s.
 OLDEST = MULTIRATE.oldest
+
+
+class TouchFrame:
+    """Map poses in the scene to poses of a bulk whose mesh was made for one pose of first touch.
+
+    A bonded tool adheres to the tissue at the pose of its first touch. The bulk is the same for all positions of the
+    touch, because the tissue is assumed to be wide. The motion since the touch is therefore applied to the pose for
+    which the bulk was made, and a touch at another position or inclination causes no shear.
+
+    Args:
+        start: pose of first touch for which the bulk was made.
+        touch: actual pose of first touch.
+    """
+
+    def __init__(self, start: Pose, touch: Pose):
+        self._start, self._touch = start, touch
+        self._is_identity = start == touch
+
+    def pose_in_bulk(self, pose: Pose) -> Pose:
+        """Convert a pose in the scene to the frame of the bulk."""
+        return pose if self._is_identity else _apply_motion_between_poses(self._touch, pose, self._start)
+
+    def pose_in_scene(self, pose: Pose) -> Pose:
+        """Convert a pose in the frame of the bulk to the scene."""
+        return pose if self._is_identity else _apply_motion_between_poses(self._start, pose, self._touch)
 
 
 class MultiRateTissue(RealTimeTissue):
@@ -389,3 +421,27 @@ class MultiRateTissue(RealTimeTissue):
         self.warm_up()
         surface = self._link.contact_surface
         return self._link.snapshot() or Snapshot(surface.start, surface.datum, None)
+
+
+def interpolate_pose_at_surface(before: Pose | None, pose: Pose, height: float) -> Pose:
+    """Interpolate the pose, between two steps, at which a tool reaches the height of a tissue's surface.
+
+    Args:
+        before: last pose in the air; None if the first step is in the tissue, which counts as a vertical approach.
+        pose: pose at or below the surface.
+        height: height of the surface, m.
+    """
+    touch = pose
+    if before is not None and before.position[2] > height:
+        above = before.position[2] - height
+        touch = interpolate_pose(before, pose, above / (before.position[2] - pose.position[2]))
+    return replace(touch, position=(*touch.position[:2], height))
+
+
+def _apply_motion_between_poses(start: Pose, end: Pose, other: Pose) -> Pose:
+    """Return the pose `other`, moved by the translation and rotated by the rotation from `start` to `end`."""
+    x, y, z, *rotation = compute_rigid_motion(start, end)
+    a, b, c = other.position
+    moved = Pose((a + x, b + y, c + z), other.orientation)
+    u, v, w = rotation
+    return rotate_pose_about_its_position(moved, (u, v, w))

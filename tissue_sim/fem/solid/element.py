@@ -11,7 +11,13 @@ from typing import Any, NamedTuple
 
 from tissue_sim.fem.elements.energy import make_inverse_cube_root_function
 from tissue_sim.fem.elements.history import make_history_function
-from tissue_sim.fem.solid import energy as point
+from tissue_sim.fem.solid.energy import (
+    COFACTOR,
+    PLACE,
+    make_cofactor_function,
+    make_relaxation_function,
+    make_stress_function,
+)
 from tissue_sim.fem.taichi.array_tables import LANE_INTEGERS, LANE_REALS, ArrayLayout
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 from tissue_sim.fem.taichi.shared_fields import LANES, CountsInLargestElement, get_shared_scratch_field
@@ -72,13 +78,12 @@ def make_element_kernel_functions(element_name: str, energy: KernelEnergy) -> El
     element = SOLID_ELEMENTS[element_name]
     nodes, modes, points = element.node_count, element.pressure_modes, element.quadrature[1].size
     s = get_shared_scratch_field(LANES, SCRATCH)
-    compute_stress_and_tangent = point.make_stress_function(energy)
-    inverse_cube_root, compute_cofactor = make_inverse_cube_root_function(), point.make_cofactor_function()
-    apply_history = make_history_function(9, 6, point.make_relaxation_function)
+    compute_stress_and_tangent = make_stress_function(energy)
+    inverse_cube_root, compute_cofactor = make_inverse_cube_root_function(), make_cofactor_function()
+    apply_history = make_history_function(9, 6, make_relaxation_function)
     vec = ti.types.vector(LANES, ti.f64)
     U, FORCE, PRESSURE, GAP = (_AT[name] for name in ("U", "FORCE", "PRESSURE", "GAP"))
     V, A, RATE, PAIRS = (_AT[name] for name in ("V", "A", "RATE", "PAIRS"))
-    PLACE, COFACTOR = point.PLACE, point.COFACTOR
 
     # `a = a + b` on arrays, because `a += b` is an atomic operation in Taichi and four times slower here. Sums over
     # points are kept in the scratch field, not in variables: with stores in a loop LLVM uses vector instructions.
