@@ -48,7 +48,7 @@ class PlannedTestVariationSettings:
     max_plans: int = 4
 
 
-_SETTINGS = PlannedTestVariationSettings()
+_PLANNED_VARIATION = PlannedTestVariationSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,13 +99,13 @@ def suggest_experiments(before: FitEvidence, proposals: CatalogueScores,
             silent.setdefault(proposals.effects[name.partition("@")[0]].separated_by, []).append(name)
         by_hand = [NextExperiment(sentence=f"to see {', '.join(each)}: {sentence}", separates=each)
                    for sentence, each in silent.items()]
-    return [*found[:_SETTINGS.max_plans], *by_hand]
+    return [*found[:_PLANNED_VARIATION.max_plans], *by_hand]
 
 
 def list_variations_of_existing_tests(before: FitEvidence) -> list[PlannedTestVariation]:
     """Return variations of the existing tests: hold, higher speed, larger depth, smaller tool or lower specimen."""
     found = []
-    faster, smaller = _SETTINGS.speed_factor, _SETTINGS.size_factor
+    faster, smaller = _PLANNED_VARIATION.speed_factor, _PLANNED_VARIATION.size_factor
     for test in before.diagnosis_data.simulated_tests():
         curve = before.measured[test.name][0]
         experiment = test.experiment
@@ -117,13 +117,13 @@ def list_variations_of_existing_tests(before: FitEvidence) -> list[PlannedTestVa
         label = f"{1e3 * depth:.3g} mm"
         if not held:
             found.append(_make_planned_variation_or_none(
-                f"{test.name} again, to {label}, with a hold of {_SETTINGS.hold:g} s and "
+                f"{test.name} again, to {label}, with a hold of {_PLANNED_VARIATION.hold:g} s and "
                 "unloading", test, depth, speed, hold=True))
         found.append(_make_planned_variation_or_none(
             f"{test.name} again {faster:g} times as fast ({1e3 * faster * speed:.3g} mm/s)",
             test, depth, faster * speed, hold=held))
         height = experiment.specimen.height
-        deeper = min(_SETTINGS.depth_factor * depth, _SETTINGS.max_depth * experiment.thickness)
+        deeper = min(_PLANNED_VARIATION.depth_factor * depth, _PLANNED_VARIATION.max_depth * experiment.thickness)
         if deeper > 1.1 * depth:
             found.append(_make_planned_variation_or_none(f"{test.name} again to {1e3 * deeper:.3g} mm", test, deeper,
                                                          speed, hold=held))
@@ -146,7 +146,7 @@ def list_variations_of_existing_tests(before: FitEvidence) -> list[PlannedTestVa
 def _make_planned_variation_or_none(sentence: str, test: Test, depth: float, speed: float, *,
                                     hold: bool) -> PlannedTestVariation | None:
     """Return a planned ramp, with hold and unloading if `hold`; None if the motion or geometry is invalid."""
-    ending = f"; hold {_SETTINGS.hold:g}s; unload" if hold else ""
+    ending = f"; hold {_PLANNED_VARIATION.hold:g}s; unload" if hold else ""
     text = f"ramp {1e3 * depth:.6g}mm @{1e3 * speed:.6g}mm/s{ending}"
     try:
         assert test.experiment is not None

@@ -27,7 +27,7 @@ from tissue_sim.model import Model
 from tissue_sim.parameters import Declaration, make_display_symbol_of_parameter, parameters, with_values
 from tissue_sim.public_names import OldName, make_getattr_for_old_names, rename_old_members_of_subclass
 
-__getattr__ = make_getattr_for_old_names(__name__, {"experiment_of": "get_experiment"})
+__getattr__ = make_getattr_for_old_names(__name__, {"experiment_of": "get_experiment", "Situation": "DiagnosisData"})
 
 #: Part of the model that an effect belongs to.
 Category = Literal["tissue", "contact", "geometry", "rig", "population"]

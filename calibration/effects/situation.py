@@ -11,9 +11,7 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.public_names import OldName, make_getattr_for_old_names, with_old_names
-
-__getattr__ = make_getattr_for_old_names(__name__, {"experiment_of": "get_experiment", "Situation": "DiagnosisData"})
+from tissue_sim.public_names import OldName, with_old_names
 
 #: Smallest decrease of the displacement that counts as unloading, as a fraction of the largest displacement.
 UNLOADING_FRACTION = 0.05

@@ -28,7 +28,7 @@ class AssumptionTextLengthLimits:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = AssumptionTextLengthLimits()
+_TEXT_LENGTHS = AssumptionTextLengthLimits()
 
 
 class AssumptionRow(NamedTuple):
@@ -90,9 +90,9 @@ def format_campaign_comment(tests: Sequence[ImportedTest]) -> str:
                    f"or: {row.alternatives}" if row.alternatives else "", row.flag]
         said = "; ".join(filter(None, details))
         lines.append(f"{'QUESTION ' if row.is_question else ''}{subject}: "
-                     f"{shorten_text_in_middle(value, _SETTINGS.longest_value)}{f' ({said})' if said else ''}")
+                     f"{shorten_text_in_middle(value, _TEXT_LENGTHS.longest_value)}{f' ({said})' if said else ''}")
     lines += [f"Columns not used: {each}" for each in describe_unused_columns_of_each_file(tests)]
-    return "\n".join(textwrap.fill(line, _SETTINGS.campaign_width, initial_indent="# ", subsequent_indent="#     ",
+    return "\n".join(textwrap.fill(line, _TEXT_LENGTHS.campaign_width, initial_indent="# ", subsequent_indent="#     ",
                                    break_long_words=False, break_on_hyphens=False) for line in lines)
 
 

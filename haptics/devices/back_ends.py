@@ -14,11 +14,11 @@ from tissue_sim.errors import InputError
 from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.registry import Registry
 
-__getattr__ = make_getattr_for_old_names(__name__, {"open_motion": "make_motion", "open_sensor": "make_sensor",
-                                                    "open_stage": "make_stage", "open_haptic": "make_haptic_device"})
-
 if TYPE_CHECKING:
     from haptics.devices.contracts import ForceSensor, HapticDevice, Motion, Stage
+
+__getattr__ = make_getattr_for_old_names(__name__, {"open_motion": "make_motion", "open_sensor": "make_sensor",
+                                                    "open_stage": "make_stage", "open_haptic": "make_haptic_device"})
 
 Device = TypeVar("Device")
 

@@ -14,9 +14,9 @@ from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
 #: Kind of the shared file.
-_KIND = b"tsSNAP\0\0"
+_SNAPSHOT_KIND = b"tsSNAP\0\0"
 #: Header of a snapshot: time, datum, position and orientation of the tool.
-_HEAD = struct.Struct("<2d3d4d")
+_SNAPSHOT_HEAD = struct.Struct("<2d3d4d")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,8 @@ class SnapshotWriter(SlotWriter):
     """
 
     def __init__(self, path: str | Path, pattern: Snapshot):
-        super().__init__(path, _KIND, SLOTS.count, _HEAD.size + 8 * sum(array.size for array in pattern.arrays()))
+        size = _SNAPSHOT_HEAD.size + 8 * sum(array.size for array in pattern.arrays())
+        super().__init__(path, _SNAPSHOT_KIND, SLOTS.count, size)
 
     def publish(self, time: float, snapshot: Snapshot) -> int:
         """Publish a snapshot and return its number.
@@ -59,7 +60,7 @@ class SnapshotWriter(SlotWriter):
             InputError: the snapshot is larger than the pattern.
         """
         arrays = snapshot.arrays()
-        return self.write(_HEAD.pack(time, snapshot.datum, *snapshot.pose.position, *snapshot.pose.orientation)
+        return self.write(_SNAPSHOT_HEAD.pack(time, snapshot.datum, *snapshot.pose.position, *snapshot.pose.orientation)
                           + b"".join(np.ascontiguousarray(array, "<f8").tobytes() for array in arrays))
 
 
@@ -79,7 +80,7 @@ class SnapshotReader(SlotReader):
     """
 
     def __init__(self, path: str | Path, pattern: Snapshot):
-        super().__init__(path, _KIND)
+        super().__init__(path, _SNAPSHOT_KIND)
         self.pattern = pattern
 
     def latest(self, after: int = 0) -> PublishedSnapshot | None:
@@ -92,13 +93,13 @@ class SnapshotReader(SlotReader):
         if newest is None:
             return None
         number, content = newest
-        arrays, numbers = self.pattern.arrays(), np.frombuffer(content, "<f8", offset=_HEAD.size)
+        arrays, numbers = self.pattern.arrays(), np.frombuffer(content, "<f8", offset=_SNAPSHOT_HEAD.size)
         ends = np.cumsum([array.size for array in arrays])
         if numbers.size != ends[-1]:
             raise InputError(f"the pattern must have {numbers.size} numbers as the file; got {ends[-1]}. Use the "
                              "pattern of the loop that writes the file", file=self.path)
         parts = [part.reshape(array.shape) for part, array in zip(np.split(numbers, ends[:-1]), arrays, strict=True)]
-        time, datum, *pose = _HEAD.unpack_from(content)
+        time, datum, *pose = _SNAPSHOT_HEAD.unpack_from(content)
         (x, y, z), (a, b, c, d) = pose[:3], pose[3:]
         return PublishedSnapshot(number, time,
                                  self.pattern.with_pose_and_arrays(Pose((x, y, z), (a, b, c, d)), datum, parts))

@@ -9,7 +9,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.pose import Screw, Vector
 from tissue_sim.public_names import make_getattr_for_old_names, with_old_names
 
-__getattr__ = make_getattr_for_old_names(__name__, {"ForceLimits": "ForceLimiter"})
+__getattr__ = make_getattr_for_old_names(__name__, {"ForceLimits": "ForceLimiter", "ForceRelease": "ForceFader"})
 
 _NO_WRENCH: Screw = (0.0,) * 6
 

@@ -33,7 +33,7 @@ class SavedStateAndSurfaceLimits:
 
 
 #: Limits of every server.
-LIMITS = SavedStateAndSurfaceLimits()
+STATE_LIMITS = SavedStateAndSurfaceLimits()
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
@@ -52,7 +52,7 @@ class _SetParametersCommand(_ConfigurationCommand, frozen=True):
 class _SurfaceCommand(_ConfigurationCommand, frozen=True):
     """Arguments of ``surface``: circumferential segments of the triangles; None: no triangles."""
 
-    segments: Annotated[int, msgspec.Meta(ge=3, le=LIMITS.max_segments)] | None = None
+    segments: Annotated[int, msgspec.Meta(ge=3, le=STATE_LIMITS.max_segments)] | None = None
 
 
 class _NamedStateCommand(_ConfigurationCommand, frozen=True):
@@ -183,8 +183,8 @@ class ConfigurationCommands:
 
     def _save_state_and_parameters(self, request: _NamedStateCommand) -> dict[str, Any]:
         """Save state and parameters of the tissue under a name, and return the names of all saved states."""
-        if request.name not in self._states and len(self._states) == LIMITS.max_states:
-            raise InputError(f"at most {LIMITS.max_states} states can be saved; save under an existing name: "
+        if request.name not in self._states and len(self._states) == STATE_LIMITS.max_states:
+            raise InputError(f"at most {STATE_LIMITS.max_states} states can be saved; save under an existing name: "
                              f"{', '.join(self._states)}", field="name")
         self._states[request.name] = (self._get_tissue_method("save")(), dict(self._parameters))
         return {"states": list(self._states)}
@@ -228,8 +228,8 @@ def _iterate_json_pieces_of_arrays(command: str, arrays: Mapping[str, np.ndarray
     yield b'{"command":' + msgspec.json.encode(command)
     for name, rows in arrays.items():
         yield b"," + msgspec.json.encode(name) + b":["
-        for start in range(0, len(rows), LIMITS.rows_per_piece):
-            piece = msgspec.json.encode(rows[start:start + LIMITS.rows_per_piece].tolist())[1:-1]
+        for start in range(0, len(rows), STATE_LIMITS.rows_per_piece):
+            piece = msgspec.json.encode(rows[start:start + STATE_LIMITS.rows_per_piece].tolist())[1:-1]
             yield b"," + piece if start else piece
         yield b"]"
     yield b"}\n"

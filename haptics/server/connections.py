@@ -28,9 +28,10 @@ class ConnectionLimits:
 
 
 #: Limits of every configuration port.
-LIMITS = ConnectionLimits()
+CONNECTION_LIMITS = ConnectionLimits()
 
-_TOO_LONG = b'{"error":"a line must have at most %d bytes; send one short command per line"}\n' % LIMITS.longest_line
+_TOO_LONG = (b'{"error":"a line must have at most %d bytes; send one short command per line"}\n'
+             % CONNECTION_LIMITS.longest_line)
 
 Execute = Callable[[bytes], Iterator[bytes]]
 
@@ -65,7 +66,7 @@ class ConfigurationPort:
             peer, _ = self._listener.accept()
         except OSError:  # The client has disconnected, or the process has no free file descriptor.
             return
-        if len(self._connections) == LIMITS.most_connections:
+        if len(self._connections) == CONNECTION_LIMITS.most_connections:
             min(self._connections, key=lambda connection: connection.last_traffic).close()
         self._connections.add(_ConfigurationConnection(peer, self._execute, self._selector, self._connections.discard,
                                                        now))
@@ -77,7 +78,8 @@ class ConfigurationPort:
             now: time on the clock of the server, s.
         """
         for connection in [*self._connections]:
-            if now - connection.last_traffic > (LIMITS.stalled if connection.is_busy else LIMITS.idle):
+            limit = CONNECTION_LIMITS.stalled if connection.is_busy else CONNECTION_LIMITS.idle
+            if now - connection.last_traffic > limit:
                 connection.close()
 
     def close(self) -> None:
@@ -141,7 +143,7 @@ class _ConfigurationConnection:
         """Receive bytes, execute one line, or send a part of its answer; OSError: the client has disconnected."""
         if not self._outbox and self._answer is None:
             if b"\n" not in self._inbox:
-                received = self._peer.recv(LIMITS.read_size)
+                received = self._peer.recv(CONNECTION_LIMITS.read_size)
                 if not received:
                     raise ConnectionResetError
                 self.last_traffic = now
@@ -149,12 +151,12 @@ class _ConfigurationConnection:
             line, end, _ = self._inbox.partition(b"\n")
             if end:
                 del self._inbox[:len(line) + 1]
-                if self._too_long or len(line) > LIMITS.longest_line:
+                if self._too_long or len(line) > CONNECTION_LIMITS.longest_line:
                     self._answer = iter((_TOO_LONG,))
                 elif line.strip():
                     self._answer = self._execute(bytes(line))
                 self._too_long = False
-            elif len(line) > LIMITS.longest_line:
+            elif len(line) > CONNECTION_LIMITS.longest_line:
                 self._inbox.clear()
                 self._too_long = True
         if not self._outbox and self._answer is not None:

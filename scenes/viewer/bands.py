@@ -156,26 +156,6 @@ def renumber_triangles_for_band_meshes(triangles: np.ndarray, band: np.ndarray, 
     return kept % points, new[shifted] - first_point[band][:, None], slices
 
 
-def clip_triangles_to_bands(points: np.ndarray, triangles: np.ndarray, values: np.ndarray,
-                            levels: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Clip triangles to each band between two levels.
-
-    Args:
-        points: Coordinates, shape (n, 2).
-        triangles: Point numbers, shape (t, 3).
-        values: Values at the points, interpolated linearly in each triangle, shape (n,).
-        levels: Ascending levels, shape (bands + 1,). Values below the first level belong to the first band, values
-            above the last level to the last band.
-
-    Returns:
-        For each band its vertices, shape (m, 2), and its triangles with the original orientation, shape (k, 3).
-    """
-    pieces = TriangleConnectivity(np.asarray(triangles)).cut_at_levels(points, values, levels)
-    kept, numbers, slices = renumber_triangles_for_band_meshes(pieces.triangles, pieces.band, len(pieces.points),
-                                                               len(levels) - 1)
-    return [(pieces.points[kept[points_of]], numbers[cut]) for points_of, cut in slices]
-
-
 def insert_polyline_points_at_levels(points: np.ndarray, values: np.ndarray,
                                      levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Insert points into a polyline where its values, interpolated linearly along each line, cross a level.

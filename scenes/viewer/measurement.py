@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from scenes.viewer.trace import interpolate_branch_force
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.origin import get_recorded_tool_if_different_or_empty
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.segmentation import find_loading_and_unloading_indices
@@ -79,11 +77,6 @@ class Measurement:
     branches: tuple[tuple[np.ndarray, np.ndarray], ...]
 
     @property
-    def first_recording_name(self) -> str:
-        """Name of the first replicate."""
-        return self.recordings[0].name
-
-    @property
     def stated_test_kind(self) -> str | None:
         """Kind of test that the recordings state; None if they state none."""
         return next((str(each.metadata["kind"]) for each in self.recordings if "kind" in each.metadata), None)
@@ -127,25 +120,12 @@ class ForceResidualCurves:
     samples: int
 
 
-def read_measurement_files(paths: Sequence[str | Path], **reading) -> Measurement:
-    """Read replicates of one test from files.
-
-    Args:
-        paths: Files with one replicate or several.
-        reading: Options of `tissue_sim.read_recordings`, such as ``columns`` for a CSV of another program.
-
-    Raises:
-        InputError: There is no file, a file cannot be read, displacement or force is missing, a recording has too few
-            samples, or the recordings are of different kinds of tests.
-    """
-    return build_measurement_from_replicates([each for path in paths for each in read_recordings(path, **reading)])
-
-
 def build_measurement_from_replicates(recordings: Sequence[Recording]) -> Measurement:
     """Build a measurement from replicates of one test.
 
     Raises:
-        InputError: As `read_measurement_files`.
+        InputError: There is no recording, displacement or force is missing, a recording has too few samples, or the
+            recordings are of different kinds of tests.
     """
     recordings = tuple(recordings)
     if not recordings:

@@ -203,9 +203,8 @@ def test_old_members_of_a_class_give_the_new_members_and_warn(module, owner, old
         assert getattr(kind, old) == getattr(kind, new)
 
 
-@pytest.mark.parametrize("module", ["calibration.effects.effect", "calibration.effects.situation"])
-def test_the_old_name_of_the_experiment_of_a_test_warns(module):
-    effects = import_module(module)
+def test_the_old_name_of_the_experiment_of_a_test_warns():
+    effects = import_module("calibration.effects.effect")
     with pytest.warns(DeprecationWarning, match="experiment_of is renamed to .*get_experiment"):
         assert effects.experiment_of is effects.get_experiment
 
@@ -223,14 +222,14 @@ def test_the_old_constructor_of_an_axial_force_warns(owner):
     ("tissue_sim", "ReducedEffect", "ForceScalingEffect"), ("tissue_sim.laws", "register", "register_law"),
     ("tissue_sim.pose", "between", "interpolate_pose"), ("tissue_sim.pose", "motion", "compute_rigid_motion"),
     ("tissue_sim.fem.solver", "ErrorEstimate", "ErrorEstimationRule"),
-    ("calibration.effects.situation", "Situation", "DiagnosisData"),
+    ("calibration.effects.effect", "Situation", "DiagnosisData"),
     ("calibration.effects.candidates", "rig_parameter_candidates", "make_experiment_or_rig_candidates"),
     ("haptics", "open_sensor", "make_sensor"), ("haptics", "open_stage", "make_stage"),
     ("haptics", "open_motion", "make_motion"), ("haptics", "open_haptic", "make_haptic_device"),
     ("haptics", "HandMotion", "TargetFollowingMotion"), ("haptics", "ForceLimits", "ForceLimiter"),
     ("haptics.devices.settings", "read_settings", "parse_number_settings"),
     ("haptics.emulators.terminal", "TerminalEmulator", "SerialDeviceEmulator"),
-    ("haptics.safety.force_release", "ForceRelease", "ForceFader"),
+    ("haptics.safety.limits", "ForceRelease", "ForceFader"),
     ("haptics.recorder.plan", "IndentationPlan", "BenchTestPlan"),
     ("haptics.emulators.haply", "emulate_haply", "make_haply_emulator"),
     ("haptics.server.scene_limits", "SceneLimits", "ServerLimits"),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from haptics.server.client import TissueClient
-from haptics.server.connections import LIMITS, ConfigurationPort
+from haptics.server.connections import CONNECTION_LIMITS, ConfigurationPort
 from haptics.server.server import TissueServer
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
@@ -187,8 +187,8 @@ def test_statistics_returns_the_counters(line, client):
     (b'{"command": "set_parameters", "parameters": {"C10": 1e999}}', ""),
     (b'{"command": "save", "name": ""}', "name"),
     (b'{"command": "restore", "name": "x"}', "name: unknown state 'x'; no state was saved"),
-    (b"x" * (LIMITS.longest_line + 1), f"a line must have at most {LIMITS.longest_line} bytes"),
-    (b"x" * 1_000_000, f"a line must have at most {LIMITS.longest_line} bytes"),
+    (b"x" * (CONNECTION_LIMITS.longest_line + 1), f"a line must have at most {CONNECTION_LIMITS.longest_line} bytes"),
+    (b"x" * 1_000_000, f"a line must have at most {CONNECTION_LIMITS.longest_line} bytes"),
 ], ids=lambda content: content[:40] if isinstance(content, bytes) else "")
 def test_an_invalid_line_is_answered_and_the_connection_stays_open(line, content, expected):
     line.send(content + b"\n")
@@ -301,11 +301,11 @@ def test_stalled_and_idle_connections_are_closed(port):
     unfinished, idle = port.connect(), port.connect()
     unfinished.sendall(b"half a li")
     port.turn()
-    port.port.close_stalled_and_idle_connections(LIMITS.stalled)
+    port.port.close_stalled_and_idle_connections(CONNECTION_LIMITS.stalled)
     assert not port.closed(unfinished) and not port.closed(idle)
-    port.port.close_stalled_and_idle_connections(LIMITS.stalled + 0.1)
+    port.port.close_stalled_and_idle_connections(CONNECTION_LIMITS.stalled + 0.1)
     assert port.closed(unfinished) and not port.closed(idle)
-    port.port.close_stalled_and_idle_connections(LIMITS.idle + 0.1)
+    port.port.close_stalled_and_idle_connections(CONNECTION_LIMITS.idle + 0.1)
     assert port.closed(idle)
     unfinished.close()
     idle.close()
@@ -313,7 +313,7 @@ def test_stalled_and_idle_connections_are_closed(port):
 
 def test_a_new_connection_replaces_the_one_idle_for_longest(port):
     peers = []
-    for number in range(LIMITS.most_connections):
+    for number in range(CONNECTION_LIMITS.most_connections):
         port.now = float(number)
         peers.append(port.connect())
     port.now = 20.0
@@ -321,7 +321,7 @@ def test_a_new_connection_replaces_the_one_idle_for_longest(port):
     port.turn()
     assert peers[0].recv(10) == b"ALIVE\n"
     peers.append(port.connect())
-    assert port.closed(peers[1]) and not any(port.closed(peers[k]) for k in (0, 2, LIMITS.most_connections))
+    assert port.closed(peers[1]) and not any(port.closed(peers[k]) for k in (0, 2, CONNECTION_LIMITS.most_connections))
     for peer in peers:
         peer.close()
 

@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from scenes.viewer.bands import TriangleConnectivity, clip_triangles_to_bands, insert_polyline_points_at_levels
+from scenes.viewer.bands import (
+    TriangleConnectivity,
+    insert_polyline_points_at_levels,
+    renumber_triangles_for_band_meshes,
+)
 
 LEVELS = np.linspace(-1.0, 1.0, 9)
 
@@ -36,6 +40,14 @@ def interpolated(points, triangles, values, at):
         here = (u > -1e-9) & (v > -1e-9) & (u + v < 1 + 1e-9)
         found[here] = (values[corners] @ np.stack([1 - u - v, u, v]))[here]
     return found
+
+
+def clip_triangles_to_bands(points, triangles, values, levels):
+    """For each band its vertices and its triangles."""
+    pieces = TriangleConnectivity(np.asarray(triangles)).cut_at_levels(points, values, levels)
+    kept, numbers, slices = renumber_triangles_for_band_meshes(pieces.triangles, pieces.band, len(pieces.points),
+                                                               len(levels) - 1)
+    return [(pieces.points[kept[points_of]], numbers[cut]) for points_of, cut in slices]
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -13,7 +13,6 @@ from scenes.viewer.measurement import (
     compute_force_residual,
     interpolate_loading_and_unloading,
     make_first_cycle_motion_protocol,
-    read_measurement_files,
 )
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.recording.segmentation import find_loading_and_unloading_indices
@@ -186,11 +185,15 @@ def test_thinning_the_motion_adds_less_error_than_the_noise():
     assert compute_force_residual(short, build_measurement_from_replicates([true])).rmse < 5e-4
 
 
+def read_measurement_files(paths, **reading):
+    return build_measurement_from_replicates([each for path in paths for each in ts.read_recordings(path, **reading)])
+
+
 def test_files_are_read_and_invalid_files_are_named(tmp_path):
     for seed in range(2):
         ts.write_recording(tried(stiff, soft, seed=seed, kind="needle_indentation"), tmp_path / f"run_{seed}.csv")
     measured = read_measurement_files([tmp_path / "run_0.csv", tmp_path / "run_1.csv"])
-    assert (len(measured.recordings), measured.first_recording_name,
+    assert (len(measured.recordings), measured.recordings[0].name,
             measured.stated_test_kind) == (2, "run 0", "needle_indentation")
     ts.write_recording(tried(stiff, kind="bonded_compression"), tmp_path / "other.csv")
     with pytest.raises(ts.InputError, match=r"other\.csv: kind: must be the same in all recordings"):
