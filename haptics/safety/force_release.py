@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 from haptics.safety.watchdog import Watchdog, WatchdogState
 from tissue_sim.errors import InputError
+from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.tool_force import ForceStatus, ToolForce
+
+__getattr__ = make_getattr_for_old_names(__name__, {"ForceLimits": "ForceLimiter", "ForceRelease": "ForceFader"})
 
 
 @dataclass(frozen=True)
