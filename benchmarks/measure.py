@@ -24,7 +24,7 @@ from scipy.linalg import lapack
 import tissue_sim as ts
 from benchmarks import MARKDOWN, ROOT
 from tissue_sim.fem.linear import band
-from tissue_sim.fem.linear.cholesky import make_cholesky_functions
+from tissue_sim.fem.linear.band import make_cholesky_functions
 from tissue_sim.fem.taichi.origins import allocate_array
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 

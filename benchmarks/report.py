@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks import ROOT, child_environment
-from tissue_sim.atomic_write import write_text
+from tissue_sim.files import write_text
 
 _BLOCK = re.compile(r"(<!-- benchmark: (?P<command>[^\n]+?) -->\n).*?(<!-- end of benchmark -->)", re.DOTALL)
 

@@ -32,9 +32,9 @@ from calibration.effects.catalogue import CATALOGUE
 from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache, hash_content_and_source_code
 from calibration.output_folder import SOLVES, SUMMARY_FILE, remove_earlier_results_and_claim_folder
-from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import read_json_value
 from tissue_sim.errors import ConvergenceError
+from tissue_sim.files import write_text
 from tissue_sim.registry import Registry
 
 

@@ -10,9 +10,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from calibration.campaign.campaign import Campaign
-from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
+from tissue_sim.files import write_text
 from tissue_sim.version import __version__
 
 #: File that lists the campaigns of a folder and the files written for them.

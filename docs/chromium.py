@@ -81,7 +81,7 @@ def text_field(page: Page, label: str) -> Locator:
 
 def save_picture(page: Page, path: Path) -> None:
     """Save the page as PNG; the file is written completely or not at all."""
-    from tissue_sim.atomic_write import write_bytes
+    from tissue_sim.files import write_bytes
 
     wait_for_picture(page)
     write_bytes(path, page.screenshot(animations="disabled", caret="hide", timeout=60e3))

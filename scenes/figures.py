@@ -19,10 +19,10 @@ from scenes.solid_figures import (
     draw_section_through_tool_axis,
     set_axis_scales_and_labels,
 )
-from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.result_views import DrawableFields, HalfSectionGeometry, SolidGeometry, get_drawable_fields_or_none
+from tissue_sim.files import write_bytes
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
 from tissue_sim.recording.recording import Recording

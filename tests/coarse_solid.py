@@ -5,8 +5,8 @@ quarter 9 %. Other processes import this module by name.
 """
 
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0
 
 
 def make_coarse_solid(model, *, resolution="realtime", mesh=None, topology=None):

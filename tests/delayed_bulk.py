@@ -9,7 +9,7 @@ from collections.abc import Callable
 from tissue_sim.fem.condensed.model import BulkLineariser, CondensedBulk, ContactState
 from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLineariser
 from tissue_sim.material.material import Material
-from tissue_sim.realtime.bulk_link import make_untouched_state
+from tissue_sim.realtime.multirate import make_untouched_state
 from tissue_sim.snapshot import Snapshot
 
 

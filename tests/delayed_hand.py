@@ -10,7 +10,7 @@ from typing import Any
 from haptics.devices.contracts import HapticDevice
 from haptics.devices.virtual.hand import VirtualHand
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.approach import Approach
+from tissue_sim.experiment.experiment import Approach
 from tissue_sim.pose import Pose, Screw
 
 

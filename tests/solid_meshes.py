@@ -3,15 +3,14 @@
 import meshio
 import numpy as np
 
-from tissue_sim.mesh.element_conversion import number_nodes_by_shared_corners, split_hexahedra
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.solid import (
     add_face_and_free_node_sets,
     create_block_mesh_from_boundaries,
     create_cylinder_mesh_under_needle,
     create_mesh_with_surface_sets,
 )
-from tissue_sim.mesh.tetrahedra import TET15P1
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, TET15P1, Hexahedron
+from tissue_sim.mesh.solid_file import number_nodes_by_shared_corners, split_hexahedra
 
 
 def block(x, y, z, element, move=None):

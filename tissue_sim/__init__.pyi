@@ -8,7 +8,7 @@ from tissue_sim.errors import ConvergenceError as ConvergenceError
 from tissue_sim.errors import InputError as InputError
 from tissue_sim.errors import MissingBackendError as MissingBackendError
 from tissue_sim.experiment.adhesion import Adhesion as Adhesion
-from tissue_sim.experiment.approach import Approach as Approach
+from tissue_sim.experiment.experiment import Approach as Approach
 from tissue_sim.experiment.contact_law import CONTACT_LAWS as CONTACT_LAWS
 from tissue_sim.experiment.contact_law import ContactLaw as ContactLaw
 from tissue_sim.experiment.contact_law import Traction as Traction
@@ -29,8 +29,8 @@ from tissue_sim.fem.solver import SOLVERS as SOLVERS
 from tissue_sim.fem.solver import Solver as Solver
 from tissue_sim.fem.solver import Step as Step
 from tissue_sim.fem.solver import StepStatus as StepStatus
-from tissue_sim.kernel_owner import BusyError as BusyError
-from tissue_sim.kernel_owner import CopyError as CopyError
+from tissue_sim.fem.taichi.launch import BusyError as BusyError
+from tissue_sim.fem.taichi.launch import CopyError as CopyError
 from tissue_sim.laws import LAWS as LAWS
 from tissue_sim.laws import find_law as find_law
 from tissue_sim.laws import find_stability_range as find_stability_range
@@ -44,7 +44,7 @@ from tissue_sim.material.file import MaterialFile as MaterialFile
 from tissue_sim.material.file import load_material as load_material
 from tissue_sim.material.file import read_material_file as read_material_file
 from tissue_sim.material.file import write_material_file as write_material_file
-from tissue_sim.material.layer import Layer as Layer
+from tissue_sim.material.material import Layer as Layer
 from tissue_sim.material.material import Bulk as Bulk
 from tissue_sim.material.material import Material as Material
 from tissue_sim.material.poroelasticity import Poroelasticity as Poroelasticity
@@ -53,12 +53,12 @@ from tissue_sim.material.softening import Softening as Softening
 from tissue_sim.material.viscoelasticity import Prony as Prony
 from tissue_sim.material.viscoelasticity import PronyTerm as PronyTerm
 from tissue_sim.model import Model as Model
-from tissue_sim.motion_limits import MotionLimits as MotionLimits
+from tissue_sim.realtime.tissue import MotionLimits as MotionLimits
 from tissue_sim.parameters import parameter as parameter
 from tissue_sim.parameters import with_values as with_values
 from tissue_sim.pose import Pose as Pose
 from tissue_sim.realtime.inertia_limits import LightToolWarning as LightToolWarning
-from tissue_sim.realtime.path_settings import PathSettings as PathSettings
+from tissue_sim.realtime.inertia_limits import PathSettings as PathSettings
 from tissue_sim.realtime.simulator import Simulator as Simulator
 from tissue_sim.realtime.simulator import SimulatorState as SimulatorState
 from tissue_sim.recording.contact import Contact as Contact

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.experiment.approach import Approach
+from tissue_sim.experiment.experiment import Approach
 from tissue_sim.fem.solver import ForceDerivatives, ForceVectorDerivatives, Solver
 from tissue_sim.material.effect import ForceScalingEffect, TissueEffect
 from tissue_sim.material.poroelasticity import Poroelasticity

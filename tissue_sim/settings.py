@@ -1,13 +1,23 @@
-"""Settings that users can change: check of their values, and list of those that differ from the defaults."""
+"""Values of frozen dataclasses: checks of settings, changed settings, and read-only mappings."""
 
 from __future__ import annotations
 
+import copyreg
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import Field, fields
+from types import MappingProxyType
 from typing import Any, ClassVar, Protocol
 
 from tissue_sim.errors import InputError
+
+
+def make_shallow_read_only_copy(mapping: Mapping) -> MappingProxyType:
+    """Return a read-only shallow copy of a mapping; the values are not copied."""
+    return MappingProxyType(dict(mapping))
+
+
+copyreg.pickle(MappingProxyType, lambda view: (make_shallow_read_only_copy, (dict(view),)))
 
 
 class Settings(Protocol):

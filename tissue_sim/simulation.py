@@ -1,4 +1,9 @@
-"""Offline simulation of a whole test: from a model to a recording."""
+"""Offline simulation of a whole test: from a model to a recording, with an estimated error of the force.
+
+The error is estimated from the same test on another mesh and in other time steps. Two effects have a reduced form:
+partial slip of a bonded face is an interpolation between the bonded and the frictionless test, and the force of a
+tilted face is the force of an upright face, averaged over strips of the tilted face.
+"""
 
 from __future__ import annotations
 
@@ -12,20 +17,186 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
-from tissue_sim.fem.stepping.steps_to_pose import STEPS_TO_POSE, iterate_adaptive_steps_to_pose
-from tissue_sim.force_error import (
-    FORCE_ERROR,
-    RelativeForceErrorEstimate,
-    estimate_error_from_two_forces_or_none,
-    select_fractional_samples_for_longer_steps,
-)
+from tissue_sim.fem.stepping import STEPS_TO_POSE, iterate_adaptive_steps_to_pose
 from tissue_sim.laws import find_stability_range
 from tissue_sim.material.effect import CombinedForceFactor
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw, scale_screw
 from tissue_sim.recording.recording import Recording
-from tissue_sim.slip import blend_bonded_and_frictionless_recordings
-from tissue_sim.tilt import compute_tilted_recording
+from tissue_sim.rig.loading_curve import FirstLoadingCurveWithHistory
+
+
+@dataclass(frozen=True)
+class ForceErrorWarningSettings:
+    """Settings of the warning of an inaccurate force.
+
+    Attributes:
+        warning_fraction: error over the largest force above which a warning is given, 1.
+        range_fraction: the warning names the range of samples where the error exceeds this fraction of its maximum, 1.
+    """
+
+    warning_fraction: float = 0.025
+    range_fraction: float = 0.5
+
+
+#: Settings of all simulations.
+FORCE_ERROR = ForceErrorWarningSettings()
+
+
+@dataclass(frozen=True)
+class RelativeForceErrorEstimate:
+    """Estimated error of the force of a simulated test, relative to the largest force, and where the error is large.
+
+    Attributes:
+        fraction: largest error as a fraction of the largest force.
+        first, last: numbers of the samples between which the error exceeds half of its maximum.
+        compared: number of the last compared sample; after it the error is unknown.
+        shorter: whether the comparison test has steps a quarter as long; otherwise its steps are twice as long.
+    """
+
+    fraction: float
+    first: int
+    last: int
+    compared: int
+    shorter: bool = False
+
+    def warning_or_none(self, displacement: np.ndarray, remedy: str) -> str | None:
+        """Return the warning of a large error or of an error that is unknown from a sample on; None: no warning.
+
+        Args:
+            displacement: of all samples, m, shape (n,).
+            remedy: what the user can do about a large error.
+        """
+        if self.compared < displacement.size - 1:
+            return (f"the error of the force is unknown after sample {self.compared + 1} of {displacement.size} "
+                    f"({displacement[self.compared] * 1e3:.3g} mm), because the simulations on another mesh did not "
+                    f"converge; the error of the earlier samples is about {100 * self.fraction:.2g} % of the largest "
+                    "force; use more samples")
+        if self.fraction <= FORCE_ERROR.warning_fraction:
+            return None
+        there = displacement[self.first: self.last + 1] * 1e3
+        places = f"{there[-1]:.3g} mm" if self.first == self.last else f"{there.min():.3g} to {there.max():.3g} mm"
+        seen = "in steps a quarter as long it differs by three quarters of that" if self.shorter else \
+            "in other steps it differs by as much"
+        return (f"the force may err by about {100 * self.fraction:.2g} % of its largest at {places}: on another mesh "
+                f"and {seen}; {remedy}")
+
+
+def select_fractional_samples_for_longer_steps(displacement: np.ndarray) -> np.ndarray:
+    """Select the samples of a motion at which a comparison test with longer steps is computed.
+
+    These are every second sample, so that the steps are twice as long; the first and the last; those at which the
+    motion turns, stops or starts; and after each turn the middle and the end of the first step: an error in the slip
+    that begins there is gone one sample later, and a longer step would miss it.
+
+    Args:
+        displacement: m, shape (n,).
+
+    Returns:
+        Sample numbers, ascending; a half is in the middle between two samples.
+    """
+    direction = np.sign(np.diff(displacement))
+    kept, turned = [0.0], False
+    for sample in range(1, displacement.size):
+        last = sample == displacement.size - 1
+        turns = not last and bool(direction[sample] != direction[sample - 1])
+        if turned:
+            kept.append(sample - 0.5)
+        if turned or turns or last or sample - kept[-1] >= 2:
+            kept.append(float(sample))
+        turned = turns and bool(direction[sample] != 0)
+    return np.array(kept)
+
+
+def estimate_error_from_two_forces_or_none(force: np.ndarray, samples: np.ndarray, other: np.ndarray, fraction: float,
+                                           *, shorter: bool = False) -> RelativeForceErrorEstimate | None:
+    """Estimate the error of the force of a test from its difference to another simulation of the test.
+
+    Args:
+        force: of the test, N, shape (n,).
+        samples: numbers of the samples that the other test has too.
+        other: force of the other test at these samples, N; shorter than `samples` if that test ended early.
+        fraction: error of this test as a fraction of the difference.
+        shorter: whether the steps of the other test are shorter.
+
+    Returns:
+        The error; None if there are no common samples, or if the force is zero.
+    """
+    samples, largest = samples[: other.size], float(abs(force).max(initial=0.0))
+    if not samples.size or largest == 0.0:
+        return None
+    error = fraction * abs(force[samples] - other) / largest
+    worst = first = last = int(np.argmax(error))
+    is_large = error > FORCE_ERROR.range_fraction * error[worst]
+    while first > 0 and is_large[first - 1]:
+        first -= 1
+    while last + 1 < samples.size and is_large[last + 1]:
+        last += 1
+    return RelativeForceErrorEstimate(float(error[worst]), int(samples[first]), int(samples[last]), int(samples[-1]),
+                                      shorter)
+
+
+def blend_bonded_and_frictionless_recordings(held: Recording, free: Recording, share: float) -> Recording:
+    """Combine the recordings of bonded and frictionless faces to that of faces that slip in part.
+
+    F = (1 - share) F_bonded + share F_frictionless: each part of the face carries the force that the whole face would
+    carry with the same interface.
+
+    Args:
+        held: recording with bonded faces.
+        free: recording with frictionless faces, at the same samples.
+        share: fraction of the faces that slips, 0 to 1.
+    """
+    one, other = (each.metadata.get("solver", {}) for each in (held, free))
+    errors = [report.get("force_error") for report in (one, other)]
+    report = one | {"force_error": None if None in errors else max(errors),
+                    "warnings": list(dict.fromkeys([*one.get("warnings", ()), *other.get("warnings", ())]))}
+    held = replace(held, metadata={**held.metadata, "solver": report})
+    names = (name for name in held.channels if name not in ("time", "displacement") and name in free.channels)
+    return held.with_channels(**{name: (1.0 - share) * held.channels[name] + share * free.channels[name]
+                                 for name in names})
+
+
+#: Number of strips.
+_POINTS = 32
+
+
+def compute_tilted_recording(recording: Recording, tilt: float, depth: np.ndarray) -> Recording:
+    """Compute the recording of a test with a tilted face from the recording with an upright face.
+
+    The tool touches on its lower side first. A strip of the face at the distance x from the axis, in radii, is
+    tilt (1 - x)/2 behind the side that touches first, so that
+
+        F(d) = integral of F0(max(d - tilt (1 - x)/2, 0)) 2/pi sqrt(1 - x^2) dx over -1 to 1.
+
+    The strips are independent, and the history of each is that of the upright face. For a force in proportion to the
+    depth the result is a toe region of about the tilt, and then a constant lag of half the tilt.
+
+    Args:
+        recording: recording of the upright face.
+        tilt: height difference across the face, m; 0 returns the recording itself.
+        depth: displacement of the tool from the touch, m, shape (n,); the reported displacement may have another zero.
+    """
+    if not tilt:
+        return recording
+    curve = FirstLoadingCurveWithHistory(recording.with_channels(displacement=depth))
+    samples = np.arange(recording.force.size, dtype=float)
+    force = sum(share * curve.solve_force_on_compliant_rig(_compute_depth_after_lag(depth, lag), 0.0, samples)
+                for lag, share in split_tilted_face_into_strips(tilt))
+    return recording.with_channels(force=force)
+
+
+def split_tilted_face_into_strips(tilt: float) -> list[tuple[float, float]]:
+    """Return lag behind the side that touches first, m, and fraction of the area, for each strip of a tilted face."""
+    # Gauss-Chebyshev quadrature of the second kind, whose weight is the width of the disc.
+    angle = np.arange(1, _POINTS + 1) * np.pi / (_POINTS + 1)
+    shares = 2.0 / (_POINTS + 1) * np.sin(angle) ** 2
+    return list(zip((0.5 * tilt * (1.0 - np.cos(angle))).tolist(), shares.tolist(), strict=True))
+
+
+def _compute_depth_after_lag(displacement: np.ndarray, lag: float) -> np.ndarray:
+    """Return the depth, m, of a strip that touches the tissue later; above the touch all strips are in the air."""
+    return np.where(displacement > 0, np.maximum(displacement - lag, 0.0), displacement)
 
 
 @dataclass(frozen=True)

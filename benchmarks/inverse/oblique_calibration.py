@@ -20,7 +20,7 @@ import numpy as np
 import tissue_sim as ts
 from calibration import calibrate
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution, make_solver
-from tissue_sim.mesh.hexahedra import HEX27P1
+from tissue_sim.mesh.solid_element import HEX27P1
 
 TRUE = {"C10": 1404.9, "C20": 699.4}
 #: Radius and height of the specimen, m.

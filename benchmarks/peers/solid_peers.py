@@ -31,8 +31,8 @@ from benchmarks.measure import about, option_parser, show, table
 from benchmarks.realtime.multirate import mesh_of
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
+from tissue_sim.mesh.sections import subdivide_into_tetrahedra
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.mesh.subdivision import subdivide_into_tetrahedra
 
 _HERE = Path(__file__).parent
 DEPTHS = np.arange(1, 11) * 1e-3

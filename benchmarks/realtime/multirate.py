@@ -28,8 +28,8 @@ from tissue_sim.fem.linear.sparse import SparseSolver, get_pardiso_or_scipy_name
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLineariser
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0
 from tissue_sim.pose import Pose
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))

@@ -22,7 +22,7 @@ import numpy as np
 import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
 from tissue_sim.fem.axisymmetric.resolutions import list_realtime_levels_finest_first
-from tissue_sim.realtime.resolution_choice import measure_tick_time_or_infinity
+from tissue_sim.realtime.simulator import measure_tick_time_or_infinity
 
 SPECIMEN = ts.Specimen(0.040, 0.070)
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))

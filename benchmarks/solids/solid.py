@@ -29,8 +29,8 @@ import tissue_sim as ts
 from tissue_sim.fem.linear.sparse import SparseSolver, factorise_or_none, get_pardiso_or_scipy_name
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import SolidMesh, create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 from tissue_sim.pose import Pose
 
 MODULI = {"C10": 1404.9, "C20": 699.4}

@@ -27,13 +27,13 @@ from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.axisymmetric import divide_into_growing_intervals
-from tissue_sim.mesh.hexahedra import HEX27P1
 from tissue_sim.mesh.solid import (
     SolidMesh,
     create_block_mesh_from_boundaries,
     create_cylinder_mesh,
     create_cylinder_mesh_under_needle,
 )
+from tissue_sim.mesh.solid_element import HEX27P1
 from tissue_sim.pose import Pose
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))

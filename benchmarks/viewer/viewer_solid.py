@@ -34,8 +34,8 @@ from scenes.viewer.solid_body import ThreeDimensionalMeshBody
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.solid import create_block_mesh_from_boundaries
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 

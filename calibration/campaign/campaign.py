@@ -47,11 +47,11 @@ from calibration.campaign.specimens import find_and_check_specimen_or_none, read
 from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.recording.formats.column_options import validate_decimal_mark, validate_delimiter
+from tissue_sim.recording.formats.columns import validate_decimal_mark, validate_delimiter
 from tissue_sim.rig.rig import Rig
+from tissue_sim.settings import make_shallow_read_only_copy
 from tissue_sim.specimen import Specimen
 
 #: Default number of starts of an inverse fit.

@@ -15,9 +15,9 @@ from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import TOOLS, interpret_shape_or_profile_path
 from tissue_sim.files import find_files, is_valid_and_existing_path
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.material.material import BULK_RATIOS
-from tissue_sim.recording.formats.column_options import normalize_column_mapping
+from tissue_sim.recording.formats.columns import normalize_column_mapping
+from tissue_sim.settings import make_shallow_read_only_copy
 
 
 def require_positive_if_stated(value: float | None, field: str, unit: str = "") -> None:

@@ -6,10 +6,8 @@ from pathlib import Path
 
 from calibration.campaign.schema import TestTable
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
-from tissue_sim.experiment.approach import Approach
-from tissue_sim.experiment.contact_law import CONTACT_LAWS
-from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.experiment.interfaces import AS_TOOL, INTERFACES
+from tissue_sim.experiment.contact_law import AS_TOOL, CONTACT_LAWS, INTERFACES
+from tissue_sim.experiment.experiment import Approach, Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import (

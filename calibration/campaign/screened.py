@@ -11,9 +11,13 @@ from calibration.campaign.campaign import Campaign, Test
 from tissue_sim.errors import InputError
 from tissue_sim.recording.cleaning import remove_outliers_and_saturation
 from tissue_sim.recording.control import detect_controlled_quantity_and_creep
-from tissue_sim.recording.preload import LoadAtZeroAndContactShift, estimate_load_at_zero_displacement
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.screening import Preload, Screening
+from tissue_sim.recording.screening import (
+    LoadAtZeroAndContactShift,
+    Preload,
+    Screening,
+    estimate_load_at_zero_displacement,
+)
 
 #: Minimum standard deviation of the prior of a contact offset that covers a preload, as a fraction of the shift.
 _COVERS = 0.5

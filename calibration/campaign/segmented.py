@@ -10,8 +10,11 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from tissue_sim.errors import InputError
-from tissue_sim.recording.origin import get_recorded_kind_if_different_or_empty, get_recorded_tool_if_different_or_empty
-from tissue_sim.recording.recording import Recording
+from tissue_sim.recording.recording import (
+    Recording,
+    get_recorded_kind_if_different_or_empty,
+    get_recorded_tool_if_different_or_empty,
+)
 from tissue_sim.recording.segments import Segmentation, find_segments_of_arrays
 
 

@@ -18,15 +18,14 @@ from calibration.diagnosis.evidence import FitEvidence
 from calibration.fit.material_file import make_material_file_of_fit
 from calibration.fit.result import CalibrationResult
 from calibration.output_folder import list_possible_diagnosis_result_paths
-from tissue_sim.atomic_write import write_text
-from tissue_sim.decode import read_toml_dict
-from tissue_sim.experiment.interfaces import AS_TOOL
+from tissue_sim.decode import format_toml, read_toml_dict
+from tissue_sim.experiment.contact_law import AS_TOOL
+from tissue_sim.files import write_text
 from tissue_sim.laws import LAWS
 from tissue_sim.material.file import MaterialFile, write_material_file
 from tissue_sim.parameters import convert_to_file_values, with_values
 from tissue_sim.rig.file import write_rig
 from tissue_sim.rig.rig import Rig
-from tissue_sim.toml_text import format_toml
 
 #: Name of the campaign file that includes the effects found.
 CAMPAIGN_FILE = "diagnosed.toml"

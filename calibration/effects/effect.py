@@ -19,13 +19,13 @@ from calibration.campaign.parameters import SHARED, ScopedCampaignParameter, get
 from calibration.effects.situation import DiagnosisData as DiagnosisData
 from calibration.effects.situation import NotTestableError as NotTestableError
 from calibration.effects.situation import get_experiment as get_experiment
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.laws import find_law
 from tissue_sim.material.material import get_law_parameter_declaration
 from tissue_sim.material.parts import find_parameter_path_and_declaration, with_changed_or_added_parameters
 from tissue_sim.model import Model
 from tissue_sim.parameters import Declaration, make_display_symbol_of_parameter, parameters, with_values
 from tissue_sim.public_names import OldName, make_getattr_for_old_names, rename_old_members_of_subclass
+from tissue_sim.settings import make_shallow_read_only_copy
 
 __getattr__ = make_getattr_for_old_names(__name__, {"experiment_of": "get_experiment", "Situation": "DiagnosisData"})
 

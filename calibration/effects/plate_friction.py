@@ -5,7 +5,7 @@ from dataclasses import replace
 from calibration.campaign.campaign import Test
 from calibration.effects.candidates import make_experiment_or_rig_candidates, require_tests
 from calibration.effects.effect import Candidate, DiagnosisData, Effect, get_experiment
-from tissue_sim.experiment.interfaces import AS_TOOL
+from tissue_sim.experiment.contact_law import AS_TOOL
 
 
 class PlateFriction(Effect):

@@ -11,7 +11,7 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
 from calibration.fit.ordinary_problem import OrdinaryProblem
 from calibration.fit.usability_settings import UsabilitySettings
-from tissue_sim.recording.contact_error import (
+from tissue_sim.recording.contact import (
     relative_modulus_error_from_contact,
     relative_modulus_error_from_contact_range,
 )

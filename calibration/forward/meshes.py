@@ -9,9 +9,8 @@ import numpy as np
 
 from calibration.forward.motion import build_cubic_or_linear_spline
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.mesh.grading import Grading
-from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.mesh.solid import Grading, SolidMesh
+from tissue_sim.mesh.solid_element import HEX8P0
 from tissue_sim.model import Model
 from tissue_sim.specimen.block import Block
 

@@ -19,7 +19,7 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import STUDY_SPEED
 from tissue_sim.model import Model
 from tissue_sim.rig.rig import Rig
-from tissue_sim.tilt import split_tilted_face_into_strips
+from tissue_sim.simulation import split_tilted_face_into_strips
 
 #: Steps to the largest reported depth, equal to those of a timed motion; a deeper tool continues the same spacing.
 STEPS = MOTION_STEPS.timed_steps

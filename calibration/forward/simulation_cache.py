@@ -18,10 +18,10 @@ import numpy as np
 
 import tissue_sim
 from calibration.forward.meshes import make_exact_block_mesh_or_none
-from tissue_sim.atomic_write import write_bytes
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.files import write_bytes
 from tissue_sim.model import Model
 from tissue_sim.parameters import list_field_declarations
 from tissue_sim.registry import get_modules_of_additions_by_name

@@ -6,9 +6,9 @@ import zipfile
 from pathlib import Path
 
 from tissue_sim.files import ZIP_MAGIC, read_bytes, read_first_bytes_or_empty
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.formats.guesses import FileInterpretation, KindGuess, TableGroup
+from tissue_sim.settings import make_shallow_read_only_copy
 
 _SUFFIXES = (".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series", ".ibw", ".spm")
 #: How the texts of AFM Workshop and of afmformats begin.

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from calibration.importing.imported import ReplicateFile
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.recording.formats.guesses import FileInterpretation, TableGroup
+from tissue_sim.settings import make_shallow_read_only_copy
 
 
 def copy_interpretations_with_common_decimal_mark(understood: Sequence[FileInterpretation]) -> list[FileInterpretation]:

@@ -40,14 +40,14 @@ from calibration.importing.sidecar import (
 from calibration.importing.size_assumptions import copy_interpretation_with_size_assumptions
 from calibration.importing.sizes_of_tables import copy_with_question_on_contradicting_sizes
 from calibration.importing.zero import interpret_and_correct_load_at_zero, select_laws_linear_in_parameters_or_neo_hooke
-from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import run_in_sandbox
 from tissue_sim.errors import InputError, located_and_converted_errors, shorten_text_in_middle
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
+from tissue_sim.files import write_bytes, write_text
 from tissue_sim.recording.formats.guesses import FileInterpretation
 from tissue_sim.recording.formats.sizes import SizeOrSpeedInMillimetres
 from tissue_sim.recording.formats.understanding import interpret_file
+from tissue_sim.settings import make_shallow_read_only_copy
 
 #: Sizes of a specimen without a stated shape.
 _OWN_SIZES = frozenset({"radius_mm", "area_mm2", "height_mm"})

@@ -9,9 +9,9 @@ from calibration.importing.imported import ImportedTest, ImportOptions
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.tools.tool import TOOLS, interpret_shape_or_profile_path
-from tissue_sim.recording.formats.gauge_length import uses_gauge_length
 from tissue_sim.recording.formats.guesses import ColumnGuess, FileInterpretation
 from tissue_sim.recording.formats.interpretation import get_command_line_channel_name
+from tissue_sim.recording.formats.pairing import uses_gauge_length
 from tissue_sim.recording.formats.vocabulary import MACHINES
 from tissue_sim.recording.measures import ENGINEERING, MEASURES
 

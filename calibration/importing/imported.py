@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from calibration.importing.motion import RecordedMotion
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.public_names import OldName, make_getattr_for_old_names
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.formats.guesses import FileInterpretation, InterpretationOverrides, TableGroup
+from tissue_sim.settings import make_shallow_read_only_copy
 
 __getattr__ = make_getattr_for_old_names(__name__, {"Wishes": "ImportOptions", "Imported": "ImportResult"})
 

@@ -13,8 +13,8 @@ from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.files import read_bytes
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.recording.formats.guesses import FileInterpretation, KindGuess, TableGroup
+from tissue_sim.settings import make_shallow_read_only_copy
 
 
 def read_matching_sidecar_or_empty(path: Path) -> Mapping[str, Any]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from calibration.importing.imported import CampaignLine, ImportedTest, ReplicateFile
 from calibration.importing.zero import PRELOAD
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.recording.contact_error import (
+from tissue_sim.recording.contact import (
     INTERVAL_DEVIATIONS,
     relative_modulus_error_from_contact,
 )

@@ -19,12 +19,12 @@ from calibration.importing.imported import LoadAtZeroInterpretation, ReplicateFi
 from calibration.importing.motion import RecordedMotion
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.laws import LAWS, find_law
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
-from tissue_sim.recording.preload import LoadAtZeroAndContactShift, estimate_load_at_zero_displacement
 from tissue_sim.recording.recording import Recording
+from tissue_sim.recording.screening import LoadAtZeroAndContactShift, estimate_load_at_zero_displacement
 from tissue_sim.recording.segments import get_positive_motion_load_and_stress_flag
+from tissue_sim.settings import make_shallow_read_only_copy
 from tissue_sim.units import find_quantity_of_unit_or_none, get_si_factor_and_offset
 
 

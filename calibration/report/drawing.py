@@ -14,7 +14,7 @@ from typing import Any
 from calibration.output_folder import make_figure_file_name
 from calibration.report.content import DrawnFigure, Figure
 from calibration.report.png import render_png
-from tissue_sim.atomic_write import write_bytes
+from tissue_sim.files import write_bytes
 from tissue_sim.laws import find_law
 
 

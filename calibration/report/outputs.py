@@ -27,7 +27,7 @@ from calibration.report.methods import make_plain_methods_text
 from calibration.report.page import build_report_page, render_page
 from calibration.report.section import CalibrationReport, DiagnosisReport
 from calibration.report.units import ReportUnits
-from tissue_sim.atomic_write import write_text
+from tissue_sim.files import write_text
 
 #: Law -> recorded and fitted curves of each test.
 Curves = Mapping[str, Sequence[TestCurves]]

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from calibration.tasks.executors import Workers
+from tissue_sim.bounded import pack_task, run_packed_task
 from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
-from tissue_sim.packing import pack_task, run_packed_task
 
 #: Timeout for the connection to a scheduler, s.
 CONNECT_TIMEOUT = 10.0

@@ -63,7 +63,7 @@ class Executor(Protocol):
     def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
         """Start ``function(*arguments)`` and return its future.
 
-        An executor in other processes sends ``tissue_sim.packing.pack_task(function, arguments)`` and calls
+        An executor in other processes sends ``tissue_sim.bounded.pack_task(function, arguments)`` and calls
         ``run_packed_task`` there, so that plug-ins are registered in the workers too.
         """
 

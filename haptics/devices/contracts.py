@@ -16,7 +16,7 @@ from enum import IntFlag
 from typing import Any
 
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.approach import Approach
+from tissue_sim.experiment.experiment import Approach
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.public_names import OldName, rename_old_members_of_subclass
 

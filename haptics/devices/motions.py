@@ -11,7 +11,7 @@ from haptics.devices.contracts import AxialMotion, Motion
 from haptics.devices.settings import parse_number_settings
 from tissue_sim import Protocol
 from tissue_sim.errors import InputError, require_positive_length
-from tissue_sim.experiment.approach import Approach
+from tissue_sim.experiment.experiment import Approach
 from tissue_sim.pose import Pose, rotate_pose_about_its_position
 from tissue_sim.public_names import make_getattr_for_old_names
 

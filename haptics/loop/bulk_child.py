@@ -21,6 +21,7 @@ import numpy as np
 
 from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, remove_files_ignoring_errors
 from haptics.loop.snapshot_board import SnapshotWriter
+from tissue_sim.bounded import run_packed_task
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 from tissue_sim.fem.condensed.model import (
     LINEARISATIONS,
@@ -33,8 +34,7 @@ from tissue_sim.fem.condensed.model import (
 from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLineariser
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
-from tissue_sim.packing import run_packed_task
-from tissue_sim.realtime.bulk_link import make_untouched_state
+from tissue_sim.realtime.multirate import make_untouched_state
 from tissue_sim.snapshot import Snapshot, snapshot
 
 

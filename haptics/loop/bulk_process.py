@@ -24,11 +24,11 @@ from haptics.loop.bulk_child import (
 )
 from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, remove_files_ignoring_errors
 from haptics.loop.snapshot_board import SnapshotReader
+from tissue_sim.bounded import pack_task
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface, compute_packed_state_size
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
-from tissue_sim.packing import pack_task
 from tissue_sim.snapshot import Snapshot
 
 

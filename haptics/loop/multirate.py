@@ -6,10 +6,10 @@ from typing import Any
 
 from haptics.loop.bulk_process import BulkProcess
 from tissue_sim.model import Model
-from tissue_sim.motion_limits import MotionLimits
 from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.realtime import multirate
-from tissue_sim.realtime.bulk_link import BulkLink
+from tissue_sim.realtime.multirate import BulkLink
+from tissue_sim.realtime.tissue import MotionLimits
 
 __getattr__ = make_getattr_for_old_names(__name__, {
     "ERROR_FLOOR": "tissue_sim.tool_force:ERROR_FLOOR", "ERROR_SHARE": "tissue_sim.tool_force:ERROR_SHARE",

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from haptics.recorder.recorder import RunProgress
-from tissue_sim.atomic_write import write_text
 from tissue_sim.errors import InputError
+from tissue_sim.files import write_text
 
 #: Name of the file in the folder of the run.
 LIVE_FILE = "live.json"

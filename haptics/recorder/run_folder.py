@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim import Recording, write_recording
-from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
-from tissue_sim.files import read_bytes
+from tissue_sim.files import read_bytes, write_bytes, write_text
 
 #: Name of the file with the state of a run.
 RUN_FILE = "run.json"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from tissue_sim.motion_limits import MotionLimits
 from tissue_sim.public_names import make_getattr_for_old_names
+from tissue_sim.realtime.tissue import MotionLimits
 from tissue_sim.tool_force import ToolForce, make_axial_stiffness_matrix
 
 __getattr__ = make_getattr_for_old_names(__name__, {"SceneLimits": "ServerLimits"})

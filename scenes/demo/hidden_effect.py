@@ -11,7 +11,7 @@ import tissue_sim as ts
 from calibration.diagnosis.diagnosis import Diagnosis, EffectParameter
 from calibration.diagnosis.words import describe_effect, describe_parameter, join_as_enumeration
 from calibration.effects.catalogue import CATALOGUE
-from tissue_sim.experiment.interfaces import AS_TOOL
+from tissue_sim.experiment.contact_law import AS_TOOL
 from tissue_sim.parameters import parameters
 
 #: Name of the compression test between lubricated plates.

@@ -23,7 +23,7 @@ from scenes.demo.hidden_effect import (
 )
 from scenes.demo.specimen import BULK_RATIO, PHANTOM, SPECIMEN, VirtualReplicateAndErrorSettings
 from scenes.figures import write_figure_file
-from tissue_sim.atomic_write import write_text
+from tissue_sim.files import write_text
 
 if TYPE_CHECKING:
     from calibration import DiagnosisResult, Workers

@@ -12,10 +12,10 @@ import numpy as np
 import tissue_sim as ts
 from scenes.demo.specimen import BULK_RATIO, DEPTH, PHANTOM, SPECIMEN, VirtualReplicateAndErrorSettings
 from scenes.figures import draw_section, draw_tool_edge_closeup, write_figure_file
-from tissue_sim.atomic_write import write_text
 from tissue_sim.experiment.kinds.compression import BONDED, LUBRICATED
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.experiment.kinds.kind import TestKind
+from tissue_sim.files import write_text
 
 #: Recordings and errors of the virtual measurements.
 MEASUREMENT = VirtualReplicateAndErrorSettings(replicates=3, samples=101, force_noise=0.02)

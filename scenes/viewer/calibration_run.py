@@ -25,8 +25,8 @@ from scenes.viewer.material_files import require_unused_material_path
 from scenes.viewer.measurement import Measurement, build_measurement_from_replicates
 from scenes.viewer.recording_upload import UploadedRecordingOrSidecar
 from scenes.viewer.scene import Scene
-from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, shorten_text_in_middle
+from tissue_sim.files import write_bytes
 from tissue_sim.material.material import Material
 from tissue_sim.recording.recording import Recording
 

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 import tissue_sim as ts
-from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import read_json_value
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import list_all_tool_sizes_by_key
-from tissue_sim.files import read_bytes
+from tissue_sim.files import read_bytes, write_text
 from tissue_sim.material.file import read_material_file, write_material_file
 from tissue_sim.parameters import convert_to_file_values, parameters
 from tissue_sim.rig.file import write_rig

@@ -13,8 +13,7 @@ from scenes.viewer.trace import interpolate_branch_force
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.recording.origin import get_recorded_tool_if_different_or_empty
-from tissue_sim.recording.recording import MIN_POINTS, Recording
+from tissue_sim.recording.recording import MIN_POINTS, Recording, get_recorded_tool_if_different_or_empty
 from tissue_sim.recording.segmentation import find_loading_and_unloading_indices
 
 

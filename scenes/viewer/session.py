@@ -35,7 +35,7 @@ from scenes.viewer.tool_motions import (
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter_values, with_values
-from tissue_sim.realtime.accepted_models import require_moduli_in_range
+from tissue_sim.realtime.tissue import require_moduli_in_range
 
 #: Duration of a single step of a paused motion, s.
 STEP_TIME = 1.0 / FRAMES.rate

@@ -6,7 +6,7 @@ from scipy import stats
 
 from calibration.statistics.adequacy import adjust_p_values_by_holm, compute_rao_score_test, make_cosine_modes
 from calibration.statistics.sensor_noise import SensorNoise, whiten_columns
-from tissue_sim.rig.noise import generate_sensor_noise
+from tissue_sim.rig.rig import generate_sensor_noise
 
 DEPTH = np.linspace(0.0, 1.0, 200)
 PARAMETERS = np.column_stack([DEPTH, DEPTH**3])

@@ -33,8 +33,8 @@ from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.run_context import RunContext
 from calibration.tasks.executors import Workers, open_task_executor
+from tissue_sim.decode import format_toml
 from tissue_sim.errors import InputError
-from tissue_sim.toml_text import format_toml
 
 pytestmark = pytest.mark.slow
 

@@ -19,7 +19,7 @@ from calibration.forward.meshes import MESHES, SolverFitResolutions
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.tasks.executors import TaskExecutor
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 
 CAMPAIGN = """
 [[specimen]]

@@ -7,7 +7,7 @@ import pytest
 
 from calibration.statistics.jitter import ContactAndForceZeroJitter, WhitenedReplicate, estimate_jitter
 from calibration.statistics.sensor_noise import SensorNoise, whiten_columns
-from tissue_sim.rig.noise import generate_sensor_noise
+from tissue_sim.rig.rig import generate_sensor_noise
 
 #: Jitter of the contact, m.
 CONTACT = 3e-5

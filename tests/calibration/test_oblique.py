@@ -9,7 +9,7 @@ import calibration
 import tissue_sim as ts
 from calibration.forward.meshes import MESHES, SolverFitResolutions
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution
-from tissue_sim.mesh.hexahedra import HEX8P0
+from tissue_sim.mesh.solid_element import HEX8P0
 
 TRUE = {"C10": 1404.9, "C20": 699.4}
 CAMPAIGN = """

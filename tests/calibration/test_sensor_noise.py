@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from calibration.statistics.sensor_noise import SensorNoise, estimate_pooled_sensor_noise, whiten_columns
 from tissue_sim.errors import InputError
-from tissue_sim.rig.noise import generate_sensor_noise
+from tissue_sim.rig.rig import generate_sensor_noise
 
 TIME = np.linspace(0.0, 40.0, 401)
 WAY = TIME / 40.0

@@ -18,9 +18,8 @@ from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, SolverFitRe
 from calibration.forward.simulation_cache import hash_content_and_source_code, simulate_force_or_record_failure
 from scenes.cli import main
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution, build_mesh
-from tissue_sim.mesh.grading import Grading
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_block_mesh_from_boundaries
+from tissue_sim.mesh.solid import Grading, create_block_mesh_from_boundaries
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 
 CAMPAIGN = """
 [[specimen]]

@@ -7,9 +7,8 @@ from solid_meshes import block
 import tissue_sim as ts
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
-from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, TET8P0, TET15P1
 from tissue_sim.pose import Pose
 
 AMOUNT = 2e-6  # m3

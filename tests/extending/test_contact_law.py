@@ -11,8 +11,8 @@ from scenes.cli import main
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.contact_law import CONTACT_LAWS, ContactLaw, Traction
 from tissue_sim.fem.condensed.model import LINEARISATIONS
-from tissue_sim.mesh.hexahedra import HEX27P1
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX27P1
 from tissue_sim.parameters import parameters, with_values
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))

@@ -10,15 +10,15 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 from tissue_sim.mesh import cylinder_mesh
-from tissue_sim.mesh.element_conversion import convert_to_element_type
 from tissue_sim.mesh.elements import ELEMENTS, Q9P1
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import (
     SOLID_ELEMENTS,
     add_face_and_free_node_sets,
     create_block_mesh_from_boundaries,
     create_cylinder_mesh_under_needle,
 )
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
+from tissue_sim.mesh.solid_file import convert_to_element_type
 from tissue_sim.parameters import get_parameter_value
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))

@@ -237,7 +237,7 @@ def test_the_old_constructor_of_an_axial_force_warns(owner):
     ("tissue_sim.mesh", "growing_line", "divide_into_growing_intervals"),
     ("tissue_sim.mesh", "needle_mesh", "cylinder_mesh_refined_under_needle"),
     ("tissue_sim.mesh", "with_lines", "insert_interfaces_and_refine_layers"),
-    ("tissue_sim.mesh.block", "block_under_tool", "create_block_mesh_under_tool"),
+    ("tissue_sim.mesh.solid", "block_under_tool", "create_block_mesh_under_tool"),
     ("tissue_sim.fem.solver", "FreeTool", "ToolInAirInterface")])
 def test_old_names_of_a_module_give_the_new_members_and_warn(module, old, new):
     members = import_module(module)

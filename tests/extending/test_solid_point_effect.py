@@ -10,8 +10,8 @@ from tissue_sim.fem.reduced.model import require_no_point_effects
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.effect import EFFECTS
-from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0
 from tissue_sim.pose import Pose
 
 #: Parameter of the law, Pa.

@@ -9,10 +9,10 @@ import tissue_sim as ts
 from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLineariser
-from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0
 from tissue_sim.pose import Pose
-from tissue_sim.realtime.linearisation_error import LinearisationErrorEstimator
+from tissue_sim.realtime.model_transition import LinearisationErrorEstimator
 
 #: m.
 RADIUS = 8e-3

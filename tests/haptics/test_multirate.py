@@ -23,8 +23,8 @@ from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLineariser
-from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0
 from tissue_sim.pose import Pose, interpolate_pose
 from tissue_sim.realtime.model_transition import TRANSITION
 from tissue_sim.tool_force import ERROR_FLOOR, ERROR_SHARE, ForceStatus

@@ -15,9 +15,8 @@ from solid_meshes import block
 import tissue_sim as ts
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.hexahedra import HEX27P1
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
-from tissue_sim.mesh.tetrahedra import TET15P1
+from tissue_sim.mesh.solid_element import HEX27P1, TET15P1
 from tissue_sim.pose import Pose
 
 #: Offset of the tool, m.

@@ -7,8 +7,8 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.grading import Grading
-from tissue_sim.mesh.hexahedra import HEX8P0
+from tissue_sim.mesh.solid import Grading
+from tissue_sim.mesh.solid_element import HEX8P0
 from tissue_sim.pose import Pose
 
 #: Shear modulus, Pa.

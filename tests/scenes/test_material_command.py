@@ -8,7 +8,7 @@ import tissue_sim as ts
 from scenes.cli import main
 from scenes.commands.material import parse_parameter_settings
 from tissue_sim.errors import InputError
-from tissue_sim.material.layer import Layer
+from tissue_sim.material.material import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening

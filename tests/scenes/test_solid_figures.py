@@ -17,8 +17,8 @@ from scenes.solid_figures import (
 )
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 from tissue_sim.pose import Pose
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))

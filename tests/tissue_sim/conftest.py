@@ -3,7 +3,7 @@
 import pytest
 
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution
-from tissue_sim.mesh.hexahedra import HEX8P0
+from tissue_sim.mesh.solid_element import HEX8P0
 
 
 @pytest.fixture(scope="session")

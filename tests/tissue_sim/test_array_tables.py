@@ -16,8 +16,7 @@ from tissue_sim.fem.taichi.array_tables import (
     real_array_type,
 )
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
-from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.shared_fields import LANES
+from tissue_sim.fem.taichi.runtime import LANES, get_initialised_taichi
 
 LAYOUT = ArrayLayout(lanes=LANE_REALS, dofs=LANE_INTEGERS, x=real_array_type(), pairs=integer_array_type(2),
                      tensors=real_array_type(3))

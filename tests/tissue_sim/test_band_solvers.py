@@ -5,8 +5,7 @@ import pytest
 from scipy.linalg import solve_banded, solveh_banded
 
 from tissue_sim.fem.linear import band
-from tissue_sim.fem.linear.cholesky import make_cholesky_functions
-from tissue_sim.fem.linear.lu import make_lu_functions
+from tissue_sim.fem.linear.band import make_cholesky_functions, make_lu_functions
 from tissue_sim.fem.taichi.origins import allocate_array
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 

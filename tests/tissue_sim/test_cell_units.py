@@ -7,7 +7,6 @@ import openpyxl
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.recording.formats.cell_units import UnitRowExtractedFromCells, move_cell_units_to_unit_row
 from tissue_sim.recording.formats.guesses import InterpretationOverrides
 from tissue_sim.recording.formats.number_text import (
     is_number_with_either_mark,
@@ -15,7 +14,7 @@ from tissue_sim.recording.formats.number_text import (
     split_number_and_unit,
 )
 from tissue_sim.recording.formats.sizes import parse_number_and_optional_unit_or_none
-from tissue_sim.recording.formats.table import TableRow
+from tissue_sim.recording.formats.table import TableRow, UnitRowExtractedFromCells, move_cell_units_to_unit_row
 from tissue_sim.recording.formats.understanding import interpret_file
 
 WAY = np.linspace(0.0, 4.0, 17)

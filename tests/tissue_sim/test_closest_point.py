@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tissue_sim import Tool
-from tissue_sim.fem.contact.closest_point import make_closest_point_function
+from tissue_sim.fem.contact.surface_geometry import make_closest_point_function
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 #: Outlines of tools with a sharp edge, a rounded edge, a tip and a sphere.

@@ -6,8 +6,8 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.solid.coarse_surface import find_slid_face_surface_or_none
+from tissue_sim.fem.solid.contact import ToolFrame
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.frame import ToolFrame
 
 MATERIAL = ts.Material("mooney_rivlin", {"C10": 900.0, "C01": 400.0}, ts.Bulk("bulk_ratio", 100.0))
 

@@ -8,8 +8,8 @@ import pytest
 
 import tissue_sim as ts
 from scenes.cli import main
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import add_face_and_free_node_sets, create_block_mesh_from_boundaries
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e3))
 

@@ -16,7 +16,7 @@ from tissue_sim.fem.condensed.tables import (
     NodeForceAndAnchorColumn,
     NodeListColumn,
 )
-from tissue_sim.fem.contact.settings import ContactBondState
+from tissue_sim.fem.contact.pairs import ContactBondState
 
 NODES = 40
 

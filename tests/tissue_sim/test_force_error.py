@@ -9,7 +9,7 @@ import tissue_sim as ts
 from tissue_sim import simulation
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.force_error import (
+from tissue_sim.simulation import (
     FORCE_ERROR,
     RelativeForceErrorEstimate,
     estimate_error_from_two_forces_or_none,

@@ -10,8 +10,7 @@ import pytest
 
 from tissue_sim import InputError, read_recording
 from tissue_sim.recording.file import read_recordings
-from tissue_sim.recording.formats.afm import read_afm
-from tissue_sim.recording.formats.afm_curve import build_curve_recording
+from tissue_sim.recording.formats.afm import build_curve_recording, read_afm
 
 #: Stiffness, N/m.
 STIFFNESS = 0.05

@@ -11,8 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tissue_sim import InputError, read_recording
-from tissue_sim.recording.formats.column_options import parse_column_number_or_letters
-from tissue_sim.recording.formats.columns import read_recordings_from_columns
+from tissue_sim.recording.formats.columns import parse_column_number_or_letters, read_recordings_from_columns
 from tissue_sim.recording.formats.xlsx import read_xlsx
 
 NATIVE = ("time [s]", "displacement [mm]", "force [N]")

@@ -14,7 +14,7 @@ from tissue_sim.fem.axisymmetric.contact_kernels import TOUCHED
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.fem.stepping.steps_to_pose import iterate_adaptive_steps_to_pose
+from tissue_sim.fem.stepping import iterate_adaptive_steps_to_pose
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 MATERIAL = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4))

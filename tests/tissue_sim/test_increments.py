@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tissue_sim.fem.stepping.increments import ROUNDING, AdaptiveIncrements
+from tissue_sim.fem.stepping import ROUNDING, AdaptiveIncrements
 
 
 @given(st.lists(st.booleans(), max_size=200), st.floats(0.01, 1.0))

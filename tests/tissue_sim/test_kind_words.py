@@ -4,9 +4,13 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.recording.formats.guesses import InterpretationOverrides
-from tissue_sim.recording.formats.kind_words import KindHint, find_named_tests, normalize_and_truncate_line
+from tissue_sim.recording.formats.kind_words import (
+    UNKNOWN_TESTS,
+    KindHint,
+    find_named_tests,
+    normalize_and_truncate_line,
+)
 from tissue_sim.recording.formats.understanding import interpret_file
-from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS
 
 ROWS = "".join(f"{0.5 * i:g},{0.1 * i:.3f},{0.2 * i:.3f}\n" for i in range(21))
 TABLE = "Time (s),Travel (mm),Load (N)\n" + ROWS

@@ -9,7 +9,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes import SCENES
-from tissue_sim.experiment.interfaces import validate_and_normalise_interface
+from tissue_sim.experiment.contact_law import validate_and_normalise_interface
 from tissue_sim.recording.recording import CHANNELS
 
 EVERY = pytest.mark.parametrize("name", ts.KINDS)

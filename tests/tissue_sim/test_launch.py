@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from tissue_sim.errors import MissingBackendError
-from tissue_sim.fem.axisymmetric.scratch import get_axisymmetric_scratch_field as solver_scratch
+from tissue_sim.fem.axisymmetric.energy import get_axisymmetric_scratch_field as solver_scratch
 from tissue_sim.fem.taichi import launch
-from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.shared_fields import get_shared_scratch_field
+from tissue_sim.fem.taichi.runtime import get_initialised_taichi, get_shared_scratch_field
 
 
 @pytest.fixture(scope="module")

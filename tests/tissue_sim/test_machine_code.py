@@ -12,7 +12,7 @@ CPU = Path("/proc/cpuinfo")
 FACTORISE = """
 import numpy as np
 from tissue_sim.fem.linear import band
-from tissue_sim.fem.linear.cholesky import make_cholesky_functions
+from tissue_sim.fem.linear.band import make_cholesky_functions
 from tissue_sim.fem.taichi.origins import allocate_array
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from tissue_sim.material.file import make_material_file_from_json_data
-from tissue_sim.material.layer import Layer
+from tissue_sim.material.material import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening

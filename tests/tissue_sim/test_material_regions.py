@@ -12,7 +12,7 @@ import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.exports import EXPORTERS
 from tissue_sim.material.file import make_material_file_from_json_data
-from tissue_sim.mesh.tetrahedra import TET15P1
+from tissue_sim.mesh.solid_element import TET15P1
 
 STIFF = ts.Material("ogden_1", {"mu1": 9000.0, "alpha1": 3.0}, ts.Bulk("bulk_ratio", 1e3), 900.0, "lump",
                     viscoelastic=ts.Prony((ts.PronyTerm(0.25, 2.0),)), softening=ts.Softening(0.5, 32.0, 0.25))

@@ -11,7 +11,7 @@ import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh, find_element_layer_indices
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import Step, StepStatus
-from tissue_sim.fem.stepping.steps_to_pose import iterate_adaptive_steps_to_pose
+from tissue_sim.fem.stepping import iterate_adaptive_steps_to_pose
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 

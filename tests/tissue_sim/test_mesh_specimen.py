@@ -10,7 +10,7 @@ from solid_meshes import write_tetrahedra
 import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
-from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
+from tissue_sim.mesh.solid_element import TET8P0, TET15P1
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
 

@@ -10,9 +10,9 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver_on_mesh
-from tissue_sim.fem.contact.settings import TOLERANCES
+from tissue_sim.fem.contact.pairs import TOLERANCES
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.fem.stepping.steps_to_pose import iterate_adaptive_steps_to_pose
+from tissue_sim.fem.stepping import iterate_adaptive_steps_to_pose
 from tissue_sim.mesh import structured_mesh
 
 STUDY = {"C10": 1404.9, "C20": 699.4}

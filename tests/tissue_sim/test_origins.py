@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tissue_sim.fem.taichi import origins
-from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.shared_fields import BLOCK
+from tissue_sim.fem.taichi.runtime import BLOCK, get_initialised_taichi
 
 #: Flag of Linux for a map without reserved memory, which Python 3.11 does not name.
 MAP_NORESERVE = 0x4000

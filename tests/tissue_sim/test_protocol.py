@@ -6,9 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.experiment.protocol import HOLD_STEPS
-from tissue_sim.experiment.protocol_text import format_protocol, parse_protocol
-from tissue_sim.experiment.segments import EXAMPLE, KINDS, ProtocolRepeat, ProtocolSegment
+from tissue_sim.experiment.protocol import (
+    EXAMPLE,
+    HOLD_STEPS,
+    KINDS,
+    ProtocolRepeat,
+    ProtocolSegment,
+    format_protocol,
+    parse_protocol,
+)
 
 
 def corners(text: str, **options) -> list[tuple[str, float, float, int]]:

@@ -9,11 +9,10 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.reduction import reduce_solid, remove_training_path_files
-from tissue_sim.fem.reduced.sampling import compute_sparse_weights
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.solver import TOLERANCE, ReducedSolver
-from tissue_sim.fem.reduced.training_paths import make_training_path
-from tissue_sim.fem.solid.frame import ToolFrame
+from tissue_sim.fem.reduced.training import compute_sparse_weights, make_training_path
+from tissue_sim.fem.solid.contact import ToolFrame
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.pose import interpolate_pose, rotate_pose_about_its_position
 

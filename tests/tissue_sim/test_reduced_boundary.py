@@ -7,10 +7,10 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.acceptance import with_calibrated_compliance_table
-from tissue_sim.fem.reduced.compliance_table import ContactNodeComplianceTable, calibrate_accepted_missing_forces
+from tissue_sim.fem.reduced.model import ContactNodeComplianceTable, calibrate_accepted_missing_forces
+from tissue_sim.fem.reduced.reduction import with_calibrated_compliance_table
 from tissue_sim.fem.reduced.symmetry import find_symmetries
-from tissue_sim.fem.reduced.training_paths import make_boundary_training_paths, make_training_path
+from tissue_sim.fem.reduced.training import make_boundary_training_paths, make_training_path
 from tissue_sim.pose import compute_rigid_motion
 
 pytestmark = pytest.mark.slow

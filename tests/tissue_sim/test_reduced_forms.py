@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 import tissue_sim as ts
-from tissue_sim.tilt import compute_tilted_recording
+from tissue_sim.simulation import compute_tilted_recording
 
 #: Name of the law.
 LAW = "reduced_polynomial_2"

@@ -9,10 +9,10 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.path_steps import simulate_reduced_path
+from tissue_sim.fem.reduced.reduction import simulate_reduced_path
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.fem.reduced.training_paths import make_reversing_paths
+from tissue_sim.fem.reduced.training import make_reversing_paths
 from tissue_sim.pose import interpolate_pose
 
 pytestmark = pytest.mark.slow

@@ -6,7 +6,7 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.reduced.contact import PenaltyContact
-from tissue_sim.fem.solid.frame import ToolFrame
+from tissue_sim.fem.solid.contact import ToolFrame
 from tissue_sim.pose import rotate_pose_about_its_position
 
 

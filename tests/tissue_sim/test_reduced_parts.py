@@ -13,12 +13,11 @@ from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.symmetry import find_symmetries
-from tissue_sim.fem.reduced.training_paths import make_training_path
+from tissue_sim.fem.reduced.training import make_training_path
 from tissue_sim.fem.reduced.verification import verify_and_get_report_and_factors
 from tissue_sim.fem.solid.tissue import Tissue, find_element_layer_indices
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.tetrahedra import TET8P0
+from tissue_sim.mesh.solid_element import HEX8P0, TET8P0
 
 SOFT = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
 STIFF = ts.Material("neo_hooke", {"C10": 6000.0}, ts.Bulk("bulk_ratio", 500.0))

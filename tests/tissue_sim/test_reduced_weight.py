@@ -15,8 +15,8 @@ from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.tissue import find_element_layer_indices
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.file import MaterialFile, write_material_file
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 from tissue_sim.pose import Pose
 
 pytestmark = pytest.mark.slow

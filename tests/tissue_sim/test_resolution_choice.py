@@ -10,7 +10,7 @@ from scenes import doctor
 from scenes.commands.shared import experiment_flags
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_levels_finest_first
 from tissue_sim.fem.solver import ResolutionLevel
-from tissue_sim.realtime import resolution_choice, simulator
+from tissue_sim.realtime import simulator
 
 SPECIMEN = ts.Specimen(0.040, 0.070)
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
@@ -35,7 +35,7 @@ def test_finest_that_fits(ticks, chosen, measured):
         seen.append(level.resolution)
         return ticks["abcd".index(level.resolution)]
 
-    assert resolution_choice.choose_finest_level_in_budget(LEVELS, 1, 1.0, tick_of).resolution == chosen
+    assert simulator.choose_finest_level_in_budget(LEVELS, 1, 1.0, tick_of).resolution == chosen
     assert "".join(seen) == measured
 
 
@@ -46,23 +46,23 @@ class Counting:
         self.depths = []
 
     def step(self, depth, dt):
-        assert dt == resolution_choice.MOTION.tick
+        assert dt == simulator.MOTION.tick
         self.depths.append(depth)
 
 
 @pytest.mark.parametrize("lifts", [True, False])
 def test_the_motion_that_is_measured(lifts):
     one = Counting()
-    assert resolution_choice.measure_tick_time_or_infinity(one, 10e-3, lifts=lifts) >= 0.0
+    assert simulator.measure_tick_time_or_infinity(one, 10e-3, lifts=lifts) >= 0.0
     depths = np.array(one.depths)
     assert 4e-3 < depths.max() <= 5e-3 and (depths.min() < 0.0) == lifts
-    assert 0.05 < np.abs(np.diff(depths)).max() / resolution_choice.MOTION.tick < 0.2
+    assert 0.05 < np.abs(np.diff(depths)).max() / simulator.MOTION.tick < 0.2
 
 
 def test_a_mesh_that_does_not_fit_is_known_soon():
     """One tick in a hundred may take longer, however long; the fourth of three hundred ends it."""
     one = Counting()
-    assert resolution_choice.measure_tick_time_or_infinity(one, 10e-3, lifts=False, budget=-1.0) == math.inf
+    assert simulator.measure_tick_time_or_infinity(one, 10e-3, lifts=False, budget=-1.0) == math.inf
     assert len(one.depths) == 4
 
 

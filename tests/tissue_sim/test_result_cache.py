@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue_sim.recording.result_cache import cache_by_array_content
+from tissue_sim.recording.contact import cache_by_array_content
 
 
 @pytest.fixture

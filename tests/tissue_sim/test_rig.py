@@ -10,8 +10,7 @@ from scipy.optimize import brentq
 
 import tissue_sim as ts
 from tissue_sim.recording.recording import Recording
-from tissue_sim.rig.backlash import compute_nut_positions_and_screw_samples
-from tissue_sim.rig.rig import Rig
+from tissue_sim.rig.rig import Rig, compute_nut_positions_and_screw_samples
 
 #: Radius, m.
 RADIUS = 0.040

@@ -4,20 +4,17 @@ import numpy as np
 import pytest
 from solid_meshes import block as solid_block
 
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.sections import (
+    find_outline_edges_of_face,
     intersect_tetrahedra_at_zero_level,
     intersect_triangles_at_zero_level,
     split_triangles_below_and_above,
-)
-from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
-from tissue_sim.mesh.subdivision import (
-    find_outline_edges_of_face,
     subdivide_face_into_triangles,
     subdivide_into_tetrahedra,
     triangulate_surface_faces,
 )
-from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
+from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, TET8P0, TET15P1
 
 SIZES = np.array([0.05, 0.03, 0.02])
 every_element = pytest.mark.parametrize("element", (HEX8P0, HEX27P1), ids=lambda element: element.name)

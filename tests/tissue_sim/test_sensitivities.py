@@ -12,7 +12,7 @@ import tissue_sim as ts
 from tissue_sim.differentiation import FiniteDifferenceSettings
 from tissue_sim.fem.axisymmetric import sensitivity
 from tissue_sim.fem.contact import pairs
-from tissue_sim.fem.contact.settings import RelativeContactTolerances
+from tissue_sim.fem.contact.pairs import RelativeContactTolerances
 from tissue_sim.parameters import parameter_values, with_values
 
 STUDY = {"C10": 1404.9, "C20": 699.4}

@@ -11,7 +11,7 @@ import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 from tissue_sim.fem.elements.fields import FIELD_UNITS, extrapolate_to_nodes_and_average
 from tissue_sim.fem.solver import Step, StepStatus
-from tissue_sim.fem.stepping.steps_to_pose import iterate_adaptive_steps_to_pose
+from tissue_sim.fem.stepping import iterate_adaptive_steps_to_pose
 from tissue_sim.mesh import cylinder_mesh
 
 STUDY = {"C10": 1404.9, "C20": 699.4}

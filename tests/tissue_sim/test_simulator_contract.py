@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.kernel_owner import BusyError, CopyError
-from tissue_sim.motion_limits import MotionLimits
+from tissue_sim.fem.taichi.launch import BusyError, CopyError
 from tissue_sim.realtime.inertia_limits import LightToolWarning, ToolReversalDetector, minimum_stable_tool_mass
+from tissue_sim.realtime.tissue import MotionLimits
 from tissue_sim.tool_force import (
     ERROR_FLOOR,
     ERROR_SHARE,

@@ -3,7 +3,7 @@
 import numpy as np
 
 import tissue_sim as ts
-from tissue_sim.slip import blend_bonded_and_frictionless_recordings
+from tissue_sim.simulation import blend_bonded_and_frictionless_recordings
 
 
 def make_recording(force, **solver):

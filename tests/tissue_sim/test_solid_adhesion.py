@@ -12,8 +12,8 @@ from tissue_sim.fem.condensed.model import LINEARISATIONS
 from tissue_sim.fem.reduced.model import require_reducible
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.mesh.grading import Grading
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid import Grading, create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 
 
 @pytest.fixture(scope="module")

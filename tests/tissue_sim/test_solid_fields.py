@@ -11,8 +11,8 @@ from tissue_sim.fem.elements.fields import FIELD_UNITS
 from tissue_sim.fem.solid.fields import SOLID_UNITS, compute_stretches_of_cauchy_green_tensors
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import SharedFields
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 from tissue_sim.pose import Pose
 
 C10 = 1500.0

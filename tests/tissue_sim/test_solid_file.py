@@ -13,9 +13,8 @@ from solid_meshes import block
 import tissue_sim as ts
 from tissue_sim.bounded import run_in_sandbox
 from tissue_sim.errors import MESSAGE_LIMITS
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, TET15P1
 from tissue_sim.mesh.solid_file import convert_file_mesh, read_file_mesh, read_solid_mesh
-from tissue_sim.mesh.tetrahedra import TET15P1
 
 #: Of our corners of a hexahedron the order of VTK, and of our 27 nodes.
 VTK_8 = [0, 1, 3, 2, 4, 5, 7, 6]
@@ -122,7 +121,7 @@ def test_middles_of_curved_edges_are_kept(tmp_path, kind, close):
 
 def sides_of(points, cells, kind, where):
     """Triangles or quads of the sides of elements whose corners all fulfil a condition."""
-    from tissue_sim.mesh.formats.content import SIDES
+    from tissue_sim.mesh.formats.checks import SIDES
 
     corners = cells[:, np.array(SIDES[kind])].reshape(-1, len(SIDES[kind][0]))
     return corners[where(points[corners]).all(axis=1)]

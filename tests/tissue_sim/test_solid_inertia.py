@@ -11,9 +11,8 @@ from tissue_sim.fem.inertia import compute_lumped_volumes
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import SOLVERS, Solver, StepStatus
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, create_cylinder_mesh_under_needle
-from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, TET8P0, TET15P1
 from tissue_sim.pose import Pose
 
 WIDTH = 0.005

@@ -5,8 +5,8 @@ import pytest
 from solid_meshes import block
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, create_cylinder_mesh, create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 
 every_element = pytest.mark.parametrize("element", SOLID_ELEMENTS.values(), ids=lambda element: element.name)
 NEEDLE = {"smallest": 1.3e-3, "growth": 1.8, "largest": 15e-3}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0
 
 #: Name of the law.
 LAW = "reduced_polynomial_2"

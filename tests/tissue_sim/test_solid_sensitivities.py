@@ -8,12 +8,12 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.differentiation import FiniteDifferenceSettings
-from tissue_sim.fem.contact.settings import RelativeContactTolerances
+from tissue_sim.fem.contact.pairs import RelativeContactTolerances
 from tissue_sim.fem.solid import discretisation
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.mesh_mapping import CylinderWithTopCircle, map_cylinder
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0
 from tissue_sim.parameters import parameter, parameter_values, with_values
 
 STUDY = {"C10": 1404.9, "C20": 699.4}

@@ -11,13 +11,12 @@ import calibration
 import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.fem.solid.batches import ElementBatches
+from tissue_sim.fem.solid.contact import ToolFrame
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
-from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.grading import Grading
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import create_block_mesh_from_boundaries
+from tissue_sim.mesh.solid import Grading, create_block_mesh_from_boundaries
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 from tissue_sim.pose import Pose
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))

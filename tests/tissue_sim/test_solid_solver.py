@@ -9,8 +9,8 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 from tissue_sim.pose import Pose, compute_rigid_motion, interpolate_pose
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))

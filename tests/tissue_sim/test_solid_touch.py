@@ -10,11 +10,9 @@ import tissue_sim as ts
 from tissue_sim.errors import InputError
 from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.touch import find_first_touch
+from tissue_sim.fem.solid.touch import FacePolynomialMaps, find_first_touch
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.side_points import FacePolynomialMaps
-from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, TET8P0, TET15P1
 from tissue_sim.pose import Pose, rotate_pose_about_its_position
 
 RADIUS = 8e-3

@@ -8,8 +8,8 @@ from scipy.optimize import brentq
 import tissue_sim as ts
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.hexahedra import HEX27P1
 from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX27P1
 from tissue_sim.pose import Pose
 
 #: Name of the law.

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tissue_sim.realtime.step_clock import StepBudget, StepTimeEstimator, count_solves_in_budget_or_none
+from tissue_sim.realtime.path_following import StepBudget, StepTimeEstimator, count_solves_in_budget_or_none
 
 
 def followed(fixed, solve, noise=0.0, steps=600, seed=1):

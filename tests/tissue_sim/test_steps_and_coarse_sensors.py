@@ -5,9 +5,8 @@ import pytest
 
 from tissue_sim.recording.failure import find_failure
 from tissue_sim.recording.outliers import find_outliers_of_motion_and_load
-from tissue_sim.recording.preload import estimate_load_at_zero_displacement
-from tissue_sim.recording.resolution import find_rounding_step_or_zero
-from tissue_sim.recording.saturation import find_saturated_runs
+from tissue_sim.recording.saturation import find_rounding_step_or_zero, find_saturated_runs
+from tissue_sim.recording.screening import estimate_load_at_zero_displacement
 
 TIME = np.arange(0.0, 80.0, 0.5)
 STEP = np.floor(TIME / 20.0)

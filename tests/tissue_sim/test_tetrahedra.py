@@ -13,8 +13,7 @@ from tissue_sim.fem.solid.batches import ElementBatches, compute_quadrature_volu
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.hexahedra import HEX27P1
-from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
+from tissue_sim.mesh.solid_element import HEX27P1, TET8P0, TET15P1
 from tissue_sim.pose import Pose
 
 TETRAHEDRA = pytest.mark.parametrize("element", [TET8P0, TET15P1], ids=lambda element: element.name)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from tissue_sim.closed_form.histories import StrainHistory, nominal_stress_history, shear_stress_history
-from tissue_sim.material.layer import Layer
+from tissue_sim.material.material import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony, PronyTerm

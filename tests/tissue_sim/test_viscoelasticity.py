@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import tissue_sim as ts
-from tissue_sim.material.layer import Layer
+from tissue_sim.material.material import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening

@@ -1,7 +1,8 @@
-"""Experiment: specimen, tool, interfaces, protocol, and contact laws."""
+"""Experiment: specimen, tool and its approach, interfaces, protocol, and contact laws."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -10,16 +11,59 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.adhesion import Adhesion
-from tissue_sim.experiment.approach import Approach
-from tissue_sim.experiment.contact_law import ContactLaw
-from tissue_sim.experiment.interfaces import AS_TOOL, LARGEST_FRICTION, validate_and_normalise_interface
+from tissue_sim.experiment.contact_law import AS_TOOL, LARGEST_FRICTION, ContactLaw, validate_and_normalise_interface
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.parameters import parameter
-from tissue_sim.pose import Pose, Screw
+from tissue_sim.pose import Pose, Screw, Vector
 from tissue_sim.public_names import OldName, with_old_names
+from tissue_sim.settings import make_shallow_read_only_copy
 from tissue_sim.specimen import Specimen
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Straight path of a tool that is off the axis of the specimen, or tilted.
+
+    Attributes:
+        offset: distance from the axis, along x, of the deepest point of the upright tool, m.
+        angle: between the axes of tool and specimen, rad; a positive angle moves the tool towards +x as it goes in. The
+            tool is rotated about its deepest point.
+
+    Raises:
+        InputError: a number that is not finite, or an angle of more than 80 degrees.
+    """
+
+    offset: float = parameter("x0", "m", key="offset_mm", factor=1e-3, bounds=(-1.0, 1.0), absent=0.0, default=0.0,
+                              shapes_mesh=True)
+    angle: float = parameter("theta", "rad", key="tilt_deg", factor=math.pi / 180.0, bounds=(-1.4, 1.4), absent=0.0,
+                             default=0.0)
+
+    def __post_init__(self):
+        if not math.isfinite(self.offset):
+            raise InputError(f"must be finite; got {self.offset} m.", field="approach.offset")
+        if not abs(self.angle) <= 1.4:
+            raise InputError(f"must be at most 80 degrees; got {math.degrees(self.angle):g} degrees.",
+                             field="approach.angle")
+
+    def pose(self, displacement: float) -> Pose:
+        """Return the pose of the tool at a displacement, m, from its first touch, positive into the tissue."""
+        sine, cosine = math.sin(self.angle), math.cos(self.angle)
+        half = 0.5 * self.angle
+        return Pose((self.offset + sine * displacement, 0.0, -cosine * displacement),
+                    (math.cos(half), 0.0, -math.sin(half), 0.0))
+
+    #: Old name.
+    against = OldName("direction_against_motion")
+
+    @property
+    def direction_against_motion(self) -> Vector:
+        """Unit vector opposite to the tool's direction of motion, in the frame of the scene."""
+        return -math.sin(self.angle), 0.0, math.cos(self.angle)
+
+    def compute_force_against_motion(self, wrench: Screw) -> float:
+        """Return the component of a wrench's force opposite to the tool's direction of motion, N."""
+        return sum(one * other for one, other in zip(self.direction_against_motion, wrench, strict=False))
 
 
 def _declare_friction_parameter(symbol: str, key: str, default: str | None) -> Any:
@@ -58,15 +102,15 @@ class Experiment:
         specimen: geometry, density and gravity.
         protocol: tool displacement against time, from the first touch of the specimen in equilibrium.
         tool: rigid tool that is moved into the specimen.
-        friction: interface of the tool's face; see `tissue_sim.experiment.interfaces`. A bonded needle holds the tissue
+        friction: interface of the tool's face; see `tissue_sim.experiment.contact_law`. A bonded needle holds the tissue
             under its flat face from the start, and its rounded edge holds the tissue that it meets.
         friction_base: interface of the base plate; ``"as_tool"``: that of the upper plate. None: ``"bonded"`` under a
             needle and below a curved specimen; between two plates the interface of the tool, as ``"as_tool"`` if it is
             a coefficient of friction, so that a fit changes both together.
         friction_wall: interface of a needle's shaft; tissue meets it during the test, so that it cannot be bonded.
         adhesion: attraction of a tool that lifts off; None: no adhesion.
-        tilt: height difference across the contact, m; see `tissue_sim.tilt`.
-        slip: fraction of the bonded area that slips; see `tissue_sim.slip`. It applies to both bonded faces of plates,
+        tilt: height difference across the contact, m; see `tissue_sim.simulation`.
+        slip: fraction of the bonded area that slips; see `tissue_sim.simulation`. It applies to both bonded faces of plates,
             and to the face of a needle. None if the tool's face is not bonded.
         contact_laws: additional laws by name; see `tissue_sim.experiment.contact_law`. A sequence of laws is accepted.
         approach: offset and angle of the tool; None: on the axis. Only three-dimensional solvers accept another one.

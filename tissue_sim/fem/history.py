@@ -1,15 +1,145 @@
-"""State variables of relaxation and softening at the quadrature points."""
+"""State variables at the quadrature points: relaxation, softening, and effects of plug-ins."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from copy import copy
 from enum import IntEnum
+from itertools import chain
+from typing import Any
 
 import numpy as np
 
+from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.fem.taichi.array_tables import ArrayLayout, real_array_type
-from tissue_sim.fem.taichi.origins import allocate_array
+from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
+from tissue_sim.fem.taichi.trace import TRIED, FormulaClassAndConstants, wrap_as_traced_numbers
+from tissue_sim.material.effect import PointEffect, TissueEffect
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony
+
+#: Longest time step that is passed to a formula, s, because kernels have no infinity.
+_LONGEST = 1e30
+
+
+class PointEffects:
+    """NumPy arrays of all point effects of a material, which the assembly of a step reads and writes.
+
+    Args:
+        points: number of elements, and of quadrature points in each.
+        components: number of stored stress components.
+
+    Attributes:
+        formulas: formulas of the effects, in order.
+        settings: time step, s, then the parameters of all effects.
+        states: state variables of all effects at the last committed step, then the sum of their second Piola-Kirchhoff
+            stresses, Pa; shape (elements, q, variables + components).
+        found: values of `states` at the end of the present step.
+    """
+
+    def __init__(self, points: tuple[int, int], components: int):
+        self._points, self._components = points, components
+        self.formulas: tuple[FormulaClassAndConstants[PointEffect], ...] = ()
+        self.settings = allocate_array((1,))
+        self._allocate_states(())
+
+    def __bool__(self) -> bool:
+        return bool(self.formulas) and self._points[0] > 0
+
+    def _allocate_states(self, rest: tuple[float, ...]) -> None:
+        """Allocate the state variables; `rest` are their values at rest."""
+        # Without effects the arrays are not read.
+        shape = (*self._points, len(rest) + self._components) if self.formulas else (1, 1, 1)
+        self.states = allocate_array(shape)
+        self.states[..., : len(rest)] = rest
+        self.found = copy_to_addressable_array(self.states)
+
+    def set_effects(self, effects: Iterable[TissueEffect]) -> None:
+        """Set the effects of a material; state variables are kept if the formulas are the same.
+
+        Raises:
+            InputError: a kernel cannot execute a formula, or a formula returns other shapes than required.
+        """
+        points = [effect for effect in effects if isinstance(effect, PointEffect)]
+        formulas = tuple(FormulaClassAndConstants.from_law_or_effect(effect) for effect in points)
+        if formulas != self.formulas:
+            for formula in formulas:
+                require_valid_formula(formula)
+            self.formulas = formulas
+            self._allocate_states(tuple(value for effect in points for value in effect.rest))
+        numbers = (formula.get_parameter_values(effect) for formula, effect in zip(formulas, points, strict=True))
+        settings = np.array([self.settings[0], *chain.from_iterable(numbers)])
+        if settings.shape == self.settings.shape:
+            self.settings[:] = settings  # in place: the kernel has a reference to the array
+        else:
+            self.settings = copy_to_addressable_array(settings)
+
+    def set_step_duration(self, dt: float) -> None:
+        """Set the duration dt of the next step, s, in the settings of the formulas."""
+        self.settings[0] = min(dt, _LONGEST)
+
+    def commit_step(self) -> None:
+        """Commit the state variables of the last step; to be called if the step converged."""
+        if self.formulas:
+            self.states[:] = self.found
+
+    @property
+    def committed_effect_stress(self) -> np.ndarray:
+        """Sum of the stresses of all effects at the last committed step, Pa, shape (elements, q, components)."""
+        return self.states[..., -self._components:]
+
+
+def sum_effect_responses(formulas: Iterable[FormulaClassAndConstants[PointEffect]], components: Sequence[int],
+                         C: Sequence[Any], states: Sequence[Any],
+                         settings: Sequence[Any]) -> tuple[list[Any], list[list[Any]], list[Any]]:
+    """Sum the responses of all effects; all numbers may be traced numbers of a kernel or NumPy arrays of points.
+
+    Args:
+        formulas: formulas of the effects.
+        components: indices of the components of the result among those of the formulas (11, 22, 33, 12, 13, 23).
+        C: right Cauchy-Green tensor, 6 components.
+        states: state variables of all effects before the step.
+        settings: see `PointEffects.settings`.
+
+    Returns:
+        Second Piola-Kirchhoff stress, Pa, one entry for each component; rows of its derivative with respect to the
+        Green strains (shears doubled), Pa; state variables of all effects after the step.
+    """
+    dt, *numbers = settings
+    S: list[Any] = [0.0] * len(components)
+    D: list[list[Any]] = [[0.0] * len(components) for _ in components]
+    found: list[Any] = []
+    for formula in formulas:
+        parameters, numbers = numbers[: len(formula.parameter_names)], numbers[len(formula.parameter_names):]
+        state, states = states[: len(formula.kind.rest)], states[len(formula.kind.rest):]
+        # Copies, because a formula may change its arguments.
+        stress, tangent, new = formula.build_unchecked_instance(parameters).response(
+            [copy(each) for each in C], [copy(each) for each in state], dt)
+        S = [total + stress[i] for total, i in zip(S, components, strict=True)]
+        D = [[total + tangent[i][k] for total, k in zip(row, components, strict=True)]
+             for row, i in zip(D, components, strict=True)]
+        found += new
+    return S, D, found
+
+
+def require_valid_formula(formula: FormulaClassAndConstants[PointEffect]) -> None:
+    """Check a formula of a point effect: execute it once outside of a kernel and check the shapes of its result.
+
+    Raises:
+        InputError: the formula uses an operation that kernels do not support, or returns other shapes.
+    """
+    kind, field = formula.kind, f"effects.{formula.kind.name}"
+    parameters = wrap_as_traced_numbers([TRIED] * len(formula.parameter_names), lanes=False)
+    C, state, (dt,) = wrap_as_traced_numbers([TRIED] * 6,
+                                             True), wrap_as_traced_numbers([TRIED] * len(kind.rest),
+                                                                           True), wrap_as_traced_numbers([TRIED], False)
+    with located_and_converted_errors(field=field):
+        stress, tangent, found = formula.build_unchecked_instance(parameters).response(C, state, dt)
+    shape = len(stress), len(tangent), {len(row) for row in tangent}, len(found)
+    if shape != (6, 6, {6}, len(kind.rest)):
+        raise InputError(f"the response of {kind.__name__} must return 6 stresses, 6 rows of 6 tangent entries and "
+                         f"{len(kind.rest)} state variables, as many as `rest` has; got {len(stress)} stresses, "
+                         f"{len(tangent)} rows and {len(found)} state variables.", field=field)
 
 
 class RelaxationSofteningCoefficient(IntEnum):

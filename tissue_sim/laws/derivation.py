@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.atomic_write import write_text
 from tissue_sim.errors import InputError
-from tissue_sim.files import get_cache_folder
+from tissue_sim.files import get_cache_folder, write_text
 
 #: Name that sympy's lambdify gives to its functions.
 _NAME = "_lambdifygenerated"

@@ -1,4 +1,7 @@
-"""Material files, ``NAME.material.json``: output of a calibration and input of the simulator."""
+"""Material files, ``NAME.material.json``: output of a calibration and input of the simulator.
+
+A file may contain the statistics of the measured specimens (`PopulationEntry`).
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import (
     convert_to_json_types,
     decode_struct,
@@ -23,13 +25,9 @@ from tissue_sim.decode import (
     require_valid_json_values,
 )
 from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
+from tissue_sim.files import write_text
 from tissue_sim.laws import Law, find_law, find_stability_range
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.material.population import (
-    PopulationEntry,
-    make_checked_population_entry_in_si,
-    make_population_entry_from_si_fields,
-)
 from tissue_sim.material.schema import (
     BulkEntry,
     CovarianceEntry,
@@ -39,6 +37,7 @@ from tissue_sim.material.schema import (
     PoroelasticityEntry,
     Provenance,
     PunctureEntry,
+    Range,
     RegionEntry,
     SofteningEntry,
     StabilityEntry,
@@ -54,6 +53,91 @@ from tissue_sim.material.schema import (
 from tissue_sim.parameters import Parameter, parameters, split_path_into_names_and_indices
 from tissue_sim.public_names import with_old_names
 from tissue_sim.version import __version__
+
+_LISTS = ("mean", "spread", "mean_interval95", "spread_interval95")
+
+
+class PopulationEntry(MaterialFileEntry, frozen=True, kw_only=True):
+    """Statistics of the specimens whose mean is the material, for its parameters in `order`.
+
+    One number for each parameter, in the units of the file: `mean`, `spread` (standard deviation between specimens),
+    their 95 % intervals, the covariance `between_specimens`, and the values of each measured specimen in `specimens`.
+    `left_out` contains the reason for each specimen that was not used.
+    """
+
+    order: tuple[str, ...]
+    mean: tuple[float, ...]
+    spread: tuple[float, ...]
+    between_specimens: tuple[tuple[float, ...], ...]
+    specimens: dict[str, tuple[float, ...]]
+    left_out: dict[str, str] = {}
+    mean_interval95: tuple[Range, ...] | None = None
+    spread_interval95: tuple[Range, ...] | None = None
+
+    def with_renamed_and_scaled_parameters(self, order: Sequence[str], factors: Sequence[float]) -> PopulationEntry:
+        """Return a copy of the entry with the names `order`, and with each parameter's values times its factor."""
+        sizes = np.asarray(factors)
+        lists = {key: None if getattr(self, key) is None else (np.transpose(getattr(self, key)) * sizes).T.tolist()
+                 for key in _LISTS}
+        return decode_struct(convert_to_json_types({
+            "order": list(order), **{key: value for key, value in lists.items() if value is not None},
+            "between_specimens": (np.outer(sizes, sizes) * np.array(self.between_specimens)).tolist(),
+            "specimens": {name: (sizes * values).tolist() for name, values in self.specimens.items()},
+            "left_out": self.left_out}),
+            PopulationEntry, "population")
+
+
+def make_population_entry_from_si_fields(stated: Mapping[str, Any], known: Mapping[str, Parameter]) -> PopulationEntry:
+    """Check the stated fields of a population and convert them to an entry in the units and names of the file.
+
+    Args:
+        stated: fields of `PopulationEntry`, in SI, with the parameters by path.
+        known: path -> parameter of the material.
+
+    Raises:
+        InputError: a parameter that the material does not have, or a wrong shape; with the field.
+    """
+    entry = decode_struct(convert_to_json_types(stated), PopulationEntry, "population")
+    _check_population_entry(entry, known)
+    return entry.with_renamed_and_scaled_parameters([known[name].path_in_file for name in entry.order],
+                                                    [1.0 / known[name].declaration.factor for name in entry.order])
+
+
+def make_checked_population_entry_in_si(entry: PopulationEntry, known: Mapping[str, float]) -> PopulationEntry:
+    """Check an entry of a file, and return a copy in SI.
+
+    Args:
+        entry: entry of a file.
+        known: name of a parameter in the file -> factor of its unit.
+
+    Raises:
+        InputError: an unknown parameter, a wrong shape, or a matrix that is not a covariance.
+    """
+    _check_population_entry(entry, known)
+    return entry.with_renamed_and_scaled_parameters(entry.order, [known[name] for name in entry.order])
+
+
+def _check_population_entry(entry: PopulationEntry, known: Mapping[str, Any]) -> None:
+    """Require known parameters, one number for each of them in every row, disjoint specimens, and a covariance."""
+    for name in entry.order:
+        if name not in known:
+            raise InputError(
+                f"this material has no parameter {name!r}{make_hint_with_similar_or_known_words(name, known)}",
+                field="population.order")
+    rows: dict[str, Any] = {key: getattr(entry, key) for key in _LISTS if getattr(entry, key) is not None}
+    rows |= {f"specimens.{name}": values for name, values in entry.specimens.items()}
+    for key, values in (*rows.items(), *((f"between_specimens[{i}]", row)
+                                         for i, row in enumerate(entry.between_specimens))):
+        if len(values) != len(entry.order):
+            raise InputError(f"must have {len(entry.order)} entries, one for each parameter in order; got "
+                             f"{len(values)}.",
+                             field=f"population.{key}")
+    for name in entry.left_out:
+        if name in entry.specimens:
+            raise InputError("must not be among the specimens too; remove one of them.",
+                             field=f"population.left_out.{name}")
+    check_covariance(np.array(entry.between_specimens), len(entry.order), "population.between_specimens")
+
 
 #: Version of the format; files of version 1 (law and bulk response only) are valid files of version 2.
 VERSION = 2

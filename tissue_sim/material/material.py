@@ -1,4 +1,4 @@
-"""Material: law, parameters, bulk response, and effects of time and loading history."""
+"""Material: law, parameters, bulk response, layers, and effects of time and loading history."""
 
 from __future__ import annotations
 
@@ -11,16 +11,36 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.laws import Law, find_law
 from tissue_sim.material.effect import ForceScalingEffect, TissueEffect
-from tissue_sim.material.layer import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
-from tissue_sim.parameters import Declaration
+from tissue_sim.parameters import Declaration, parameter
 from tissue_sim.public_names import OldName, with_old_names
+from tissue_sim.settings import make_shallow_read_only_copy
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Layer of the specimen, counted from its top face downwards; the material itself is below the last layer.
+
+    Attributes:
+        thickness: m, in the same state as the specimen's height: undeformed, or settled under its weight.
+        ratio: factor on every modulus of the material, bulk included; 1 is absent.
+    """
+
+    thickness: float = parameter("h", "m", key="thickness_mm", factor=1e-3, bounds=(1e-6, 1.0), shapes_mesh=True)
+    ratio: float = parameter("k", "1", key="modulus_ratio", bounds=(1e-3, 1e3), absent=1.0)
+
+    def __post_init__(self):
+        if not 0 < self.thickness < np.inf:
+            raise InputError(f"must be positive and finite; got {self.thickness:g} m.", field="thickness")
+        if not 0 < self.ratio < np.inf:
+            raise InputError(f"must be a positive finite factor on the moduli of the material below; got "
+                             f"{self.ratio:g}.", field="ratio")
+
 
 #: Range of K / mu0 for which the finite elements are verified, 1; 2.17 is a Poisson's ratio of 0.3.
 BULK_RATIOS = (2.0, 1e6)

@@ -10,8 +10,13 @@ from typing import Any
 from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
 from tissue_sim.laws import LAWS
 from tissue_sim.material.effect import EFFECTS
-from tissue_sim.material.layer import Layer
-from tissue_sim.material.material import Bulk, Material, find_bulk_declaration_or_none, get_law_parameter_declaration
+from tissue_sim.material.material import (
+    Bulk,
+    Layer,
+    Material,
+    find_bulk_declaration_or_none,
+    get_law_parameter_declaration,
+)
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening

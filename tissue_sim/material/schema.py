@@ -17,8 +17,7 @@ from tissue_sim.decode import decode_struct
 from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
 from tissue_sim.laws import find_law
 from tissue_sim.material.effect import EFFECTS
-from tissue_sim.material.layer import Layer
-from tissue_sim.material.material import Bulk, Material
+from tissue_sim.material.material import Bulk, Layer, Material
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening

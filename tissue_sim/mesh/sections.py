@@ -1,14 +1,224 @@
-"""Cut tetrahedra and triangles by the zero level of a scalar field at the nodes.
+"""Subdivide solid elements into tetrahedra and triangles, cut them by a level, and project surfaces vertically.
 
-The scalar is, for example, the height above a plane. A node with the value zero counts as below, so that a triangle in
-the surface belongs to one of its two neighbours only.
+The scalar of a cut is, for example, the height above a plane. A node with the value zero counts as below, so that a
+triangle in the surface belongs to one of its two neighbours only.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from typing import Protocol
 
 import numpy as np
+
+#: Compression of the nodes along their main diagonal before the Delaunay triangulation. The triangulation of a lattice
+#: is then unique, and neighbours divide their common face in the same way (Freudenthal, Annals of Mathematics 43
+#: (1942) 580).
+_COMPRESSION = 0.5
+#: Displacement of the nodes by the squares of their coordinates, which moves four nodes out of a common plane.
+_SEPARATION = 1e-5 * np.array([[0.3, 0.7, -0.2], [0.5, -0.4, 0.9], [-0.8, 0.6, 0.1]])
+#: Volume (area) below which a tetrahedron (triangle) is degenerate, as a fraction of the largest one.
+_FLAT = 1e-9
+
+
+class DivisibleElement(Protocol):
+    """Properties of a solid element that the subdivision requires."""
+
+    def __hash__(self) -> int:
+        """Return a hash, under which the subdivision is cached."""
+
+    @property
+    def reference_nodes(self) -> np.ndarray:
+        """Reference coordinates of a convex body, shape (nodes, 3)."""
+
+    @property
+    def local_face_node_indices(self) -> np.ndarray:
+        """Local node indices of each face, in the same order with outward orientation, shape (faces, face nodes)."""
+
+
+@cache
+def subdivide_into_tetrahedra(element: DivisibleElement) -> np.ndarray:
+    """Subdivide an element into tetrahedra between its nodes.
+
+    Returns:
+        Local node indices in the element, shape (t, 4), read-only. Volumes are positive; a volume inside the reference
+        element may be zero up to rounding if four nodes lie in a plane.
+    """
+    nodes = element.reference_nodes
+    middle = _find_central_node(nodes)
+    if middle is None:
+        return _compute_conforming_tetrahedra(element)
+    # From the central node to the triangles of all faces, so that neighbours divide their common face equally.
+    triangles = element.local_face_node_indices[:, subdivide_face_into_triangles(element)].reshape(-1, 3)
+    cells = np.column_stack([np.full(len(triangles), middle), triangles])
+    edges = nodes[cells[:, 1:]] - nodes[cells[:, :1]]
+    volumes = np.linalg.det(edges)
+    cells[volumes < 0.0] = cells[volumes < 0.0][:, [0, 2, 1, 3]]
+    cells = cells[np.abs(volumes) > _FLAT * np.abs(volumes).max()]
+    cells.flags.writeable = False
+    return cells
+
+
+@cache
+def subdivide_face_into_triangles(element: DivisibleElement) -> np.ndarray:
+    """Subdivide a face of an element into triangles between its nodes.
+
+    Returns:
+        Indices among the nodes of a row of `local_face_node_indices`, shape (k, 3), read-only; the normals point
+        outwards.
+    """
+    nodes = element.reference_nodes[element.local_face_node_indices[0]]
+    # Two coordinates are sufficient, because a reference face is plane.
+    normal = np.abs(np.linalg.svd(nodes - nodes.mean(axis=0))[2][2])
+    kept = np.delete(np.arange(3), int(np.argmax(normal)))
+    middle = _find_central_node(nodes)
+    if middle is None:
+        triangles = _compute_delaunay_triangles(nodes[:, kept])
+    else:
+        # Triangles around the central node do not depend on the node at which the face of a neighbour begins.
+        x, y = (nodes[:, kept] - nodes[middle, kept]).T
+        around = np.argsort(np.arctan2(y, x))
+        around = around[around != middle]
+        triangles = np.column_stack([np.full(around.size, middle), around, np.roll(around, -1)])
+    a, b, c = np.moveaxis(nodes[triangles], 1, 0)
+    normals = np.cross(b - a, c - a)
+    inwards = (normals * (nodes.mean(axis=0) - element.reference_nodes.mean(axis=0))).sum(axis=1) < 0.0
+    triangles[inwards] = triangles[inwards][:, [0, 2, 1]]
+    areas = np.linalg.norm(normals, axis=1)
+    triangles = triangles[areas > _FLAT * areas.max()]
+    triangles.flags.writeable = False
+    return triangles
+
+
+@cache
+def find_outline_edges_of_face(element: DivisibleElement) -> np.ndarray:
+    """Return the outline edges of a face, shape (k, 2), read-only.
+
+    The entries are indices among the nodes of a row of `SolidElement.local_face_node_indices`.
+    """
+    triangles = subdivide_face_into_triangles(element)
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    different, times = np.unique(edges, axis=0, return_counts=True)
+    around: np.ndarray = different[times == 1]
+    around.flags.writeable = False
+    return around
+
+
+def triangulate_surface_faces(element: DivisibleElement, sides: np.ndarray) -> np.ndarray:
+    """Subdivide faces of elements into triangles with outward normals.
+
+    Args:
+        element: element type.
+        sides: node numbers of the faces in the order of the element, shape (m, nodes of a face).
+
+    Returns:
+        Node numbers, shape (m k, 3); the triangles of a face are successive.
+    """
+    return np.take(sides, subdivide_face_into_triangles(element), axis=1).reshape(-1, 3)
+
+
+def _compute_conforming_tetrahedra(element: DivisibleElement) -> np.ndarray:
+    """Return the Delaunay tetrahedra of an element without central node; read-only.
+
+    Four nodes of one plane inside the element may form a tetrahedron without volume. In a deformed element it has a
+    volume, and its neighbours would not meet without it. A small quadratic displacement of the nodes decides about its
+    presence and orientation.
+    """
+    from scipy.spatial import Delaunay
+
+    nodes = element.reference_nodes
+    moved = _compress_along_diagonal(nodes) + nodes**2 @ _SEPARATION
+    cells = np.array(Delaunay(moved).simplices, dtype=np.intp)
+    on_face = np.zeros((len(element.local_face_node_indices), len(nodes)), dtype=bool)
+    np.put_along_axis(on_face, element.local_face_node_indices, True, axis=1)
+    cells = cells[~on_face[:, cells].all(axis=2).any(axis=0)]
+    inverted = np.linalg.det(moved[cells[:, 1:]] - moved[cells[:, :1]]) < 0.0
+    cells[inverted] = cells[inverted][:, [0, 2, 1, 3]]
+    cells.flags.writeable = False
+    return cells
+
+
+def _find_central_node(nodes: np.ndarray) -> int | None:
+    """Return the index of a node at the centroid of all nodes, or None."""
+    distance = np.linalg.norm(nodes - nodes.mean(axis=0), axis=1)
+    nearest = int(np.argmin(distance))
+    return nearest if distance[nearest] < 0.1 * distance.max() else None
+
+
+def _compute_delaunay_triangles(nodes: np.ndarray) -> np.ndarray:
+    """Return the Delaunay triangles of nodes as node indices, in any orientation; unique for nodes on a lattice."""
+    from scipy.spatial import Delaunay
+
+    return np.array(Delaunay(_compress_along_diagonal(nodes)).simplices, dtype=np.intp)
+
+
+def _compress_along_diagonal(nodes: np.ndarray) -> np.ndarray:
+    return nodes - _COMPRESSION * nodes.mean(axis=1, keepdims=True)
+
+
+#: Tolerance of equal heights, as a fraction of the height of the body.
+_FLAT_TRIANGLE = 1e-6
+
+
+class VerticalProjection:
+    """Vertical projection of the top and of the surface of a body with plane faces.
+
+    Args:
+        points: corners, m, shape (n, 3).
+        top: faces of the top as numbers of their corners in circumferential order, shape (m, corners).
+        base: faces of the base.
+        surface: all faces of the surface.
+
+    Attributes:
+        is_flat: whether top and base are horizontal planes and the base is the lower one.
+    """
+
+    def __init__(self, points: np.ndarray, top: np.ndarray, base: np.ndarray, surface: np.ndarray):
+        slack = _FLAT_TRIANGLE * float(np.ptp(points[:, 2]))
+        self.is_flat = bool(np.ptp(points[top, 2]) <= slack and points[base, 2].max() <= points[:, 2].min() + slack)
+        self._points = points
+        self._top, self._surface = (_split_into_triangles(sides) for sides in (top, surface))
+        edges = np.stack([top, np.roll(top, -1, axis=1)], axis=-1).reshape(-1, 2)
+        _, first, times = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+        self._rim = edges[first[times == 1]]
+
+    def compute_distance_inside_top_rim(self, x: float, y: float) -> float:
+        """Return the horizontal distance from (x, y), m, to the rim of the top, m; negative outside of the top."""
+        a, b = self._points[self._rim[:, 0], :2], self._points[self._rim[:, 1], :2]
+        position, edge = np.array([x, y]), b - a
+        length2 = np.einsum("ei,ei->e", edge, edge)
+        fraction = np.clip(np.einsum("ei,ei->e", position - a, edge) / np.where(length2 > 0.0, length2, 1.0), 0.0, 1.0)
+        distance = float(np.linalg.norm(a + fraction[:, None] * edge - position, axis=1).min())
+        return distance if self._find_crossing_heights(self._top, x, y).size else -distance
+
+    def vertical_thickness(self, x: float, y: float) -> float:
+        """Return the height difference of the extreme surface points on the vertical line at (x, y), m; 0 outside."""
+        heights = self._find_crossing_heights(self._surface, x, y)
+        return float(np.ptp(heights)) if heights.size else 0.0
+
+    @property
+    def outer_radius(self) -> float:
+        """Largest horizontal distance of the surface from the axis x = y = 0, m."""
+        return float(np.hypot(*self._points[np.unique(self._surface), :2].T).max())
+
+    def _find_crossing_heights(self, triangles: np.ndarray, x: float, y: float) -> np.ndarray:
+        """Return the heights at which a vertical line meets triangles, m."""
+        corners = self._points[triangles]
+        a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+        is_projected = np.abs(area) > 0.0
+        a, u, v, area = a[is_projected], u[is_projected], v[is_projected], area[is_projected]
+        dx, dy = x - a[:, 0], y - a[:, 1]
+        s, t = (dx * v[:, 1] - dy * v[:, 0]) / area, (u[:, 0] * dy - u[:, 1] * dx) / area
+        inside = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1.0 + 1e-9)
+        return (a[:, 2] + s * u[:, 2] + t * v[:, 2])[inside]
+
+
+def _split_into_triangles(sides: np.ndarray) -> np.ndarray:
+    """Return triangles, shape (k, 3), from faces with three or four corners."""
+    return sides if sides.shape[1] == 3 else np.concatenate([sides[:, [0, 1, 2]], sides[:, [0, 2, 3]]])
+
 
 #: Number of nodes above -> corners of the section of a tetrahedron, as pairs of its nodes, the first one below. The
 #: nodes are sorted, those below first; for a positive volume the normal of the section points upwards.

@@ -1,4 +1,7 @@
-"""Solid meshes, and structured meshes of hexahedra for blocks and for cylinders graded towards a tool."""
+"""Solid meshes, and structured meshes of hexahedra: blocks, cylinders, and half shells between two ellipsoids.
+
+`Grading` states the sizes of the elements and the position of the smallest ones, under a tool or at the edges.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,81 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.grading import O_GRID, Grading
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
-from tissue_sim.mesh.section import PlanarMesh, make_quarter_circle
-from tissue_sim.mesh.solid_element import MAX_NODES, SolidElement
-from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
+from tissue_sim.mesh.axisymmetric import divide_into_growing_intervals, insert_interfaces_and_refine_layers
+from tissue_sim.mesh.section import Curve, PlanarMesh, make_quarter_circle, make_rectangle_side
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, MAX_NODES, TET8P0, TET15P1, Hexahedron, SolidElement
+from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.registry import Registry
+
+
+@dataclass(frozen=True)
+class OGridSettings:
+    """Proportions of an O-grid: rings of elements around a square core.
+
+    Attributes:
+        plate_ring: radius of the circle of the O-grid under a plate, as a fraction of the radius of the specimen, 1.
+        core: size of the square core, as a fraction of the radius of the tool, 1.
+    """
+
+    plate_ring: float = 0.6
+    core: float = 0.5
+
+
+#: Proportions of every O-grid.
+O_GRID = OGridSettings()
+
+
+@dataclass(frozen=True)
+class Grading:
+    """Sizes of elements: smallest at the edge of the tool's face, or of a specimen under a plate, growing from there.
+
+    Attributes:
+        element: element type; a mesh from a file uses its own shape of element with the same order.
+        smallest: length of the smallest interval, m; see `divide_into_growing_intervals`.
+        growth: ratio of successive intervals.
+        largest: limit of the length of an interval, m.
+        around: number of elements along a quarter of the edge of a needle's face.
+        radius: radius of the circle under a needle, m; None: a plate covers the whole top.
+        centre: (x, y) of the centre of the circle, m.
+        interfaces: depths below the top of required element boundaries, ascending, m.
+        least: minimum number of elements between two interfaces.
+    """
+
+    element: Hexahedron
+    smallest: float
+    growth: float
+    largest: float
+    around: int
+    radius: float | None = None
+    centre: tuple[float, float] = (0.0, 0.0)
+    interfaces: tuple[float, ...] = ()
+    least: int = 1
+
+    def divide_line(self, length: float) -> np.ndarray:
+        """Divide a line of `length`, m, into intervals that grow from its start; return their boundaries from 0, m."""
+        return divide_into_growing_intervals(length, self.smallest, self.growth, self.largest)
+
+    def divide_line_from_both_ends(self, length: float) -> np.ndarray:
+        """Divide a line of `length`, m, with small intervals at both ends; return their boundaries from 0, m."""
+        half = self.divide_line(0.5 * length)
+        return np.concatenate([half, length - half[-2::-1]])
+
+    def insert_interface_heights(self, heights: np.ndarray, height: float) -> np.ndarray:
+        """Return the heights of element boundaries with the interfaces added, ascending to 0, m.
+
+        Args:
+            heights: heights of element boundaries, ascending to 0, m.
+            height: height of the specimen, m.
+
+        Raises:
+            InputError: the layers are thicker than the specimen.
+        """
+        if not self.interfaces:
+            return heights
+        if self.interfaces[-1] >= height * (1.0 - 1e-9):
+            raise InputError(f"the layers must be thinner than the specimen, height {height * 1e3:g} mm; got "
+                             f"{self.interfaces[-1] * 1e3:g} mm", field="layers")
+        return insert_interfaces_and_refine_layers(heights, [-depth for depth in self.interfaces], self.least)
 
 
 def _fits_kernels(element: Any) -> bool:
@@ -110,7 +182,7 @@ def create_block_mesh_from_boundaries(x: Sequence[float] | np.ndarray, y: Sequen
         element: element type.
 
     Examples:
-        >>> from tissue_sim.mesh.hexahedra import HEX8P0
+        >>> from tissue_sim.mesh.solid_element import HEX8P0
         >>> cube = create_block_mesh_from_boundaries([0.0, 0.01], [0.0, 0.01], [-0.01, 0.0], HEX8P0)
         >>> cube.nodes.shape, sorted(cube.sets)
         ((8, 3), ['base', 'side', 'top'])
@@ -232,3 +304,143 @@ def create_mesh_with_surface_sets(element: SolidElement, nodes: np.ndarray, conn
     base, top = (heights <= low + slack).all(axis=1), (heights >= high - slack).all(axis=1)
     faces = {"base": outer[base], "top": outer[top], "side": outer[~(base | top)]}
     return SolidMesh(element, nodes, connectivity, {name: np.unique(each) for name, each in faces.items()}, faces)
+
+
+__getattr__ = make_getattr_for_old_names(__name__, {"block_under_plate": "create_block_mesh_under_plate",
+                                                    "block_under_tool": "create_block_mesh_under_tool"})
+
+
+@dataclass(frozen=True)
+class BlockMeshSettings:
+    """Proportions of the mesh of a block.
+
+    Attributes:
+        box: minimum half width of the box around a tool that contains the rings of elements, in radii of the tool, 1.
+        near: distance of a side of the block from the tool, in half widths of the box, below which the side of the
+            block is also a side of the box, 1.
+        edge_size: size of the elements at the edges of a block between plates, as a fraction of the size at the edge
+            of a tool's face, 1.
+        edge_growth: minimum ratio of successive elements in a block between plates, 1.
+    """
+
+    box: float = 2.0
+    near: float = 1.6
+    edge_size: float = 0.7
+    edge_growth: float = 1.8
+
+
+_MESH = BlockMeshSettings()
+
+
+def create_block_mesh_under_plate(length: float, width: float, height: float, grading: Grading) -> SolidMesh:
+    """Create the mesh of a block between plates that cover its top and base, with small elements at all edges.
+
+    Args:
+        length: length along x, m.
+        width: width along y, m.
+        height: height along z, m.
+        grading: sizes of the elements.
+    """
+    grading = replace(grading, smallest=_MESH.edge_size * grading.smallest,
+                      growth=max(grading.growth, _MESH.edge_growth))
+    x, y, z = (grading.divide_line_from_both_ends(size) for size in (length, width, height))
+    return create_block_mesh_from_boundaries(x - 0.5 * length, y - 0.5 * width,
+                                             grading.insert_interface_heights(z - height, height), grading.element)
+
+
+def create_block_mesh_under_tool(length: float, width: float, height: float, grading: Grading) -> SolidMesh:
+    """Create the mesh of a block under a tool: an O-grid around the tool in a box, and rectangles outside of the box.
+
+    Args:
+        length: length along x, m.
+        width: width along y, m.
+        height: height along z, m.
+        grading: sizes of the elements, and circle of the tool.
+
+    Raises:
+        InputError: the circle of the tool is not inside the top of the block.
+    """
+    radius, centre = grading.radius or 0.0, np.array(grading.centre)
+    ends = np.array([[-0.5, 0.5]]) * np.array([[length], [width]])
+    distances = np.abs(ends - centre[:, None])  # from the tool to the sides
+    if (ends[:, 0] >= centre).any() or (centre >= ends[:, 1]).any() or distances.min() <= radius:
+        raise InputError(f"the circle of radius {radius:g} m about ({centre[0]:g}, {centre[1]:g}) m must be inside the "
+                         f"block of {length:g} x {width:g} m", field="centre")
+    reach = max(_MESH.box * radius, distances.min())
+    half_widths = np.where(distances < _MESH.near * reach, distances, reach)
+    low, high = centre - half_widths[:, 0], centre + half_widths[:, 1]
+    section = PlanarMesh(grading.element.order)
+    section.add_disc(centre, radius, compute_inner_ring_radius_fractions(grading, radius), grading.around)
+    outward = grading.divide_line(float(half_widths.max()) - radius)
+    for quarter in range(4):
+        section.add_elements_between_curves(make_quarter_circle(quarter, radius, centre),
+                                            make_rectangle_side(quarter, low, high, centre),
+                                            outward / outward[-1], grading.around)
+    last = min(max(outward[-1] - outward[-2], grading.smallest) * grading.growth, grading.largest)
+    parts = []
+    for axis in range(2):
+        sides = replace(grading, smallest=last)
+        before, after = (sides.divide_line(float(distance - box)) if distance > box else np.zeros(1)
+                         for distance, box in zip(distances[axis], half_widths[axis], strict=True))
+        within = np.interp(np.linspace(0.0, 1.0, grading.around + 1), [0.0, 0.5, 1.0],
+                           [low[axis], centre[axis], high[axis]])
+        parts.append((low[axis] - before[::-1], within, high[axis] + after))
+    for i, x in enumerate(parts[0]):
+        for j, y in enumerate(parts[1]):
+            if (i, j) != (1, 1) and x.size > 1 and y.size > 1:
+                section.add_rectangle(x, y)
+    mesh = extrude_section_to_mesh(section, grading.insert_interface_heights(-grading.divide_line(height)[::-1],
+                                                                             height), grading.element)
+    return add_face_and_free_node_sets(mesh, radius, grading.centre)
+
+
+def create_half_ellipsoid_shell_mesh(semi_axes: tuple[float, float, float], thickness: float,
+                                     grading: Grading) -> SolidMesh:
+    """Create the mesh of the upper half of an ellipsoidal shell with rings of elements around a circle.
+
+    The apex of the outer surface is the origin and the inner surface is the base. A plane section in the unit disc, in
+    which the distance from the centre is the normalised polar angle, is mapped to ellipsoids whose semi-axes decrease
+    from the outer to the inner surface.
+
+    Args:
+        semi_axes: semi-axes of the outer surface along x, y, z, m.
+        thickness: thickness along the axes, m.
+        grading: sizes of the elements; the circle is given in the projection along z.
+
+    Raises:
+        InputError: the circle is not inside the rim.
+    """
+    a, b, c = semi_axes
+    radius = O_GRID.plate_ring * min(a, b) if grading.radius is None else grading.radius
+    centre = np.array(grading.centre)
+
+    def map_shell_surface_to_unit_disc(points: np.ndarray) -> np.ndarray:
+        """Map (x, y) of points on the outer surface, m, shape (..., 2), to the unit disc."""
+        scaled = points / [a, b]
+        sine = np.hypot(scaled[..., 0], scaled[..., 1])[..., None]
+        return scaled * np.where(sine > 0.0, 2.0 / np.pi * np.arcsin(np.minimum(sine, 1.0)) / np.where(
+            sine > 0.0, sine, 1.0), 2.0 / np.pi)
+
+    def make_quarter_circle_in_unit_disc(quarter: int) -> Curve:
+        """Return a quarter of the circle on the shell as a curve in the unit disc."""
+        return lambda t: map_shell_surface_to_unit_disc(make_quarter_circle(quarter, radius, centre)(t))
+
+    angles = np.linspace(0.0, 2.0 * np.pi, 73)
+    if (np.hypot(*((centre + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)) / [a, b]).T) >= 1.0).any():
+        raise InputError(f"the circle of radius {radius:g} m about ({centre[0]:g}, {centre[1]:g}) m must be inside the "
+                         "rim of the shell", field="centre")
+    section = PlanarMesh(grading.element.order)
+    section.add_disc(centre, radius, compute_inner_ring_radius_fractions(grading, radius), grading.around,
+                     through=map_shell_surface_to_unit_disc)
+    outward = grading.divide_line(0.25 * np.pi * (max(a, b) + c) - radius)
+    for quarter in range(4):
+        section.add_elements_between_curves(make_quarter_circle_in_unit_disc(quarter),
+                                            make_quarter_circle(quarter, 1.0), outward / outward[-1], grading.around)
+    flat = extrude_section_to_mesh(section,
+                                   grading.insert_interface_heights(-grading.divide_line(thickness)[::-1], thickness),
+                                   grading.element)
+    u, v, z = flat.nodes.T
+    angle, theta = np.arctan2(v, u), 0.5 * np.pi * np.minimum(np.hypot(u, v), 1.0)
+    nodes = np.column_stack([(a + z) * np.sin(theta) * np.cos(angle), (b + z) * np.sin(theta) * np.sin(angle),
+                             (c + z) * np.cos(theta) - c])
+    return add_face_and_free_node_sets(replace(flat, nodes=nodes, depths=flat.element_depths), radius, grading.centre)

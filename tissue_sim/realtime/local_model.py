@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Screw, add_screws, compute_rigid_motion, scale_screw, shorten_screw
 from tissue_sim.public_names import OldName
-from tissue_sim.realtime.linearisation_error import ERROR_ESTIMATE
+from tissue_sim.realtime.model_transition import ERROR_ESTIMATE
 from tissue_sim.tool_force import (
     ForceStatus,
     Matrix,

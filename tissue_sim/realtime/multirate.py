@@ -1,4 +1,7 @@
-"""Multirate simulation: contact in each tick of the loop, on a bulk that another process linearises at a lower rate."""
+"""Multirate simulation: contact in each tick of the loop, on a bulk that is linearised at a lower rate.
+
+`BulkLink` is the link to the slower solver of the bulk, which may run in another process.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,16 @@ import math
 import time as clock
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Protocol
+
+import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import CondensedBulk
+from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
-from tissue_sim.kernel_owner import CopyError, make_single_thread_method
+from tissue_sim.fem.taichi.launch import CopyError, make_single_thread_method
 from tissue_sim.material.material import BULK_RATIOS, Material
 from tissue_sim.model import Model
-from tissue_sim.motion_limits import MotionLimits
 from tissue_sim.pose import (
     Pose,
     add_screws,
@@ -24,10 +28,8 @@ from tissue_sim.pose import (
     rotate_pose_about_its_position,
     scale_screw,
 )
-from tissue_sim.realtime.accepted_models import require_moduli_in_range
-from tissue_sim.realtime.bulk_link import BulkLink
 from tissue_sim.realtime.model_transition import ModelTransition
-from tissue_sim.realtime.tissue import FORCE_BEFORE_FIRST_STEP, RealTimeTissue
+from tissue_sim.realtime.tissue import FORCE_BEFORE_FIRST_STEP, MotionLimits, RealTimeTissue, require_moduli_in_range
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import (
     ForceStatus,
@@ -36,6 +38,54 @@ from tissue_sim.tool_force import (
     is_force_error_acceptable_or_unknown,
     scale_matrix,
 )
+
+
+class BulkLink(Protocol):
+    """Source of linearised models of the bulk. Call `close` at the end."""
+
+    @property
+    def contact_surface(self) -> ContactSurface:
+        """Contact nodes and tool of the bulk; available after `start`."""
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the bulk, or its process, still runs and can send models."""
+
+    def start(self) -> CondensedBulk:
+        """Start the bulk, wait until it is ready, and return its model of the undeformed tissue.
+
+        Raises:
+            InputError: the solver does not support the model.
+            RuntimeError: the process of the bulk ended.
+        """
+
+    def send_state(self, state: ContactState) -> None:
+        """Send the state of the contact, at which the bulk is linearised next, without waiting for the model."""
+
+    def receive_model(self, now: float) -> CondensedBulk | None:
+        """Return a model that has arrived since the last call, or None; does not wait. `now` is the loop's time, s."""
+
+    def send_state_and_wait_for_model(self, state: ContactState) -> CondensedBulk | None:
+        """Send a state and block until the next model arrives, which may belong to an earlier state.
+
+        Returns:
+            The model; None if none arrives within `BulkCommunicationSettings.longest_exchange` or the bulk has ended.
+        """
+
+    def set_material(self, material: Material, number: int) -> None:
+        """Change the material of the bulk; models of the new material have this `number` in their field `material`."""
+
+    def snapshot(self) -> Snapshot | None:
+        """Return a snapshot of the deformed tissue at a recent model; None for a link without snapshots."""
+
+    def close(self) -> None:
+        """End the bulk and free its resources."""
+
+
+def make_untouched_state(surface: ContactSurface) -> ContactState:
+    """Return the contact state of undeformed tissue with the tool at its start pose, without contact forces."""
+    zeros, count = np.zeros((len(surface.places), 3)), len(surface.places)
+    return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, zeros, zeros, np.zeros((3, count)), False)
 
 
 @dataclass(frozen=True)
@@ -115,7 +165,7 @@ class MultiRateTissue(RealTimeTissue):
 
     - the contact conditions are satisfied, and the model contains all nodes that the tool can touch;
     - the model has the present material and is not older than `oldest`, and the process of the bulk runs;
-    - the estimated error (`tissue_sim.realtime.linearisation_error`) is at most `ERROR_SHARE` of the force, or
+    - the estimated error (`tissue_sim.realtime.model_transition`) is at most `ERROR_SHARE` of the force, or
       `ERROR_FLOOR`. While the error is unknown, the tool must be within a tenth of the contact radius of the pose of
       the model, or of the pose of the touch if the model describes the undeformed tissue.
 

@@ -1,33 +1,187 @@
-"""Real-time simulation: pose of the tool in, force on the tool out, about 1000 times per second."""
+"""Real-time simulation: pose of the tool in, force on the tool out, about 1000 times per second.
+
+A simulator saves its state between two steps. It selects the finest mesh that this computer steps within a time budget.
+"""
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, fields, is_dataclass, replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.solver import SOLVERS, ResolutionLevel, Surface
-from tissue_sim.kernel_owner import make_single_thread_method
+from tissue_sim.fem.taichi.launch import make_single_thread_method
+from tissue_sim.material.effect import ToolHistory
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
-from tissue_sim.motion_limits import MotionLimits
 from tissue_sim.pose import Pose
 from tissue_sim.public_names import with_old_names
-from tissue_sim.realtime.accepted_models import require_no_tilt_or_partial_slip
-from tissue_sim.realtime.path_following import PathFollowingTissue
-from tissue_sim.realtime.path_settings import PATH, PathSettings
-from tissue_sim.realtime.pending_path import AT_REST, NEVER
-from tissue_sim.realtime.resolution_choice import choose_finest_level_in_budget, measure_tick_time_or_infinity
-from tissue_sim.realtime.simulator_state import SimulatorState, StateOrigin
-from tissue_sim.realtime.step_clock import require_valid_max_solves
-from tissue_sim.realtime.tool_track import is_pose_on_axis
+from tissue_sim.realtime.inertia_limits import PATH, PathSettings, ToolReversalDetector
+from tissue_sim.realtime.path_following import PathFollowingTissue, require_valid_max_solves
+from tissue_sim.realtime.pending_path import AT_REST, NEVER, LastEquilibrium, PendingPath, ToolTrack, is_pose_on_axis
+from tissue_sim.realtime.tissue import MotionLimits, require_no_tilt_or_partial_slip
 from tissue_sim.snapshot import Snapshot, snapshot
-from tissue_sim.tool_force import ForceStatus, ToolForce
+from tissue_sim.tool_force import ForceStatus, Tissue, ToolForce
+
+
+@dataclass(frozen=True)
+class StateOrigin:
+    """Origin of a saved state. A simulator restores states whose origin equals the origin of the states that it saves.
+
+    Attributes:
+        solver: name.
+        mesh: digest of the undeformed mesh.
+        experiment: specimen, tool, interfaces, approach and laws of contact, as text.
+        material: law, effects and layers, without the values of parameters, as text.
+    """
+
+    solver: str
+    mesh: str
+    experiment: str
+    material: str
+
+    @classmethod
+    def from_model(cls, solver: str, mesh: str, model: Model) -> StateOrigin:
+        """Make the origin of saved states from solver name, digest of the mesh, and model."""
+        experiment = {each.name: getattr(model.experiment, each.name) for each in fields(model.experiment)
+                      if each.name != "protocol"}
+        return cls(solver, mesh, repr(experiment), format_material_structure_as_text(model.material))
+
+    def require_equal_origin(self, other: StateOrigin) -> None:
+        """Raise an error unless a state has the same solver, mesh, experiment and material structure.
+
+        Raises:
+            InputError: another solver, mesh, experiment or structure of the material.
+        """
+        for name, what in (("solver", "solver"), ("experiment", "specimen, tool or interface"),
+                           ("material", "law or with other effects or layers"), ("mesh", "mesh")):
+            if getattr(self, name) != getattr(other, name):
+                raise InputError(f"must be of the same model and mesh; this state is of another {what}. Restore the "
+                                 "state in the simulator that saved it, or in a clone() of that simulator.",
+                                 field="state")
+
+
+def format_material_structure_as_text(value: Any) -> str:
+    """Return law, effects and layers of a material as text, without numbers and names, to compare two structures."""
+    if is_dataclass(value):
+        inner = [f"{each.name}={format_material_structure_as_text(getattr(value, each.name))}" for each in fields(value)
+                 if each.name not in ("name", "bulk", "parameters", "density", "source")]
+        return f"{type(value).__name__}({', '.join(inner)})"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {format_material_structure_as_text(entry)}" for key,
+                               entry in sorted(value.items())) + "}"
+    if isinstance(value, str):
+        return repr(value)
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(map(format_material_structure_as_text, value)) + "]"
+    return "None" if value is None else "number" if isinstance(value, Real) else type(value).__name__
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatorState:
+    """State of a simulator between two steps; see `Simulator.save`."""
+
+    origin: StateOrigin
+    solver: Any
+    answer: ToolForce
+    equilibrium: LastEquilibrium
+    tool: ToolTrack
+    pose: Pose
+    leaps: bool
+    pending: PendingPath
+    lingers: float
+    share: float
+    begins: bool
+    largest_force: float
+    motion_check: ToolReversalDetector
+    history: ToolHistory
+    error: float | None
+
+
+@dataclass(frozen=True)
+class TimingMotionSettings:
+    """Test motion by which the time of a tick is measured: a cosine in depth.
+
+    Attributes:
+        ticks: number of time steps.
+        tick: time step, s.
+        period: of the motion, s.
+        depth_fraction: largest depth of the motion over the largest depth of the protocol, 1.
+        lift_fraction: largest height above the tissue over the largest depth of the protocol, 1.
+        in_time: fraction of the ticks that must be in time, 1.
+    """
+
+    __test__ = False  # for pytest
+
+    ticks: int = 300
+    tick: float = 1e-3
+    period: float = 0.15
+    depth_fraction: float = 0.5
+    lift_fraction: float = 0.05
+    in_time: float = 0.99
+
+
+#: Motion of every measurement.
+MOTION = TimingMotionSettings()
+#: Least ratio of the time of a tick of a finer mesh to that of the next coarser mesh.
+_LEAST_COST_RATIO = 1.5
+
+
+def measure_tick_time_or_infinity(simulator: Tissue, depth: float, *, lifts: bool,
+                                  budget: float = math.inf) -> float:
+    """Measure the CPU time of this thread, s, within which 99 % of the ticks of a fast motion end.
+
+    Args:
+        simulator: simulator with its tool at the touch; its state changes.
+        depth: largest depth, m.
+        lifts: whether the tool leaves the tissue during the motion.
+        budget: s; the result is infinity as soon as more than 1 % of the ticks took longer, so that a mesh that is too
+            fine is rejected early.
+    """
+    height = MOTION.lift_fraction * depth if lifts else 0.0
+    spent: list[float] = []
+    slow, most = 0, MOTION.ticks - math.ceil(MOTION.in_time * MOTION.ticks)
+    for k in range(MOTION.ticks):
+        swing = 0.5 - 0.5 * math.cos(2.0 * math.pi * k * MOTION.tick / MOTION.period)
+        began = time.thread_time()
+        simulator.step((MOTION.depth_fraction * depth + height) * swing - height, MOTION.tick)
+        spent.append(time.thread_time() - began)
+        slow += spent[-1] > budget
+        if slow > most:
+            return math.inf
+    return sorted(spent)[math.ceil(MOTION.in_time * MOTION.ticks) - 1]
+
+
+def choose_finest_level_in_budget(levels: Sequence[ResolutionLevel], start: int, budget: float,
+                                  tick_of: Callable[[ResolutionLevel], float]) -> ResolutionLevel:
+    """Return the finest level whose tick fits into the budget; the coarsest if none fits.
+
+    Args:
+        levels: the finest first.
+        start: index of the level that is measured first.
+        budget: wall time of a tick, s.
+        tick_of: measures the time of a tick on a level, s.
+    """
+    tick, index = tick_of(levels[start]), start
+    if tick > budget:
+        while tick > budget and index + 1 < len(levels):
+            index += 1
+            tick = tick_of(levels[index])
+        return levels[index]
+    while index > 0 and _LEAST_COST_RATIO * tick <= budget:
+        tick = tick_of(levels[index - 1])
+        if tick > budget:
+            break
+        index -= 1
+    return levels[index]
+
 
 #: Relative residual below which a state is an equilibrium, 1.
 TOLERANCE = 1e-6
@@ -65,7 +219,7 @@ class Simulator(PathFollowingTissue):
             number that fits into the budget, as measured by `warm_up`; without a budget no limit.
         strict_axis: whether an axisymmetric scene refuses a pose off its axis or tilted (`ForceStatus.REFUSED`),
             instead of marking the result (`ToolForce.is_on_axis`); tolerances:
-            `tissue_sim.realtime.tool_track.AxisTolerances`.
+            `tissue_sim.realtime.pending_path.AxisTolerances`.
         limits: of poses and time steps; see `MotionLimits`.
         path_settings: division of the path of the tool into parts, and repetition of failed parts.
 

@@ -1,25 +1,73 @@
-"""Detect contact as a change point of the force, with a 95 % interval.
+"""Detect contact as a change point of the force, with a 95 % interval, and its effect on a modulus.
 
 Before contact the force is a constant zero with a linear drift in time. From contact on, the model adds a power of the
 depth, with an exponent between 1 (plates, flat punches) and 2 (cones), times a polynomial. The noise is modelled as a
 first-order autoregressive process.
+
+The uncertainty of contact has two effects on a modulus: the displacement, and the drift of the force. Results are
+cached, because a recording is analysed several times between import and calibration.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, wraps
+from hashlib import blake2b
 from itertools import pairwise, zip_longest
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.public_names import OldName, with_old_names
 from tissue_sim.recording.change_point import ChangePointFit, LikelihoodProfile, LoadingWindow
-from tissue_sim.recording.resolution import find_rounding_step_or_zero
-from tissue_sim.recording.result_cache import cache_by_array_content
+from tissue_sim.recording.saturation import find_rounding_step_or_zero
 from tissue_sim.recording.segmentation import label_samples_ramp_hold_unload
+
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+
+
+def cache_by_array_content(most: int) -> Callable[[Callable[Parameters, Result]], Callable[Parameters, Result]]:
+    """Return a decorator that stores the last results of a function of arrays.
+
+    The function must be pure and its result immutable: a call with equal arguments returns the same object. The key is
+    a hash of the arguments, so that the cache keeps no arrays. Errors are not stored. Arguments must be numeric arrays,
+    or numbers, texts and tuples of these, whose representation is complete.
+
+    Args:
+        most: number of stored results; the oldest one is discarded first.
+    """
+    def decorate(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+        results: dict[bytes, Result] = {}
+
+        @wraps(function)
+        def find_or_compute(*arguments: Parameters.args, **options: Parameters.kwargs) -> Result:
+            key = _hash_arguments((*arguments, *(part for option in sorted(options.items()) for part in option)))
+            if (stored := results.get(key)) is not None:
+                return stored
+            result = results[key] = function(*arguments, **options)
+            for oldest in list(results)[: max(0, len(results) - most)]:
+                results.pop(oldest, None)
+            return result
+
+        return find_or_compute
+
+    return decorate
+
+
+def _hash_arguments(arguments: tuple[object, ...]) -> bytes:
+    """Return a hash of arrays (type, shape and content) and of other values (their representation)."""
+    content = blake2b(digest_size=16)
+    for each in arguments:
+        if isinstance(each, np.ndarray):
+            content.update(f"{each.dtype.str}{each.shape}".encode())
+            content.update(np.ascontiguousarray(each).tobytes())
+        else:
+            content.update(repr(each).encode() + b"\0")
+    return content.digest()
+
 
 #: Limits of the exponent of the force after contact: 1 for plates and flat punches, 3/2 for balls, 2 for cones.
 EXPONENTS = (1.0, 2.0)
@@ -389,3 +437,51 @@ class _LoadingUpToFirstHold:
             if end < parts[-1].time.size:
                 parts.append(self.whole.truncate_at_index(end))
         return parts
+
+
+#: Half width of a 95 % interval in standard deviations of a normal distribution.
+INTERVAL_DEVIATIONS = 1.96
+
+
+def relative_modulus_error_from_contact(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None,
+                                        contact: Contact) -> float:
+    """Return the relative half width of the 95 % interval of a modulus that the uncertainty of contact causes.
+
+    A model force k f(x) is fitted by least squares to F(x). A contact that is d farther changes the model by -d F'(x)
+    and the factor k by d <F, F'> / <F, F>, where the integral of F F' over the displacement is half of the change of
+    F^2. A force error e changes k by <F, e> / <F, F>.
+
+    Args:
+        motion: displacement of the fitted samples from contact, m, positive under load, shape (n,).
+        load: force, N, shape (n,).
+        time: time, s, shape (n,); None: even steps.
+        contact: result of `find_contact`; a status other than ``"found"`` gives 0.
+    """
+    if not contact.has_air_before_contact:
+        return 0.0
+    low, high = contact.interval
+    return relative_modulus_error_from_contact_range(motion, load, time, 0.5 * (high - low), contact.drift_error)
+
+
+def relative_modulus_error_from_contact_range(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None,
+                                              half_width: float, drift_error: float = 0.0) -> float:
+    """Return the relative half width of the range of a modulus; see `relative_modulus_error_from_contact`.
+
+    Args:
+        motion: displacement of the fitted samples from contact, m, positive under load, shape (n,).
+        load: force, N, shape (n,).
+        time: time, s, shape (n,); None: even steps.
+        half_width: half of the range in which contact may be, m.
+        drift_error: standard error of the drift of the force, N/s (N per sample without time).
+    """
+    if motion.size < 2:
+        return 0.0
+    end = int(np.argmax(motion)) + 1
+    motion, load = motion[:end], load[:end]
+    squared = float(np.sum(0.5 * (load[1:] ** 2 + load[:-1] ** 2) * np.diff(motion)))
+    if end < 2 or not squared > 0:
+        return 0.0
+    by_place = half_width * float(np.max(load) ** 2) / (2.0 * squared)
+    clock = np.arange(end, dtype=float) if time is None else time[:end]
+    drifted = INTERVAL_DEVIATIONS * drift_error * (clock - clock[0])
+    return float(np.hypot(by_place, float(load @ drifted) / float(load @ load)))

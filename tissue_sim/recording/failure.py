@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.resolution import find_rounding_step_or_zero
+from tissue_sim.recording.saturation import find_rounding_step_or_zero
 from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_motion_corners, label_samples_ramp_hold_unload
 
 

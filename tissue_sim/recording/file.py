@@ -14,15 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import run_in_sandbox
 from tissue_sim.decode import convert_to_json_types, read_json_value, require_valid_json_values
 from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.files import open_input_file
-from tissue_sim.recording.constant_speed import add_time_or_motion_from_speed
+from tissue_sim.files import open_input_file, write_bytes, write_text
 from tissue_sim.recording.formats import FORMATS
-from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
+from tissue_sim.recording.recording import CHANNELS, LABELS, Recording, add_time_or_motion_from_speed
 from tissue_sim.units import get_si_factor_and_offset
 
 #: Quantity -> unit in the CSV file.

@@ -1,15 +1,23 @@
-"""Recordings of tests; measurements and simulations have the same type."""
+"""Recordings of tests; measurements and simulations have the same type.
+
+Time or displacement of a test at constant speed is computed from the other. Tool and kind of test in the metadata are
+compared with the expected ones.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from math import isclose
+from numbers import Real
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
+from tissue_sim.settings import make_shallow_read_only_copy
 
 #: Channel -> quantity of its unit. SI inside: s, m, N, Pa, K.
 CHANNELS: dict[str, str] = {
@@ -148,3 +156,50 @@ def _is_owned_read_only_array(values: Any) -> bool:
     """Return whether values are a read-only array of float that owns its memory."""
     return (isinstance(values, np.ndarray) and values.dtype == float and values.base is None
             and not values.flags.writeable)
+
+
+#: Largest relative difference of equal radii.
+_RADIUS_TOLERANCE = 0.01
+
+
+def get_recorded_tool_if_different_or_empty(recording: Recording, shape: str, radius: float | None) -> str:
+    """Return the tool in the metadata if it differs from the expected shape or radius (m); else an empty text."""
+    stated = recording.metadata.get("tool")
+    if not isinstance(stated, Mapping) or "shape" not in stated:
+        return ""
+    measured = stated.get("radius_mm")
+    tool, other = str(stated["shape"]), stated["shape"] != shape
+    if isinstance(measured, (int, float)):
+        tool += f" of {measured:g} mm radius"
+        other |= radius is not None and not isclose(measured, radius * 1e3, rel_tol=_RADIUS_TOLERANCE)
+    return tool if other else ""
+
+
+def get_recorded_kind_if_different_or_empty(recording: Recording, kind: str) -> str:
+    """Return the kind of test in the metadata if it differs from the expected kind; else an empty text."""
+    stated = recording.metadata.get("kind", kind)
+    return "" if stated == kind else str(stated)
+
+
+def add_time_or_motion_from_speed(recording: Recording, speed: float, path: Path) -> Recording:
+    """Return a recording of a test at constant speed with the missing time, s, or displacement, m, added.
+
+    Args:
+        recording: recording without time or without displacement; a recording with both is returned without a change.
+        speed: speed of the test, m/s.
+        path: file name for messages.
+
+    Raises:
+        InputError: not a positive speed; neither time nor displacement.
+    """
+    if isinstance(speed, bool) or not isinstance(speed, Real) or not 0 < speed <= sys.float_info.max:
+        raise InputError(f"must be a positive number in m/s; got {speed!r}", field="speed")
+    if "displacement" in recording:
+        if "time" in recording:
+            return recording
+        path_length = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(recording.displacement)))])
+        return recording.with_channels(time=path_length / speed)
+    if "time" in recording and "force" in recording:
+        return recording.with_channels(displacement=speed * (recording.time - recording.time[0]))
+    raise InputError("requires a displacement, from which it gives the time, or time and force, from which it gives "
+                     f"the displacement; this file has {', '.join(recording.channels)}", file=path, field="speed")

@@ -8,7 +8,6 @@ from typing import Any
 
 import msgspec
 
-from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import (
     decode_struct,
     read_json_value,
@@ -16,6 +15,7 @@ from tissue_sim.decode import (
     require_valid_json_values,
 )
 from tissue_sim.errors import located_and_converted_errors
+from tissue_sim.files import write_text
 from tissue_sim.parameters import convert_to_file_values, list_field_declarations, make_from_file_values
 from tissue_sim.rig.fault import FAULTS
 from tissue_sim.rig.rig import Rig

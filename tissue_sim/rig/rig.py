@@ -1,4 +1,4 @@
-"""Rig: effects of load frame and sensor on a recording."""
+"""Rig: effects of load frame and sensor on a recording, such as backlash and noise of the sensor."""
 
 from __future__ import annotations
 
@@ -12,14 +12,77 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.parameters import list_field_declarations, parameter
 from tissue_sim.public_names import OldName, with_old_names
 from tissue_sim.recording.recording import Recording
-from tissue_sim.rig.backlash import compute_nut_positions_and_screw_samples
 from tissue_sim.rig.fault import RigFault
 from tissue_sim.rig.loading_curve import FirstLoadingCurveWithHistory
-from tissue_sim.rig.noise import generate_sensor_noise
+from tissue_sim.settings import make_shallow_read_only_copy
+
+
+def compute_nut_positions_and_screw_samples(screw: np.ndarray, play: float) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the motion of the nut (play operator).
+
+    The screw moves the nut downwards (to larger values) at once, and upwards only after `play`; at the first sample the
+    play is taken up in the downward direction.
+
+    Args:
+        screw: positions in order of time, m, shape (n,).
+        play: m, not negative.
+
+    Returns:
+        Positions of the nut, m, shape (n,); and the fractional sample number at which the screw was last at the
+        position of the nut, by linear interpolation, shape (n,).
+
+    Source: Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989.
+    """
+    nut, since = screw.copy(), np.arange(screw.size, dtype=float)
+    if not play:
+        return nut, since
+    positions = screw.tolist()
+    for sample in range(1, screw.size):
+        nut[sample] = min(max(nut[sample - 1], positions[sample]), positions[sample] + play)
+        if nut[sample] == positions[sample]:
+            continue
+        since[sample] = since[sample - 1]
+        if nut[sample] < nut[sample - 1]:
+            before = int(since[sample])
+            while positions[before + 1] >= nut[sample]:
+                before += 1
+            since[sample] = before + (positions[before] - nut[sample]) / (positions[before] - positions[before + 1])
+    return nut, since
+
+
+def generate_sensor_noise(samples: int, standard_deviation: float, seed: int, *, time: np.ndarray | None = None,
+                          correlation_time: float = 0.0) -> np.ndarray:
+    """Generate Gaussian noise with autocorrelation exp(-lag / correlation_time), white if that time is 0.
+
+    Coloured noise is the Ornstein-Uhlenbeck process, exact for any spacing of the samples (Gillespie, Phys. Rev. E 54
+    (1996) 2084); on a uniform grid it is the autoregressive process AR(1).
+
+    Args:
+        samples: number of samples n.
+        standard_deviation: of every sample, in the unit of the result.
+        seed: the same seed gives the same noise.
+        time: s, shape (n,); required with a correlation time.
+        correlation_time: s.
+
+    Returns:
+        Shape (n,).
+
+    Raises:
+        InputError: a correlation time without `time`.
+    """
+    noise = np.random.default_rng(seed).normal(0.0, standard_deviation, samples)
+    if correlation_time:
+        if time is None:
+            raise InputError("time must be given if correlation_time is above 0; got None.", field="time")
+        kept = np.exp(-np.diff(time) / correlation_time)
+        fresh = np.sqrt(1.0 - kept**2) * noise[1:]
+        for sample, (share, part) in enumerate(zip(kept.tolist(), fresh.tolist(), strict=True), start=1):
+            noise[sample] = share * noise[sample - 1] + part
+    return noise
+
 
 #: Targets of the effects: motion of the tool.
 _TOOL = "tool"

@@ -12,9 +12,8 @@ from tissue_sim.specimen.specimen import Specimen
 if TYPE_CHECKING:
     import numpy as np
 
-    from tissue_sim.mesh.grading import Grading
     from tissue_sim.mesh.mesh_mapping import Circle
-    from tissue_sim.mesh.solid import SolidMesh
+    from tissue_sim.mesh.solid import Grading, SolidMesh
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class Block(Specimen):
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
         """Make the mesh of hexahedra; see `Specimen.solid_mesh`."""
-        from tissue_sim.mesh.block import create_block_mesh_under_plate, create_block_mesh_under_tool
+        from tissue_sim.mesh.solid import create_block_mesh_under_plate, create_block_mesh_under_tool
 
         mesh = create_block_mesh_under_plate if grading.radius is None else create_block_mesh_under_tool
         return mesh(self.length, self.width, self.height, grading)

@@ -11,9 +11,8 @@ from tissue_sim.parameters import parameter
 from tissue_sim.specimen.specimen import Specimen, add_indefinite_article
 
 if TYPE_CHECKING:
-    from tissue_sim.mesh.grading import Grading
     from tissue_sim.mesh.mesh_mapping import Circle
-    from tissue_sim.mesh.solid import SolidMesh
+    from tissue_sim.mesh.solid import Grading, SolidMesh
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from tissue_sim.parameters import parameter
 from tissue_sim.specimen.specimen import Specimen
 
 if TYPE_CHECKING:
-    from tissue_sim.mesh.grading import Grading
-    from tissue_sim.mesh.solid import SolidMesh
+    from tissue_sim.mesh.solid import Grading, SolidMesh
 
 
 def _declare_size(symbol: str, key: str) -> Any:
@@ -77,6 +76,6 @@ class EllipsoidShell(Specimen):
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
         """Make the mesh of hexahedra; see `Specimen.solid_mesh`."""
-        from tissue_sim.mesh.ellipsoid_shell import create_half_ellipsoid_shell_mesh
+        from tissue_sim.mesh.solid import create_half_ellipsoid_shell_mesh
 
         return create_half_ellipsoid_shell_mesh(self.semi_axes, self.thickness, grading)

@@ -13,10 +13,9 @@ from tissue_sim.public_names import OldName
 from tissue_sim.specimen.specimen import Specimen
 
 if TYPE_CHECKING:
-    from tissue_sim.mesh.grading import Grading
-    from tissue_sim.mesh.solid import SolidMesh
+    from tissue_sim.mesh.sections import VerticalProjection
+    from tissue_sim.mesh.solid import Grading, SolidMesh
     from tissue_sim.mesh.solid_file import FileMesh
-    from tissue_sim.mesh.vertical_projection import VerticalProjection
 
 #: Smallest number of corner nodes under a tool.
 _FEWEST = 4
@@ -99,8 +98,8 @@ class MeshSpecimen(Specimen):
     @cached_property
     def _vertical_projection(self) -> VerticalProjection:
         """Plan view of the body: its top and base faces, with the origin in the middle of the top."""
+        from tissue_sim.mesh.sections import VerticalProjection
         from tissue_sim.mesh.solid_file import find_base_and_top, find_top_box_centre_and_height
-        from tissue_sim.mesh.vertical_projection import VerticalProjection
 
         mesh = self._mesh
         try:

@@ -21,9 +21,8 @@ from tissue_sim.public_names import OldName, rename_old_members_of_subclass, wit
 from tissue_sim.registry import Registry
 
 if TYPE_CHECKING:
-    from tissue_sim.mesh.grading import Grading
     from tissue_sim.mesh.mesh_mapping import Circle
-    from tissue_sim.mesh.solid import SolidMesh
+    from tissue_sim.mesh.solid import Grading, SolidMesh
 
 #: Standard value of gravity, m/s2.
 STANDARD_GRAVITY = 9.81

@@ -9,7 +9,7 @@ from typing import Any
 from haptics.devices.back_ends import make_motion
 from haptics.devices.contracts import HapticDevice, Motion
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.approach import Approach
+from tissue_sim.experiment.experiment import Approach
 from tissue_sim.pose import Pose, Screw, Vector
 
 #: Smallest difference of the two characteristic roots, as a fraction of their size; closer roots are separated to this

@@ -241,8 +241,8 @@ def _export_material_file(arguments: Namespace) -> CommandResult:
             written.
     """
     from tissue_sim import load_material
-    from tissue_sim.atomic_write import write_text
     from tissue_sim.exports import EXPORTERS
+    from tissue_sim.files import write_text
 
     check_output_file(arguments.output, "-o", overwrite=arguments.overwrite)
     write = EXPORTERS.find(arguments.to, "--to")

@@ -181,7 +181,7 @@ def _record_tests(arguments: Namespace, protocol: ProtocolFile, tests: list[Any]
 
 def _write_campaign_file(protocol: ProtocolFile, folder: RunFolder) -> None:
     """Write the campaign file of the finished recordings; without recordings write nothing."""
-    from tissue_sim.atomic_write import write_text
+    from tissue_sim.files import write_text
 
     done = set(folder.state["done"])
     recordings = {name: [f"{name}_{number}.csv" for number in range(1, plan.replicates + 1)

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.interfaces import INTERFACES
+from tissue_sim.experiment.contact_law import INTERFACES
 
 
 class InputErrorArgumentParser(argparse.ArgumentParser):

@@ -12,7 +12,7 @@ from scenes.catalogue import SCENES
 from scenes.viewer.frame import CommandReceiver, SessionFrame
 from scenes.viewer.page.notices import assign_control_value, make_browser_reply_function
 from scenes.viewer.scene import Scene
-from tissue_sim.experiment.interfaces import INTERFACES
+from tissue_sim.experiment.contact_law import INTERFACES
 from tissue_sim.experiment.tools.tool import TOOLS, list_all_tool_sizes_by_key, list_shapes_without_file
 from tissue_sim.parameters import Declaration
 

@@ -28,10 +28,10 @@ from scenes.viewer.tool_picture import (
 )
 from scenes.viewer.wedge import Wedge
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.fem.axisymmetric.surface import build_half_section
+from tissue_sim.fem.axisymmetric.fields import build_half_section
 from tissue_sim.fem.result_views import DrawableFields, TissueGeometry
 from tissue_sim.fem.solid.discretisation import build_mesh as build_solid_mesh
-from tissue_sim.fem.solid.surface import build_solid_geometry
+from tissue_sim.fem.solid.fields import build_solid_geometry
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 

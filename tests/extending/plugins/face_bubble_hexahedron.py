@@ -9,8 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid_element import SolidElement
+from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, SolidElement
 
 #: Coordinates of the face centres, in the order of `HEX8P0.local_face_node_indices`: -x, +x, -y, +y, -z, +z.
 FACE_CENTRES = np.kron(np.eye(3), [[-1.0], [1.0]])

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import tissue_sim as ts
-from tissue_sim.mesh.block import create_block_mesh_under_plate, create_block_mesh_under_tool
+from tissue_sim.mesh.solid import create_block_mesh_under_plate, create_block_mesh_under_tool
 
 
 @dataclass(frozen=True)

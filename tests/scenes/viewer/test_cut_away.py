@@ -6,7 +6,7 @@ import pytest
 import tissue_sim as ts
 from scenes.viewer.cut_away import TriangulatedHalfSection
 from scenes.viewer.revolution import TriangulatedSurface, WedgeOpening, concatenate_surfaces, revolve_polyline_by_band
-from tissue_sim.fem.axisymmetric.surface import build_half_section
+from tissue_sim.fem.axisymmetric.fields import build_half_section
 from tissue_sim.mesh import cylinder_mesh, cylinder_mesh_refined_under_needle
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 

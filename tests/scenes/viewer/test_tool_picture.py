@@ -15,7 +15,7 @@ from scenes.viewer.tool_picture import (
     make_drawn_tool_surface,
     make_force_arrow_or_none,
 )
-from tissue_sim.fem.axisymmetric.surface import build_half_section
+from tissue_sim.fem.axisymmetric.fields import build_half_section
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q9P1
 

@@ -1,7 +1,7 @@
 """Compression of a specimen between plates: lubricated, bonded, and with friction."""
 
 from tissue_sim.closed_form.homogeneous import UNIAXIAL
-from tissue_sim.experiment.interfaces import AS_TOOL
+from tissue_sim.experiment.contact_law import AS_TOOL
 from tissue_sim.experiment.kinds.kind import DISPLACEMENT_FORCE, STRETCH_STRESS, FaceInterface, TestKind
 from tissue_sim.experiment.tools.plate import Plate
 

@@ -31,7 +31,7 @@ SHEAR_STRESS = ("shear strain", "nominal stress")
 
 @dataclass(frozen=True)
 class FaceInterface:
-    """Default interface of one face in a kind of test, and who may change it; see `tissue_sim.experiment.interfaces`.
+    """Default interface of one face in a kind of test, and who may change it; see `tissue_sim.experiment.contact_law`.
 
     Attributes:
         usual: default interface.

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tissue_sim.experiment.tools.outline import SHAFT_LENGTH, Profile
-from tissue_sim.experiment.tools.sizes import edge_radius, radius
+from tissue_sim.experiment.tools.outline import SHAFT_LENGTH, Profile, edge_radius, radius
 from tissue_sim.experiment.tools.tool import Tool
 
 

@@ -1,4 +1,4 @@
-"""Outlines of rigid bodies of revolution, and the distance of tissue from them."""
+"""Outlines of rigid bodies of revolution, distance of tissue from them, and sizes that several shapes share."""
 
 from __future__ import annotations
 
@@ -6,10 +6,27 @@ from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
 from enum import IntEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from tissue_sim.parameters import parameter
 
 if TYPE_CHECKING:
     import numpy as np
+
+#: Smallest and largest radius in a fit, m.
+_RADII = (1e-6, 1.0)
+
+
+def radius() -> Any:
+    """Declare the field `radius` of a tool: radius of the shaft, or of the ball, m."""
+    return parameter("a", "m", key="tool_radius_mm", factor=1e-3, bounds=_RADII, shapes_mesh=True)
+
+
+def edge_radius() -> Any:
+    """Declare the field `edge_radius` of a tool: radius of the rounding between a flat face and the shaft, m."""
+    return parameter("r_e", "m", key="edge_radius_mm", factor=1e-3, bounds=(0.0, _RADII[1]), absent=0.0,
+                     shapes_mesh=True, default=0.0)
+
 
 #: Length of a shaft in radii of the tool; longer than any specimen.
 SHAFT_LENGTH = 1e3
@@ -88,7 +105,7 @@ class Profile:
                                       is_endless: bool = False) -> PolylineDistances:
         """Compute distances and normals at the closest points of the polyline, without its rounding.
 
-        `tissue_sim.fem.contact.closest_point` is the same algorithm for kernels.
+        `tissue_sim.fem.contact.surface_geometry` is the same algorithm for kernels.
 
         Args:
             points: (r, z), m, shape (n, 2).

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.tools.outline import SHAFT_LENGTH, Profile
-from tissue_sim.experiment.tools.sizes import edge_radius
+from tissue_sim.experiment.tools.outline import SHAFT_LENGTH, Profile, edge_radius
 from tissue_sim.experiment.tools.tool import Tool
 
 if TYPE_CHECKING:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from tissue_sim.experiment.tools.outline import Profile
-from tissue_sim.experiment.tools.sizes import radius
+from tissue_sim.experiment.tools.outline import Profile, radius
 from tissue_sim.experiment.tools.tool import Tool
 
 

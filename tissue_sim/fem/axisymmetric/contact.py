@@ -9,8 +9,7 @@ from numpy.polynomial.legendre import leggauss
 
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.fem.axisymmetric.array_layouts import SURFACE_ARRAYS
-from tissue_sim.fem.contact.pairs import ContactPair, ContactPairs
-from tissue_sim.fem.contact.settings import PenaltySettings
+from tissue_sim.fem.contact.pairs import ContactPair, ContactPairs, PenaltySettings
 from tissue_sim.fem.taichi.origins import copy_to_addressable_array
 from tissue_sim.mesh import Mesh
 
@@ -107,7 +106,7 @@ class ContactPoints:
         face: numbers of the points under a face without slip of the tool.
         areas: surface area of each point, m2, shape (n,).
         springs: penalty stiffness of each point, N/m, shape (n,).
-        anchors: bond (a `tissue_sim.fem.contact.settings.ContactBondState`) and anchor of each point at the last
+        anchors: bond (a `tissue_sim.fem.contact.pairs.ContactBondState`) and anchor of each point at the last
             equilibrium; the anchor is the displacement of the point in the frame of the body, (r, z), m; shape (n, 3).
         initial: bond and anchor at the beginning of a step, with the bonds of points that the tool reaches in the step,
             shape (n, 3).

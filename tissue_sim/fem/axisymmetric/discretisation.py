@@ -12,8 +12,8 @@ from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, STUDY_SLENDERNE
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.contact.pairs import ContactPairs, SurfaceParts, build_contact_pairs
 from tissue_sim.fem.solver import Step
-from tissue_sim.fem.stepping.settling import solve_self_weight_equilibrium
-from tissue_sim.material.layer import Layer
+from tissue_sim.fem.stepping import solve_self_weight_equilibrium
+from tissue_sim.material.material import Layer
 from tissue_sim.mesh import (
     Mesh,
     cylinder_mesh,

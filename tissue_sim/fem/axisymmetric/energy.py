@@ -1,13 +1,20 @@
-"""Stress and tangent of hyperelastic laws in the axisymmetric solid, as Taichi functions.
+"""Kinematics, stress and tangent at the quadrature points of the axisymmetric solid, as Taichi functions.
 
 The order of the components of the deformation gradient F and of the first Piola stress is rR, rZ, zR, zZ, hoop. The
 isochoric energy is W(F / J^(1/3)); the pressure adds p (J - 1). Memory acts on the isochoric part: softening multiplies
 the stress, relaxation multiplies the stress and adds the inherited stress (hereditary integral).
 
 Every function works on lists of numbers (one point) and on lists of vectors (several points at once).
+
+The components of a displacement gradient have the same order. The indices are b for the batch, q for the quadrature
+point and a for the node of an element. Intermediate results of a batch are stored in a scratch field.
+
+The six stress components of effects are reduced to four (RR, RZ, ZZ, hoop); stress and tangent are expressed by the
+deformation gradient.
 """
 
 from functools import cache
+from typing import NamedTuple
 
 from tissue_sim.fem.elements.energy import (
     list_lower_triangle_index_pairs,
@@ -16,8 +23,112 @@ from tissue_sim.fem.elements.energy import (
     make_principal_plane_moduli_function,
     make_stretch_derivatives_function,
 )
-from tissue_sim.fem.taichi.runtime import get_initialised_taichi
+from tissue_sim.fem.history import sum_effect_responses
+from tissue_sim.fem.taichi import runtime as shared
+from tissue_sim.fem.taichi.runtime import LANES, CountsInLargestElement, get_initialised_taichi
+from tissue_sim.fem.taichi.trace import FormulaClassAndConstants, extract_expressions, wrap_as_traced_numbers
 from tissue_sim.laws import KernelEnergy
+from tissue_sim.mesh.elements import ELEMENTS, MAX_NODES
+
+#: Size of the largest element.
+_LARGEST = CountsInLargestElement(nodes=MAX_NODES, points=MAX_NODES, modes=3)
+#: Names and sizes of the arrays in the scratch field. Nodes: displacements UR and UZ, forces FR and FZ, increments SR
+#: and SZ. Pressure modes: amplitude PRESSURE, volume residual GAP, volume derivatives VR and VZ. Quadrature points:
+#: STRESS, TANGENT, COFACTOR (dJ/dF), MODE (pressure modes), RATE (stress increments). CENTRE: stiffness rows of the
+#: interior node. Sensitivities: LAW (records of the law), ENERGY_RATE, PAST (derivative of the inherited stress),
+#: BEFORE and CHANGE (stress of the last step and its change).
+_SIZES = (
+    ("UR", _LARGEST.nodes), ("UZ", _LARGEST.nodes), ("FR", _LARGEST.nodes), ("FZ", _LARGEST.nodes),
+    ("SR", _LARGEST.nodes), ("SZ", _LARGEST.nodes), ("PRESSURE", _LARGEST.modes), ("GAP", _LARGEST.modes),
+    ("VR", _LARGEST.modes * _LARGEST.nodes), ("VZ", _LARGEST.modes * _LARGEST.nodes),
+    ("STRESS", 5 * _LARGEST.points), ("TANGENT", 15 * _LARGEST.points), ("COFACTOR", 5 * _LARGEST.points),
+    ("MODE", _LARGEST.modes * _LARGEST.points), ("RATE", 10 * _LARGEST.points), ("CENTRE", 4 * _LARGEST.nodes),
+    ("LAW", 22 * _LARGEST.points), ("ENERGY_RATE", _LARGEST.points), ("PAST", 4), ("BEFORE", 4 * _LARGEST.points),
+    ("CHANGE", 4 * _LARGEST.points))
+#: Name -> offset in the scratch field.
+AT = {name: sum(size for _, size in _SIZES[:i]) for i, (name, _) in enumerate(_SIZES)}
+_SIZE = sum(size for _, size in _SIZES)
+
+
+def get_axisymmetric_scratch_field():
+    """Return the Taichi field, shared by all kernels, for intermediate results of the batch that is evaluated.
+
+    The offsets of the arrays are `AT`. Each of the `_SIZE` entries is a vector with one component for each element of
+    the batch (`LANES` elements).
+    """
+    return shared.get_shared_scratch_field(LANES, _SIZE)
+
+
+class KinematicFunctions(NamedTuple):
+    """Taichi functions of one element type.
+
+    Attributes:
+        gather_node_vector: ``gather_node_vector(values, elements, i) -> (r, z)``: components of nodal values, stored
+            as r0, z0, r1, z1, ..., at the nodes in row i of ``elements.dofs``, one element in each lane.
+        gather_node_vector_of_row: the same for row k of a matrix: ``(values, k, elements, i)``.
+        compute_gradient_of_stored_displacements: ``(b, q, elements) -> h0, ..., h4``: displacement gradient of the
+            displacements UR and UZ in the scratch field at quadrature point q.
+        compute_node_force_from_stresses: ``(a, b, first, elements) -> (r, z)``: force on node a from the stresses times
+            weights in the scratch field, five for each quadrature point from `first` on.
+    """
+
+    gather_node_vector: object
+    gather_node_vector_of_row: object
+    compute_gradient_of_stored_displacements: object
+    compute_node_force_from_stresses: object
+
+
+@cache
+def make_kinematic_functions(element_name: str) -> KinematicFunctions:
+    """Return the Taichi functions of an element type, a key of `tissue_sim.mesh.elements.ELEMENTS`."""
+    ti = get_initialised_taichi()
+    element = ELEMENTS[element_name]
+    nodes, points = element.node_count, element.quadrature[1].size
+    vec = ti.types.vector(LANES, ti.f64)
+    s = get_axisymmetric_scratch_field()
+    UR, UZ = AT["UR"], AT["UZ"]
+
+    @ti.func
+    def gather_node_vector(values: ti.template(), elements: ti.template(), i):
+        """Return the components (r, z) of nodal values at the nodes of row i, one element in each lane."""
+        return (ti.Vector([values[elements.dofs[i][l]] for l in ti.static(range(LANES))]),
+                ti.Vector([values[elements.dofs[i][l] + 1] for l in ti.static(range(LANES))]))
+
+    @ti.func
+    def gather_node_vector_of_row(values: ti.template(), k, elements: ti.template(), i):
+        """Return the components (r, z) of row k of nodal values at the nodes of row i, one element in each lane."""
+        return (ti.Vector([values[k, elements.dofs[i][l]] for l in ti.static(range(LANES))]),
+                ti.Vector([values[k, elements.dofs[i][l] + 1] for l in ti.static(range(LANES))]))
+
+    @ti.func
+    def compute_gradient_of_stored_displacements(b, q, elements: ti.template()):
+        """Return the gradient (rR, rZ, zR, zZ, hoop) of the stored nodal displacements at quadrature point q."""
+        h0, h1, h2, h3, h4 = vec(0.0), vec(0.0), vec(0.0), vec(0.0), vec(0.0)
+        for a in range(nodes):
+            g = (b * points + q) * nodes + a
+            gr, gz, gh = elements.gradient_r[g], elements.gradient_z[g], elements.value_r[g]
+            ur, uz = s[UR + a], s[UZ + a]
+            h0 = h0 + ur * gr
+            h1 = h1 + ur * gz
+            h2 = h2 + uz * gr
+            h3 = h3 + uz * gz
+            h4 = h4 + ur * gh
+        return h0, h1, h2, h3, h4
+
+    @ti.func
+    def compute_node_force_from_stresses(a, b, first, elements: ti.template()):
+        """Return the force (r, z) on node a from the stored stresses times weights, whose first entry is `first`."""
+        fr, fz = vec(0.0), vec(0.0)
+        for q in range(points):
+            g, at = (b * points + q) * nodes + a, first + 5 * q
+            gr, gz, gh = elements.gradient_r[g], elements.gradient_z[g], elements.value_r[g]
+            fr = fr + s[at] * gr + s[at + 1] * gz + s[at + 4] * gh
+            fz = fz + s[at + 2] * gr + s[at + 3] * gz
+        return fr, fz
+
+    return KinematicFunctions(gather_node_vector, gather_node_vector_of_row, compute_gradient_of_stored_displacements,
+                              compute_node_force_from_stresses)
+
 
 #: Row and column of each entry of the packed symmetric 5 x 5 tangent.
 PACKED = list_lower_triangle_index_pairs(5)
@@ -180,3 +291,50 @@ def _make_stress_function_of_stretches(energy: KernelEnergy, tangents: bool):
         return density, P, A
 
     return compute_stress_and_tangent
+
+
+#: Indices of RR, RZ, ZZ and hoop among the six components of a symmetric tensor.
+_COMPONENTS = (0, 3, 1, 2)
+
+
+@cache
+def make_effect_stress_function(formulas: tuple[FormulaClassAndConstants, ...]):
+    """Return the Taichi function ``add_effect_stresses(F, P, A, states, settings) -> (S, P, A, states)``.
+
+    The function adds the first Piola stress F S of the effects to P and its derivative to A. S is the second Piola
+    stress of the effects. All arguments are vectors; see `tissue_sim.fem.history.PointEffects`.
+    """
+    ti = get_initialised_taichi()
+    count = 1 + sum(len(formula.parameter_names) for formula in formulas)
+
+    def trace_effect_expressions(F, P, A, states, settings):
+        return _add_effects_to_stress_expressions(formulas, F, P, A, states, settings)
+
+    @ti.func
+    def add_effect_stresses(F, P, A, states, settings: ti.template()):
+        return ti.static(trace_effect_expressions(F, P, A, states, [settings[i] for i in range(count)]))
+
+    return add_effect_stresses
+
+
+def _add_effects_to_stress_expressions(formulas: tuple[FormulaClassAndConstants, ...], F: list, P: list, A: list,
+                                       states: list, settings: list) -> tuple:
+    """Return the expressions (S, P, A, states) of the summed effects at a quadrature point.
+
+    Arguments and results are lists of Taichi expressions, as in `make_effect_stress_function`.
+    """
+    F, P, A = (wrap_as_traced_numbers(each, lanes=True) for each in (F, P, A))
+    states, settings = wrap_as_traced_numbers(states, lanes=True), wrap_as_traced_numbers(settings, lanes=False)
+    C = [F[0] * F[0] + F[2] * F[2], F[1] * F[1] + F[3] * F[3], F[4] * F[4], F[0] * F[1] + F[2] * F[3], 0.0, 0.0]
+    S, D, found = sum_effect_responses(formulas, _COMPONENTS, C, states, settings)
+    # Derivative of the Green strains RR, 2 RZ, ZZ and hoop with respect to F.
+    B = [[F[0], 0.0, F[2], 0.0, 0.0], [F[1], F[0], F[3], F[2], 0.0], [0.0, F[1], 0.0, F[3], 0.0],
+         [0.0, 0.0, 0.0, 0.0, F[4]]]
+    DB = [[sum((D[i][m] * B[m][k] for m in range(4)), 0.0) for k in range(5)] for i in range(4)]
+    geometric = {(0, 0): S[0], (1, 0): S[1], (1, 1): S[2], (2, 2): S[0], (3, 2): S[1], (3, 3): S[2], (4, 4): S[3]}
+    P = [P[k] + sum((B[i][k] * S[i] for i in range(4)), 0.0) for k in range(5)]
+    A = [A[n] + geometric.get((i, k), 0.0) + sum((B[m][i] * DB[m][k] for m in range(4)), 0.0)
+         for n, (i, k) in enumerate(PACKED)]
+    like = F[0]
+    return (extract_expressions(S, like), extract_expressions(P, like), extract_expressions(A, like),
+            extract_expressions(found, like))

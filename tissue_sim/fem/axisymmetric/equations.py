@@ -16,16 +16,13 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.contact_law import sum_attractive_tractions_at_zero_gap
 from tissue_sim.fem.axisymmetric import contact_kernels, newton
 from tissue_sim.fem.axisymmetric.array_layouts import ELEMENT_ARRAYS, STATE_ARRAYS, SURFACE_ARRAYS, TISSUE_ARRAYS
-from tissue_sim.fem.axisymmetric.batches import ElementBatches
+from tissue_sim.fem.axisymmetric.batches import ElementBatches, compute_undeformed_mesh_quadrature, number_equations
 from tissue_sim.fem.axisymmetric.contact import PENALTY, ContactPoints
-from tissue_sim.fem.axisymmetric.numbering import number_equations
-from tissue_sim.fem.axisymmetric.reference import compute_undeformed_mesh_quadrature
 from tissue_sim.fem.axisymmetric.state import SolverState
 from tissue_sim.fem.axisymmetric.touch import bind_no_slip_points_where_they_touch
 from tissue_sim.fem.contact.laws import pack_contact_law_settings
 from tissue_sim.fem.contact.pairs import ContactPairs
-from tissue_sim.fem.elements.point_effects import PointEffects
-from tissue_sim.fem.history import MaterialMemory
+from tissue_sim.fem.history import MaterialMemory, PointEffects
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
@@ -45,7 +42,7 @@ class EquilibriumEquations:
     """Discrete equilibrium equations of a mesh, their arrays and kernel; for the arguments see `AxisymmetricSolver`.
 
     Attributes:
-        equation, direction, free, half_band: see `tissue_sim.fem.axisymmetric.numbering.EquationNumbering`.
+        equation, direction, free, half_band: see `tissue_sim.fem.axisymmetric.batches.EquationNumbering`.
         reference: quantities of the undeformed mesh at its quadrature points.
         specific_weight: density times gravity, N/m3.
         surface: contact points.
@@ -218,7 +215,7 @@ class EquilibriumEquations:
         """Set the weights of the stored states in the initial state of the next step.
 
         Args:
-            weights: see `tissue_sim.fem.axisymmetric.predictor.compute_extrapolation_weights`.
+            weights: see `tissue_sim.fem.axisymmetric.state.compute_extrapolation_weights`.
         """
         self.weights[:] = weights
         predicted = 0.0

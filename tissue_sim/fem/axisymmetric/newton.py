@@ -9,26 +9,25 @@ solve the active set of the contact iterates on the linearised elements (`Evalua
 from functools import cache
 
 from tissue_sim.fem.axisymmetric import contact_kernels
-from tissue_sim.fem.axisymmetric.array_layouts import ELEMENT_ARRAYS, STATE_ARRAYS, SURFACE_ARRAYS, TISSUE_ARRAYS
-from tissue_sim.fem.axisymmetric.assembly import make_element_assembly_functions
-from tissue_sim.fem.axisymmetric.condensation import make_condensation_functions
-from tissue_sim.fem.axisymmetric.contact_rates import make_contact_stiffness_functions
-from tissue_sim.fem.axisymmetric.newton_tables import (
+from tissue_sim.fem.axisymmetric.array_layouts import (
+    ELEMENT_ARRAYS,
     NEWTON,
+    STATE_ARRAYS,
+    SURFACE_ARRAYS,
+    TISSUE_ARRAYS,
     EvaluatedEquations,
     StartMode,
     StepIntegerIndex,
     StepReportIndex,
     StepSettingIndex,
 )
+from tissue_sim.fem.axisymmetric.assembly import make_condensation_functions, make_element_assembly_functions
+from tissue_sim.fem.axisymmetric.contact_kernels import make_contact_stiffness_functions
 from tissue_sim.fem.linear import band as band_matrix
-from tissue_sim.fem.linear.band import BandTableIndex
-from tissue_sim.fem.linear.cholesky import make_cholesky_functions
-from tissue_sim.fem.linear.lu import make_lu_functions
+from tissue_sim.fem.linear.band import BandTableIndex, make_cholesky_functions, make_lu_functions
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.fem.taichi.origins import get_address_origin
-from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.shared_fields import LANES
+from tissue_sim.fem.taichi.runtime import LANES, get_initialised_taichi
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS

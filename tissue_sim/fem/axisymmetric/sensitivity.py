@@ -7,17 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.array_layouts import RATE_ARRAYS
+from tissue_sim.fem.axisymmetric.array_layouts import RATE_ARRAYS, SensitivityControlIndex, StoredPointRecordOffset
 from tissue_sim.fem.axisymmetric.contact import ContactLinearisationColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
 from tissue_sim.fem.axisymmetric.sensitivity_kernel import make_force_and_state_sensitivity_kernels
-from tissue_sim.fem.axisymmetric.sensitivity_tables import SensitivityControlIndex, StoredPointRecordOffset
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
-from tissue_sim.fem.taichi.shared_fields import LANES
+from tissue_sim.fem.taichi.runtime import LANES
 
 
 @dataclass(frozen=True)

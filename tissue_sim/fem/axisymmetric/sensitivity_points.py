@@ -10,18 +10,16 @@ from typing import NamedTuple
 import sympy as sp
 
 from tissue_sim.fem.axisymmetric import energy as point
-from tissue_sim.fem.axisymmetric.condensation import make_condensation_functions
-from tissue_sim.fem.axisymmetric.kinematics import make_kinematic_functions
-from tissue_sim.fem.axisymmetric.scratch import AT, get_axisymmetric_scratch_field
-from tissue_sim.fem.axisymmetric.sensitivity_tables import (
+from tissue_sim.fem.axisymmetric.array_layouts import (
     ScratchRecordOffset,
     SensitivityControlIndex,
     StoredPointRecordOffset,
 )
+from tissue_sim.fem.axisymmetric.assembly import make_condensation_functions
+from tissue_sim.fem.axisymmetric.energy import AT, get_axisymmetric_scratch_field, make_kinematic_functions
 from tissue_sim.fem.elements.energy import make_inverse_cube_root_function, make_softening_function
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
-from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.shared_fields import LANES
+from tissue_sim.fem.taichi.runtime import LANES, get_initialised_taichi
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
 

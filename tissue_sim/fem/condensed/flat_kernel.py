@@ -11,7 +11,7 @@ from tissue_sim.fem.condensed.tables import (
     NodeForceAndAnchorColumn,
     NodeListColumn,
 )
-from tissue_sim.fem.contact.settings import ContactBondState
+from tissue_sim.fem.contact.pairs import ContactBondState
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
 

@@ -43,7 +43,7 @@ class ContactSurface:
         shapes: constants of the outlines, shape (outlines, 5): edge radius, m; index of the first segment of the
             shaft; 1 if a sharp shaft is extended downwards; number of segments; radius below which a point counts as
             on the axis, m.
-        bound: bonds of the nodes at the first touch, each a `tissue_sim.fem.contact.settings.ContactBondState`, shape
+        bound: bonds of the nodes at the first touch, each a `tissue_sim.fem.contact.pairs.ContactBondState`, shape
             (s,).
         anchors: positions in the frame of the tool where these nodes are bound, m, shape (s, 3).
         start: pose of the tool at the first touch.

@@ -2,7 +2,7 @@
 
 from enum import IntEnum
 
-from tissue_sim.fem.taichi.shared_fields import LANES, VECTORS
+from tissue_sim.fem.taichi.runtime import LANES, VECTORS
 
 
 class KernelSetting(IntEnum):
@@ -112,7 +112,7 @@ class NodeBondAndStatusColumn(IntEnum):
     """Columns of `states`, the contact states of the nodes of the surface.
 
     Attributes:
-        BOND: bond to the tool, a `tissue_sim.fem.contact.settings.ContactBondState`.
+        BOND: bond to the tool, a `tissue_sim.fem.contact.pairs.ContactBondState`.
         NEW_BOND: `BOND` of the next step if this step converges.
         PRESSED: 1 if the node is in contact.
         SLIPS: 1 if the node slips against friction.

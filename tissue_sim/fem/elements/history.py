@@ -5,8 +5,7 @@ from functools import cache
 
 from tissue_sim.fem.elements.energy import make_softening_function
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
-from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.shared_fields import LANES
+from tissue_sim.fem.taichi.runtime import LANES, get_initialised_taichi
 
 
 @cache

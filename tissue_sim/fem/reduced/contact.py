@@ -11,17 +11,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tissue_sim.fem.contact.pairs import ContactPair
-from tissue_sim.fem.contact.settings import STICK
-from tissue_sim.fem.reduced.contact_kernel import (
+from tissue_sim.fem.contact.pairs import STICK, ContactPair
+from tissue_sim.fem.linear.dense import euclidean_norm
+from tissue_sim.fem.reduced.kernels import (
     LAYER_ARRAYS,
     NodeState,
     PenaltyContactResult,
     PenaltyContactSetting,
     make_penalty_contact_kernel,
 )
-from tissue_sim.fem.reduced.linear import euclidean_norm
-from tissue_sim.fem.solid.frame import ToolFrame
+from tissue_sim.fem.solid.contact import ToolFrame
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LOCK

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissue_sim.fem.reduced.elements_kernel import SampledElementSettingColumn, make_sampled_elements_kernel
+from tissue_sim.fem.reduced.kernels import SampledElementSettingColumn, make_sampled_elements_kernel
 from tissue_sim.fem.reduced.model import SelfWeightEquilibriumFields
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.element import AssemblySettingColumn
@@ -14,8 +14,7 @@ from tissue_sim.fem.solid.tissue import (
     get_modulus_ratios_of_layer_indices,
     group_elements_by_region,
 )
-from tissue_sim.fem.taichi.runtime import LOCK
-from tissue_sim.fem.taichi.shared_fields import LANES
+from tissue_sim.fem.taichi.runtime import LANES, LOCK
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 

@@ -14,23 +14,26 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from tissue_sim.atomic_write import write_bytes
 from tissue_sim.bounded import run_in_sandbox
 from tissue_sim.decode import parse_json_rejecting_duplicate_keys
 from tissue_sim.errors import InputError, located_and_converted_errors
-from tissue_sim.experiment.approach import Approach
-from tissue_sim.experiment.experiment import Experiment
+from tissue_sim.experiment.experiment import Approach, Experiment
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.profile import ProfileTool
 from tissue_sim.experiment.tools.tool import TOOLS, Tool
-from tissue_sim.fem.reduced.compliance_table import ContactNodeComplianceTable
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, SelfWeightEquilibriumFields, require_reducible
+from tissue_sim.fem.reduced.model import (
+    ContactNodeComplianceTable,
+    PoseBox,
+    ReducedModel,
+    SelfWeightEquilibriumFields,
+    require_reducible,
+)
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.solid.tissue import group_elements_by_region, require_mesh_regions
-from tissue_sim.files import open_input_file
+from tissue_sim.files import open_input_file, write_bytes
 from tissue_sim.material.file import MaterialFile, make_material_file_from_json_data
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
-from tissue_sim.mesh.stored_file_mesh import file_mesh_from_arrays, file_mesh_to_arrays
+from tissue_sim.mesh.solid_file import file_mesh_from_arrays, file_mesh_to_arrays
 from tissue_sim.model import Model
 from tissue_sim.parameters import convert_to_file_values, make_from_file_values
 from tissue_sim.specimen.mesh import MeshSpecimen

@@ -1,4 +1,8 @@
-"""Model reduction of a solid: training paths, modes, sampled elements and verification, resumable after a stop."""
+"""Model reduction of a solid: training paths, modes, sampled elements and verification, resumable after a stop.
+
+The estimate of the error by missing compliance is calibrated on the training paths. A reduced solid with friction has
+an estimate of the lateral error.
+"""
 
 from __future__ import annotations
 
@@ -7,25 +11,131 @@ import io
 import math
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.acceptance import with_calibrated_compliance_table
-from tissue_sim.fem.reduced.lateral import calibrate_lateral_error_to_force_ratio
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_compatible_layers_and_regions, require_reducible
+from tissue_sim.fem.reduced.model import (
+    PoseBox,
+    ReducedModel,
+    calibrate_accepted_missing_forces,
+    require_compatible_layers_and_regions,
+    require_reducible,
+)
+from tissue_sim.fem.reduced.response import MissingComplianceErrorEstimator, reset_and_compute_compliance_table
 from tissue_sim.fem.reduced.settings import VERIFICATION
+from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.symmetry import find_symmetries
-from tissue_sim.fem.reduced.training_paths import make_boundary_training_paths, make_reversing_paths, make_training_path
-from tissue_sim.fem.reduced.verification import verify_and_get_report_and_factors
-from tissue_sim.files import read_text
+from tissue_sim.fem.reduced.training import (
+    TrainingDisplacementsAndWrenches,
+    make_boundary_training_paths,
+    make_reversing_paths,
+    make_training_path,
+    simulate_snapshots,
+)
+from tissue_sim.fem.reduced.verification import find_covering_factor, verify_and_get_report_and_factors
+from tissue_sim.fem.solid.solver import SolidSolver
+from tissue_sim.fem.solver import Step, StepStatus
+from tissue_sim.files import read_text, write_bytes
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
+from tissue_sim.pose import Pose, interpolate_pose
+
+
+def simulate_reduced_path(small: ReducedSolver, poses: Sequence[Pose]) -> Iterator[Step]:
+    """Simulate a reduced solid from rest along poses of the tool, and yield the step that ends at each pose."""
+    small.reset_to_rest()
+    for last_pose, pose in zip([poses[0], *poses], poses, strict=False):
+        for k in range(VERIFICATION.substeps):
+            step = small.step(interpolate_pose(last_pose, pose, (k + 1) / VERIFICATION.substeps))
+        yield step
+
+
+def with_calibrated_compliance_table(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[Sequence[Pose]],
+                                     snapshots: Sequence[TrainingDisplacementsAndWrenches],
+                                     materials: Sequence[Material]) -> ReducedModel:
+    """Return a copy of a reduced solid with the calibrated compliance table of its contact nodes.
+
+    The reduced solid is simulated along the training paths. Its missing force and its true force error give the
+    missing forces that are accepted, see `calibrate_accepted_missing_forces`. A reduced solid with a bonded tool is
+    returned unchanged.
+
+    Args:
+        reduced: the reduced solid.
+        solver: full-order solver with the material of the model; it is at rest afterwards.
+        poses: poses of each training path.
+        snapshots: full-order states on each training path.
+        materials: material on each training path.
+    """
+    if reduced.lifting:
+        return reduced
+    nodes = np.sort(solver.contact.nodes[solver.contact.moves])
+    table = reset_and_compute_compliance_table(reduced, solver, nodes)
+    small = ReducedSolver(replace(reduced, compliance=table), reduced.model.material)
+    missing_force = MissingComplianceErrorEstimator(table, small.contact)
+    forces, missing, errors = [], [], []
+    for path, full_order, material in zip(poses, snapshots, materials, strict=True):
+        if material is not small.material:
+            small.set_material(material)
+        for step, wrench in zip(simulate_reduced_path(small, path), full_order.wrenches, strict=True):
+            if step.status is StepStatus.CONVERGED and small.contact.has_touching_nodes:
+                force = np.array(step.wrench[:3])
+                forces.append(float(np.linalg.norm(force)))
+                missing.append(missing_force.compute_missing_axial_force())
+                errors.append(float(np.linalg.norm(force - wrench[:3])))
+    return replace(reduced, compliance=calibrate_accepted_missing_forces(table, forces, missing, errors))
+
+
+def calibrate_lateral_error_to_force_ratio(reduced: ReducedModel, solver: SolidSolver, paths: Sequence[Sequence[Pose]],
+                                           materials: Sequence[Material], *,
+                                           memory: Sequence[np.ndarray] = ()) -> float:
+    """Compute the ratio of the lateral force error and the largest lateral force since the first touch.
+
+    With friction, the force depends on the path. On paths with a reversal, the lateral error stays about constant while
+    the lateral force decreases; the error modes and the missing compliance (`MissingComplianceErrorEstimator`) estimate
+    the error at the present contact forces only and become small. The largest lateral force since the first touch
+    scales with the error on such paths. An indentation along the axis has almost no lateral force, so that its estimate
+    hardly changes.
+
+    The product of the factor and the largest lateral force, plus the negligible error, covers the lateral errors on
+    the paths as `find_covering_factor` states. It is added to the estimate at the present contact forces.
+
+    Args:
+        reduced: the reduced solid.
+        solver: full-order solver.
+        paths: poses of the tool on paths with a reversal of the lateral motion.
+        materials: materials that are used in turn.
+        memory: material history at rest, see `get_rest_history_under_self_weight`.
+
+    Returns:
+        The factor; 0 for a bonded tool, without friction, and without a lateral force.
+    """
+    small = ReducedSolver(reduced, reduced.model.material)
+    if reduced.lifting or not small.contact.has_friction or not reduced.box.sideways:
+        return 0.0
+    axis = np.array(reduced.model.experiment.tool_pose(0.0).rotation_matrix)[:, 2]
+    largest, errors, substantial = [], [], []
+    for number, path in enumerate(paths):
+        for each in (solver, small):
+            if each.material is not (material := materials[number % len(materials)]):
+                each.set_material(material)
+        forces = simulate_snapshots(solver, path, memory=memory).wrenches[:, :3]
+        norms = np.linalg.norm(forces, axis=1)
+        rms = np.sqrt(np.mean(norms**2))
+        for step, force in zip(simulate_reduced_path(small, path), forces, strict=True):
+            error = np.subtract(step.wrench[:3], force)
+            lateral = float(small.contact.largest_lateral[0])
+            if step.status is StepStatus.CONVERGED and lateral > VERIFICATION.negligible_error * rms:
+                largest.append(lateral / rms)
+                errors.append(float(np.linalg.norm(error - (error @ axis) * axis)) / rms)
+                substantial.append(VERIFICATION.substantial_error * norms.max() / rms)
+    return find_covering_factor(np.array(largest), np.array(errors), np.array(substantial))
+
 
 #: Number of training paths without symmetry, for a bonded tool (True) and a tool that can lift off (False).
 STROKES = {True: 24, False: 60}

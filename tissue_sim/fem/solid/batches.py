@@ -8,10 +8,13 @@ from functools import cached_property
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.elements.lanes import ElementLanes
-from tissue_sim.fem.elements.quadrature import compute_isoparametric_map, compute_orthonormal_pressure_modes
+from tissue_sim.fem.elements.quadrature import (
+    ElementLanes,
+    compute_isoparametric_map,
+    compute_orthonormal_pressure_modes,
+)
 from tissue_sim.fem.taichi.origins import allocate_array
-from tissue_sim.fem.taichi.shared_fields import LANES
+from tissue_sim.fem.taichi.runtime import LANES
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
 
 

@@ -1,14 +1,43 @@
-"""Fields of a three-dimensional solid, computed from stored states on request."""
+"""Fields of a three-dimensional solid from stored states, geometry for drawing, and deformed surface."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from tissue_sim.fem.elements.fields import FIELD_UNITS, ElementFields
-from tissue_sim.fem.result_views import SolidGeometry
-from tissue_sim.fem.solid.surface import build_solid_geometry
+from tissue_sim.fem.result_views import SolidGeometry, SolidSurface
+from tissue_sim.mesh.sections import (
+    find_outline_edges_of_face,
+    subdivide_face_into_triangles,
+    subdivide_into_tetrahedra,
+    triangulate_surface_faces,
+)
+from tissue_sim.mesh.solid import SolidMesh
+
+
+@lru_cache(maxsize=4)
+def build_solid_geometry(mesh: SolidMesh) -> SolidGeometry:
+    """Divide the faces on the surface into triangles and the elements into tetrahedra; the result is cached."""
+    element, sides = mesh.element, np.concatenate(list(mesh.faces.values()))
+    cell_sides = element.local_face_node_indices[:, subdivide_face_into_triangles(element)].reshape(-1, 3)
+    return SolidGeometry(mesh.nodes, triangulate_surface_faces(element, sides).reshape(len(sides), -1, 3),
+                         sides[:, find_outline_edges_of_face(element)], mesh.connectivity,
+                         subdivide_into_tetrahedra(element), cell_sides, mesh.sets.get("top"))
+
+
+def extract_deformed_surface(mesh: SolidMesh, displacement: np.ndarray, datum: float) -> SolidSurface:
+    """Return the deformed surface of a mesh.
+
+    Args:
+        mesh: undeformed mesh.
+        displacement: displacements of the nodes, m, shape (nodes, 3).
+        datum: height of the first touch, which becomes z = 0, m.
+    """
+    return SolidSurface(build_solid_geometry(mesh), mesh.nodes + displacement - [0.0, 0.0, datum])
+
 
 #: Components of the Cauchy stress along the axes of the scene, which only three-dimensional solids have -> indices.
 _ALONG = {f"cauchy_{'xyz'[i]}{'xyz'[k]}": (i, k) for i in range(3) for k in range(i, 3)}

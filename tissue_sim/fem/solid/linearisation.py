@@ -23,13 +23,12 @@ from tissue_sim.fem.condensed.model import (
     make_outline_tables,
     run_now_and_get_completion_check,
 )
-from tissue_sim.fem.contact.settings import SOLID_PENALTY
+from tissue_sim.fem.contact.pairs import SOLID_PENALTY
 from tissue_sim.fem.linear.sparse import get_pardiso_or_scipy_name
+from tissue_sim.fem.solid.contact import ToolFrame, differentiate_torque_by_levers
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.frame import ToolFrame, differentiate_torque_by_levers
-from tissue_sim.fem.solid.settings import LinearisationSettings
-from tissue_sim.fem.solid.solver import SolidSolver
-from tissue_sim.fem.solid.tangent import CondensedTangent
+from tissue_sim.fem.solid.equations import CondensedTangent
+from tissue_sim.fem.solid.solver import LinearisationSettings, SolidSolver
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model

@@ -1,22 +1,74 @@
-"""Launch of compiled kernels with arguments that are bound by name.
+"""Launch of compiled kernels with arguments that are bound by name, and objects that own such kernels.
 
 Taichi checks and converts every argument in every call: 27 arrays take 0.25 ms. A `BoundKernel` passes its arguments
 once and starts in 9 us. Taichi identifies arguments by position, so that two exchanged arrays of equal rank give a
 wrong result without an error; here each array is passed to the argument of its name. The module uses private names of
 Taichi 1.7.4, which pyproject pins; `tests/tissue_sim/test_launch.py` fails if they are missing.
+
+An object that owns compiled kernels cannot be copied, and one thread at a time may use it.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
-from functools import cache
-from typing import Any
+from functools import cache, wraps
+from typing import Any, NoReturn, TypeVar, cast
 
 import numpy as np
 
-from tissue_sim.errors import MissingBackendError, make_hint_with_similar_or_known_words
+from tissue_sim.errors import InputError, MissingBackendError, make_hint_with_similar_or_known_words
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.kernel_owner import KernelOwner
+
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+class CopyError(InputError, TypeError):
+    """An object that owns compiled kernels cannot be copied or pickled."""
+
+
+class BusyError(InputError, RuntimeError):
+    """Two threads called the same simulator at the same time."""
+
+
+class KernelOwner:
+    """Base of objects whose compiled kernels work on their arrays in place.
+
+    A copy would share these arrays, or its kernels would still work on the arrays of the original. `copy`, `deepcopy`
+    and `pickle` therefore raise `CopyError`.
+    """
+
+    #: Remedy in the message.
+    copy_remedy = "Copy the Simulator that owns it with clone(), or keep its state with save() and restore()."
+
+    def __reduce_ex__(self, protocol: object) -> NoReturn:
+        raise CopyError(f"{type(self).__name__} cannot be copied or pickled: compiled kernels work on its memory. "
+                        f"{self.copy_remedy}")
+
+
+def make_single_thread_method(method: _Method) -> _Method:
+    """Return a method that takes the reentrant lock `_guard` of its object, so that only one thread executes it.
+
+    The returned method does not wait: it raises a `BusyError` while another thread holds the lock.
+    """
+    @wraps(method)
+    def call_method_with_lock(self: Any, *args: Any, **kwargs: Any) -> Any:
+        """Execute the method while holding the lock of its object; raise a `BusyError` if another thread holds it."""
+        if not self._guard.acquire(blocking=False):
+            raise make_busy_error(self)
+        try:
+            return method(self, *args, **kwargs)
+        finally:
+            self._guard.release()
+    return cast("_Method", call_method_with_lock)
+
+
+def make_busy_error(owner: object) -> BusyError:
+    """Make the error that a second thread, the current one, called an object at the same time."""
+    name = type(owner).__name__
+    return BusyError(f"{name} was called from two threads at the same time ({threading.current_thread().name} came "
+                     f"second). Give each thread a clone(), or let one thread call it.")
+
 
 #: Kernel -> compiled kernel of Taichi, its machine code, and the function that launches it.
 _COMPILED: dict[Any, tuple[Any, Any, Callable[..., None]]] = {}

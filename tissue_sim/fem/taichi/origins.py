@@ -18,8 +18,7 @@ from functools import cache
 
 import numpy as np
 
-from tissue_sim.fem.taichi.runtime import get_initialised_taichi
-from tissue_sim.fem.taichi.shared_fields import BLOCK, INTEGER_BLOCK, LANES, get_shared_taichi_fields
+from tissue_sim.fem.taichi.runtime import BLOCK, INTEGER_BLOCK, LANES, get_initialised_taichi, get_shared_taichi_fields
 
 #: Alignment of an array, bytes: a cache line. The vectors of every origin divide it.
 ALIGNMENT = 64

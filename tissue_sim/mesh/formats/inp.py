@@ -15,7 +15,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.files import decode_text_and_find_encoding, read_bytes
-from tissue_sim.mesh.formats.content import FACES, SOLIDS, CellBlock, MeshContent
+from tissue_sim.mesh.formats.checks import FACES, SOLIDS, CellBlock, MeshContent
 
 #: Description of the expected file for messages.
 _EXPECTED = "a mesh of Abaqus or CalculiX"

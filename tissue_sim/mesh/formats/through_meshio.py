@@ -12,7 +12,7 @@ import numpy as np
 from tissue_sim.bounded import exclude_cpu_time_from_limit
 from tissue_sim.errors import InputError
 from tissue_sim.files import open_input_file
-from tissue_sim.mesh.formats.content import CellBlock, MeshContent
+from tissue_sim.mesh.formats.checks import CellBlock, MeshContent
 
 #: File name extension -> module of meshio, and number of the first node or element in this format.
 _MODULES = {".msh": ("gmsh", 1), ".vtu": ("vtu", 0), ".vtk": ("vtk", 0)}

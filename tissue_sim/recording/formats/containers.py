@@ -6,23 +6,40 @@ table without a header. Each table is read like a sheet of a spreadsheet.
 
 from __future__ import annotations
 
+import importlib
 import io
 import logging
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from tissue_sim.bounded import exclude_cpu_time_from_limit
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.files import read_bytes, read_first_bytes_or_empty
-from tissue_sim.recording.formats.extra import import_optional_package
 from tissue_sim.recording.formats.number_text import TextOfNumericCell
 from tissue_sim.recording.formats.table import TableRow
 from tissue_sim.recording.formats.workbook import Sheet
 from tissue_sim.recording.recording import MIN_POINTS
+
+
+def import_optional_package(package: str, file: Path) -> ModuleType:
+    """Import an optional package.
+
+    Raises:
+        InputError: the package is not installed; the message names the extra to install.
+    """
+    try:
+        with exclude_cpu_time_from_limit():
+            return importlib.import_module(package)
+    except ImportError as error:
+        raise InputError(f"reading this file needs the package {package} ({error}); install it with "
+                         "pip install 'tissue-sim[formats]'", file=file) from None
+
 
 #: Expected content of the file, for messages.
 _EXPECTED = "arrays of MATLAB, LabVIEW or HDF5 (.mat, .tdms, .h5)"

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.formats.columns import Curves, Sheets
 from tissue_sim.recording.formats.kind_words import NamedTest
 from tissue_sim.recording.recording import CHANNELS, Recording
+from tissue_sim.settings import make_shallow_read_only_copy
 from tissue_sim.units import UNITS, find_quantity_of_unit_or_none
 
 __getattr__ = make_getattr_for_old_names(__name__, {"Stated": "InterpretationOverrides",

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim.files import read_text
+from tissue_sim.recording.formats.blocks import find_table_header_and_data_rows, iterate_table_for_each_delimiter
 from tissue_sim.recording.formats.columns import read_single_recording
-from tissue_sim.recording.formats.header import find_table_header_and_data_rows, iterate_table_for_each_delimiter
 from tissue_sim.recording.formats.long_text import try_splitting_off_trailing_numbers
 from tissue_sim.recording.formats.number_text import is_number_with_either_mark, parse_number_preferring_point_or_nan
 from tissue_sim.recording.recording import Recording

@@ -1,4 +1,10 @@
-"""Find words for tests in titles, headers and names: registered kinds, and tests of `UNKNOWN_TESTS`."""
+"""Find words for tests in titles, headers and names: registered kinds, and tests of `UNKNOWN_TESTS`.
+
+`UNKNOWN_TESTS` is a table of tests without a registered kind, and of the words that name these tests in files. The
+words are regular expressions for lower-case text without accents and with single blanks (see
+`normalize_and_truncate_line`). A plug-in that registers a kind with a name or a title word of this table also receives
+the words of the table.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +16,156 @@ from functools import lru_cache
 
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS, KnownTestWithoutKind
+
+
+@dataclass(frozen=True)
+class KnownTestWithoutKind:
+    """A test for which no kind is registered.
+
+    Attributes:
+        name: name of a kind for this test.
+        title: name in sentences.
+        words: regular expressions in English, German and French.
+        difference: difference from the registered kinds; completes the sentence "<title> is ...".
+        short: abbreviations that are recognised only in the name of a file.
+        alone: words that are recognised only as the complete text, such as the name of a sheet, with or without a
+            number, or in an entry for the test method that names no other test.
+    """
+
+    name: str
+    title: str
+    words: tuple[str, ...]
+    difference: str
+    short: tuple[str, ...] = ()
+    alone: tuple[str, ...] = ()
+
+
+#: Difference of tests with a deformation that varies in the specimen.
+_NOT_HOMOGENEOUS = "not homogeneous: a modulus from total force and displacement would be wrong"
+
+#: The table; each row completes the sentence "<title> is <difference>".
+UNKNOWN_TESTS: tuple[KnownTestWithoutKind, ...] = (
+    KnownTestWithoutKind("planar_tension", "planar tension (pure shear)", (
+        r"planar ?(tension|tensile|extension|elongation|stretch\w*|zug\w*|test)", r"pure ?shear",
+        r"strip biax\w*", r"(width )?constrained (width )?(tension|tensile)", r"plane strain (tension|tensile)",
+        r"wide strip", r"eben\w* zug\w*", r"planar\w* (zug\w*|dehnung)", r"rein\w* (scher\w*|schub\w*)",
+        r"reinscher\w*",
+        r"cisaillement pur", r"(traction|tension|extension) plan\w*"),
+        "neither simple shear nor uniaxial tension: the width is constrained, and a modulus of either would be wrong",
+        short=("ps", "pt"), alone=("planar",)),
+    KnownTestWithoutKind("equibiaxial_tension", "biaxial tension", (
+        r"equi ?biax\w*", r"bi ?axial\w*", r"biax\w*", r"(a|ae)qui ?biax\w*", r"gleichbiax\w*", r"zweiachs\w*",
+        r"biaxialzug\w*"),
+        "not uniaxial tension: the specimen is loaded along two axes, and a uniaxial stress would be wrong",
+        short=("eb", "ebt", "bt")),
+    KnownTestWithoutKind("confined_compression", "confined compression", (
+        r"confined( compress\w*)?", r"confining", r"confinement", r"porous (platens?|plates?|filters?)",
+        r"(radially |laterally )?(confined|constrained|restrained) compress\w*",
+        r"compress\w* confinee?", r"confinee?", r"o?edomet\w*", r"laterally (confined|constrained|restrained)",
+        r"uniaxial strain", r"(ein|um)geschlossen\w*( (kompress\w*|druck\w*))?",
+        r"(seitlich|radial) (begrenzt|behindert|gehalten|gefuhrt)\w*",
+        r"(behindert\w*|verhindert\w*) (quer|seiten)dehnung", r"eingeschrankt\w* (kompress\w*|druck\w*)",
+        r"aggregate modulus"),
+        "not compression between plates: the specimen cannot widen, and the force measures the aggregate modulus"),
+    KnownTestWithoutKind("plane_strain_compression", "plane strain compression", (
+        r"plane strain( compress\w*)?", r"channel die", r"eben\w* (dehnung\w*|stauch\w*|verzerrung\w*)",
+        r"deformation plane"),
+        "not uniaxial: the specimen widens in one direction only"),
+    KnownTestWithoutKind("volumetric_compression", "volumetric compression", (
+        r"volumetric (compress\w*|test\w*|loading|data)", r"hydrostat\w*( (compress\w*|druck\w*|test\w*))?",
+        r"isostat\w*",
+        r"volumetrisch\w* (druck\w*|kompress\w*|versuch\w*)", r"compress\w* (volum\w*|isostat\w*|hydrostat\w*)",
+        r"kompressionsmodul"),
+        "not compression between plates: the test measures the bulk modulus and not the shear modulus"),
+    KnownTestWithoutKind("triaxial_compression", "triaxial compression",
+                         (r"tri ?axial\w*", r"dreiachs\w*", r"triax"),
+                         "not uniaxial: a pressure acts on the sides of the specimen"),
+    KnownTestWithoutKind("torsion", "torsion",
+                         (r"torsion\w*", r"twist(ing)? tests?", r"verdreh\w*", r"verdrill\w*"),
+                         "not simple shear: the shear strain increases with the radius, and a torque is measured",
+                         alone=("twist",)),
+    KnownTestWithoutKind("bending", "bending", (
+        r"bending( tests?)?", r"bend tests?", r"flexur\w*", r"flexion", r"\w*bieg(e|ung|ever)\w*",
+        r"cantilever (bending|beam|tests?)",
+        r"(three|four|3|4|drei|vier|trois|quatre) ?(pts?|points?|punkte?)( ?(bend|\w*bieg|flex|load|test)\w*)?",
+        r"[34] ?pb"),
+        "neither tension nor compression: one side is stretched and the other compressed"),
+    KnownTestWithoutKind("peel", "a peel test", (
+        r"(t )?peel(ing)? (tests?|force|load|strength|angle|resistance|\d+)", r"peeling",
+        r"(\d+|degrees?|deg|grad|t|drum|roller|arm|wheel) peel",
+        r"(ab)?schae?l(versuch|prufung|pruefung|test|kraft|festigkeit|widerstand)\w*",
+        r"(de)?pelage"),
+        "not tension: the force measures the adhesion at a moving front", alone=("peel",)),
+    KnownTestWithoutKind("fatigue", "a fatigue test", (
+        r"fatigue( tests?)?", r"ermudung\w*", r"ermuedung\w*", r"dauerschwing\w*", r"dauerfestigkeit\w*",
+        r"w(o|oe)hler\w*",
+        r"\w*schwellversuch\w*", r"endurance tests?"),
+        "not a single loading: the material changes from cycle to cycle"),
+    KnownTestWithoutKind("burst", "a burst test",
+                         (r"burst(ing)? (tests?|pressure|strength)", r"berst\w*", r"eclatement"),
+                         "neither tension nor compression: a pressure loads the specimen in two directions",
+                         alone=("burst",)),
+    KnownTestWithoutKind("inflation", "an inflation test", (
+        r"inflat\w*", r"bulge( tests?)?", r"bubble (inflation|tests?)", r"aufbla(e|h)?s?\w*", r"gonfle?\w*"),
+        "neither tension nor compression: a pressure loads the specimen in two directions"),
+    KnownTestWithoutKind("lap_shear", "a lap shear test", (
+        r"((single|double) )?lap ?(shear|joint)\w*", r"zugscher\w*", r"u(e)?berlapp\w*",
+        r"(simple |double )?recouvrement"),
+        "simple shear only if the specimen fills the overlap: then state --kind simple_shear"),
+    KnownTestWithoutKind("tear", "a tear test", (
+        r"(trouser|crescent|angle|graves) tear\w*", r"tear (tests?|strength|resistance|propagation|energy)",
+        r"tearing( tests?)?", r"weiterrei(ss|sz)\w*", r"dechir\w*"),
+        "not tension: the force measures the growth of a crack"),
+    KnownTestWithoutKind("fracture", "a fracture test", (
+        r"fracture (tests?|toughness|mechanics|energy)", r"compact tension",
+        r"(single|double) edge (notch\w*|crack\w*)",
+        r"notch\w* (tension|tensile|specimens?)", r"crack (growth|propagation)\w*", r"bruch(mechan|zah|zaeh)\w*",
+        r"gekerbt\w*", r"kerb(zug|versuch|schlag|biege)\w*", r"entaill\w*"),
+        "not tension of an intact specimen: a notch or crack determines the force"),
+    KnownTestWithoutKind("ring_tension", "ring tension", (
+        r"ring (tension|tensile|pull|tests?)", r"hoop (tension|tensile|tests?)", r"ringzug\w*",
+        r"traction (sur |d )?anneau\w*"),
+        "not uniaxial tension: pins bend the ring before they stretch it"),
+    KnownTestWithoutKind("diametral_compression", "diametral compression", (
+        r"diametr\w* (compress\w*|druck\w*)", r"compress\w* diametr\w*", r"brazilian\w*", r"indirect tens\w*",
+        r"split(ting)? tens\w*", r"spaltzug\w*", r"scheiteldruck\w*"),
+        "neither uniaxial compression nor tension: the disc is loaded along a line"),
+    KnownTestWithoutKind("impact", "an impact test", (
+        r"impact (tests?|strength|loading|compress\w*|tension|tensile)",
+        r"drop (weight|tower|tests?)\w*", r"charpy", r"izod", r"(split )?hopkinson\w*", r"shpb",
+        r"kolsky",
+        r"schlag(zah|zaeh|versuch|pruf|pruef|biege)\w*", r"fallgewicht\w*", r"essai de choc"),
+        "not a slow test: inertia is part of the force"),
+    KnownTestWithoutKind("pull_out", "a pull-out test", (
+        r"pull ?out\w*", r"suture (retention|pull\w*)", r"auszieh\w*", r"ausrei(ss|sz)\w*", r"arrachement"),
+        "not tension of a specimen: the force measures the strength of an anchor"),
+    KnownTestWithoutKind("tack", "a tack test",
+                         (r"probe tack( tests?)?", r"tack tests?", r"adhesion tests?", r"debond\w*",
+                          r"hafttest\w*", r"haft(zug|festigkeits?)\w*"),
+                         "not tension: the force measures the adhesion of two faces", alone=("tack",)),
+    KnownTestWithoutKind("aspiration", "an aspiration test", (
+        r"aspirat\w*", r"suction (tests?|force)", r"cutometer", r"saug(versuch|napf|test)\w*", r"ventouse"),
+                         "neither tension nor compression: suction draws the tissue into an opening"),
+    KnownTestWithoutKind("buckling", "a buckling test",
+                         (r"buckl\w*", r"knick(versuch|last|ung)\w*", r"flamb(age|ement)"),
+                         "not compression: the specimen bends sideways"),
+    KnownTestWithoutKind("cutting", "a cutting test", (
+        r"cutting (tests?|force)", r"schneid(versuch|test|kraft)\w*", r"warner bratzler( shear)?", r"kramer( shear)?",
+        r"decoupe"),
+        f"a separation of the material, {_NOT_HOMOGENEOUS}", alone=("cutting", "cut")),
+    KnownTestWithoutKind("extrusion", "an extrusion test",
+                         (r"(back|forward) ?extrusion( tests?)?", r"extrusion (tests?|force)",
+                          r"ruckextrusion\w*"),
+                         "not compression: the material flows through a gap", alone=("extrusion",)),
+    KnownTestWithoutKind("surface_tension", "surface tension", (
+        r"(surface|interfacial) tension", r"(ober|grenz)flac?h?e?n?spannung", r"tension (superficielle|interfaciale)"),
+        "not tension of a specimen"),
+    KnownTestWithoutKind("scratch", "a scratch or friction test",
+                         (r"scratch( tests?)?", r"tribo\w*", r"friction tests?",
+                          r"reib(versuch|test|pruf|pruef)\w*"),
+                         "not a loading of a specimen: the force measures friction"),
+)
+
 
 #: Kind -> abbreviations that are recognised only in the name of a file.
 _SHORT = {"simple_shear": ("ss",), "uniaxial_tension": ("ut",), "lubricated_compression": ("uc",)}

@@ -1,4 +1,7 @@
-"""Find the columns of each recording in a table: motion, load, and optionally time."""
+"""Find the columns of each recording in a table: motion, load, and optionally time and temperature.
+
+Strain is converted to displacement, or displacement to stretch, by the gauge length.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +10,20 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.formats.cell_units import UnitRowExtractedFromCells
-from tissue_sim.recording.formats.column_options import parse_column_number_or_letters
-from tissue_sim.recording.formats.gauge_length import (
-    find_gauge_length_and_source_or_none,
-    make_displacement_column_from_strain,
-    make_stretch_column_from_displacement,
-)
+from tissue_sim.recording.formats.blocks import find_positions_of_cells_with_name
+from tissue_sim.recording.formats.columns import parse_column_number_or_letters
 from tissue_sim.recording.formats.guesses import ColumnGuess, InterpretationOverrides
-from tissue_sim.recording.formats.header import find_positions_of_cells_with_name
-from tissue_sim.recording.formats.kind_hints import make_hints_from_text_above_and_sheet_name
+from tissue_sim.recording.formats.kind_guess import make_hints_from_text_above_and_sheet_name
 from tissue_sim.recording.formats.kind_words import find_named_tests
-from tissue_sim.recording.formats.sizes import make_size_signature
+from tissue_sim.recording.formats.number_text import is_number_with_either_mark
+from tissue_sim.recording.formats.sizes import (
+    find_loading_speeds_and_their_lines,
+    find_sizes_and_speed_in_mm,
+    make_size_signature,
+)
 from tissue_sim.recording.formats.sources import NumberTable
-from tissue_sim.recording.formats.speed_text import find_loading_speeds_and_their_lines
 from tissue_sim.recording.formats.statements import iterate_constant_size_columns
-from tissue_sim.recording.formats.temperature import has_temperature_in_all_rows
+from tissue_sim.recording.formats.table import UnitRowExtractedFromCells
 from tissue_sim.recording.formats.vocabulary import (
     MachineFormat,
     classify_column_source_or_empty,
@@ -31,7 +32,76 @@ from tissue_sim.recording.formats.vocabulary import (
 )
 from tissue_sim.recording.measures import ENGINEERING, MEASURES, find_measure_name_in_header_or_none
 from tissue_sim.recording.recording import CHANNELS
-from tissue_sim.units import UNITS, find_known_unit_or_none
+from tissue_sim.units import UNITS, find_known_unit_or_none, find_quantity_of_unit_or_none, get_si_factor_and_offset
+
+
+def find_gauge_length_and_source_or_none(numbers: NumberTable, statements: Mapping[str, str],
+                                         hints: InterpretationOverrides) -> tuple[float, str] | None:
+    """Return the gauge length, m, and its source: the user or the file; None: unknown.
+
+    Args:
+        numbers: table of numbers.
+        statements: statements of the file about these numbers, key -> value with unit.
+        hints: hints of the user; `InterpretationOverrides.height` is the gauge length.
+    """
+    if hints.height is not None:
+        return hints.height, "stated"
+    kinds = {each.kind for each in find_named_tests(make_hints_from_text_above_and_sheet_name(numbers)) if each.kind}
+    kind = hints.kind or (kinds.pop() if len(kinds) == 1 else None)
+    size = find_sizes_and_speed_in_mm(statements, kind).get("height_mm")
+    return None if size is None or kind is None else (1e-3 * size.value, size.reason)
+
+
+def make_displacement_column_from_strain(column: ColumnGuess, gauge: tuple[float, str]) -> ColumnGuess:
+    """Return a column of engineering or shear strain as a displacement in mm, by the gauge length (m, source)."""
+    length, source = gauge
+    factor = (column.scale or 1.0) * get_si_factor_and_offset(column.unit or "-", "ratio")[0]
+    return replace(column, channel="displacement", unit="mm", scale=round(1e3 * length * factor, 9), offset=None,
+                   strain_unit=column.unit or "-",
+                   reason=f"{_strip_conversion_from_reason(column)}; displacement = strain x {1e3 * length:g} mm "
+                   f"({source})")
+
+
+def make_stretch_column_from_displacement(column: ColumnGuess, gauge: tuple[float, str]) -> ColumnGuess:
+    """Return a column of displacement as a stretch, by the gauge length (m, source)."""
+    length, source = gauge
+    factor = (column.scale or 1.0) * get_si_factor_and_offset(column.unit or "m", "length")[0]
+    return replace(column, channel="stretch", unit="-", scale=factor / length, offset=1.0,
+                   reason=f"{_strip_conversion_from_reason(column)}; stretch = 1 + displacement / {1e3 * length:g} mm "
+                   f"({source})")
+
+
+def _strip_conversion_from_reason(column: ColumnGuess) -> str:
+    """Return the reason of a column guess without the sentence about its earlier conversion by the gauge length."""
+    return column.reason.split("; a strain, ")[0]
+
+
+def is_converted_by_gauge_length(column: ColumnGuess) -> bool:
+    """Return whether the channel of a column was computed with the gauge length (strain <-> displacement)."""
+    return (column.channel, column.role) in (("displacement", "strain"), ("displacement", "shear strain"),
+                                             ("stretch", "displacement"))
+
+
+def uses_gauge_length(columns: Sequence[ColumnGuess]) -> bool:
+    """Return whether one of the columns was converted by the gauge length."""
+    return any(is_converted_by_gauge_length(column) for column in columns)
+
+
+def has_temperature_in_all_rows(numbers: NumberTable, places: Mapping[str, int]) -> bool:
+    """Return whether a table has a temperature in all rows.
+
+    Args:
+        numbers: table of numbers.
+        places: role -> position of its column, from 0.
+    """
+    if "temperature" not in places:
+        return False
+    place = places["temperature"]
+    unit = numbers.get_unit_in_header_or_unit_row(place)
+    if unit is not None and find_quantity_of_unit_or_none(unit) != "temperature":
+        return False
+    return all(place < len(row.cells) and is_number_with_either_mark(row.cells[place]) for row in numbers.rows)
+
 
 #: Role of a column -> channel of a recording. A strain is read as the stretch (strain + 1).
 _CHANNEL_OF_ROLE = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",

@@ -10,8 +10,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from tissue_sim.files import read_text
+from tissue_sim.recording.formats.blocks import find_table_header_and_data_rows, iterate_table_for_each_delimiter
 from tissue_sim.recording.formats.columns import read_single_recording
-from tissue_sim.recording.formats.header import find_table_header_and_data_rows, iterate_table_for_each_delimiter
 from tissue_sim.recording.formats.number_text import is_number_with_either_mark, parse_number_preferring_point_or_nan
 from tissue_sim.recording.formats.table import TableRow
 from tissue_sim.recording.recording import Recording

@@ -15,14 +15,18 @@ from tissue_sim.recording.formats.blocks import (
     has_only_units_in_columns,
     row_begins_with_word,
 )
-from tissue_sim.recording.formats.cell_units import has_same_units_in_trailing_lines, move_cell_units_to_unit_row
-from tissue_sim.recording.formats.column_options import validate_delimiter
-from tissue_sim.recording.formats.columns import Sheets
+from tissue_sim.recording.formats.columns import Sheets, validate_delimiter
 from tissue_sim.recording.formats.containers import is_mat_tdms_or_hdf5_file, read_container_tables_as_sheets
 from tissue_sim.recording.formats.long_text import try_splitting_off_trailing_numbers
 from tissue_sim.recording.formats.number_text import is_number_with_either_mark
-from tissue_sim.recording.formats.size_words import classify_size_name
-from tissue_sim.recording.formats.table import Table, TableRow, split_text_into_rows
+from tissue_sim.recording.formats.table import (
+    Table,
+    TableRow,
+    has_same_units_in_trailing_lines,
+    move_cell_units_to_unit_row,
+    split_text_into_rows,
+)
+from tissue_sim.recording.formats.vocabulary import classify_size_name
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheets
 from tissue_sim.recording.recording import MIN_POINTS
 from tissue_sim.units import find_known_unit_or_none, split_header_and_known_unit, split_header_with_brackets

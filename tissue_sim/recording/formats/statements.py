@@ -13,10 +13,10 @@ from tissue_sim.recording.formats.number_text import (
     is_number_with_either_mark,
     parse_number_or_nan,
 )
-from tissue_sim.recording.formats.size_words import SENTENCE_WORDS, classify_size_name
 from tissue_sim.recording.formats.sizes import parse_number_and_optional_unit_or_none
 from tissue_sim.recording.formats.sources import NumberTable
 from tissue_sim.recording.formats.table import TableRow
+from tissue_sim.recording.formats.vocabulary import SENTENCE_WORDS, classify_size_name
 from tissue_sim.units import find_known_unit_or_none, split_header_and_known_unit
 
 #: "key: value" or "key = value".

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.constant_speed import add_time_or_motion_from_speed
 from tissue_sim.recording.formats.columns import RecordingWithDecimalMark, read_recordings_and_decimal_marks
 from tissue_sim.recording.formats.guesses import ColumnGuess
-from tissue_sim.recording.recording import Recording
+from tissue_sim.recording.recording import Recording, add_time_or_motion_from_speed
 from tissue_sim.units import UNITS
 
 #: Largest valid value of any channel, SI units or the unit of the file. A larger value is a damaged cell.

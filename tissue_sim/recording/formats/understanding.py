@@ -2,22 +2,25 @@
 
 Each result is an assumption with a reason and an option of `tissue_sim.read_recordings`, which the user can correct.
 All missing information is reported in one message.
+
+Tables of dynamic moduli over frequency, amplitude or temperature (rheometer, DMA) are left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tissue_sim.errors import InputError, located_and_converted_errors
-from tissue_sim.frozen_mapping import make_shallow_read_only_copy
 from tissue_sim.recording.cleaning import (
     find_first_sample_value_or_none,
     remove_outliers_and_saturation,
     subtract_start_values,
 )
+from tissue_sim.recording.formats.blocks import find_positions_of_cells_with_name
 from tissue_sim.recording.formats.columns import RecordingWithDecimalMark
 from tissue_sim.recording.formats.decimal_mark import (
     DecimalAndThousandsMarks,
@@ -25,32 +28,36 @@ from tissue_sim.recording.formats.decimal_mark import (
     resolve_marks_by_quantities_outside_table,
 )
 from tissue_sim.recording.formats.guesses import ColumnGuess, FileInterpretation, InterpretationOverrides, TableGroup
-from tissue_sim.recording.formats.header import find_positions_of_cells_with_name
 from tissue_sim.recording.formats.interpretation import (
     compare_columns_and_replace_constant_ones,
     iterate_column_assumptions,
     make_constant_speed_assumption,
     make_machine_assumption,
 )
-from tissue_sim.recording.formats.kind_guess import check_kind_and_list_remarks, guess_kind, make_kind_assumption
-from tissue_sim.recording.formats.kind_hints import (
+from tissue_sim.recording.formats.kind_guess import (
+    check_kind_and_list_remarks,
     collect_label_hints,
+    guess_kind,
     make_header_hint_without_unregistered_tests,
     make_hints_from_file_top_and_text_sheets,
     make_hints_from_text_above_and_sheet_name,
+    make_kind_assumption,
 )
 from tissue_sim.recording.formats.kind_words import KindHint
 from tissue_sim.recording.formats.materials import (
     add_material_question_if_titles_differ,
     split_table_group_by_material_and_size,
 )
-from tissue_sim.recording.formats.missing_columns import explain_missing_columns
+from tissue_sim.recording.formats.number_text import is_number_with_either_mark, split_number_and_unit
 from tissue_sim.recording.formats.orientation import set_column_signs_and_zeros
 from tissue_sim.recording.formats.pairing import (
     RecordingColumns,
+    find_column_named_by_user_or_none,
+    find_column_position_or_none,
     find_recording_columns,
     group_replicate_recording_columns,
 )
+from tissue_sim.recording.formats.sizes import find_size_texts_without_known_unit
 from tissue_sim.recording.formats.sources import FileContent, NumberTable, list_all_number_tables, read_file_content
 from tissue_sim.recording.formats.statements import (
     FileStatementsByKey,
@@ -60,11 +67,130 @@ from tissue_sim.recording.formats.statements import (
     copy_second_with_missing_sizes,
     do_rows_state_specimen_size,
     find_listed_sizes_of_one_recording,
+    iterate_constant_size_columns,
 )
-from tissue_sim.recording.formats.sweeps import explain_refused_sweep, is_frequency_or_amplitude_sweep
 from tissue_sim.recording.formats.table import TableRow
 from tissue_sim.recording.formats.table_reader import FileReaderForChosenColumns
-from tissue_sim.recording.formats.vocabulary import MACHINES, MachineFormat, identify_machine
+from tissue_sim.recording.formats.vocabulary import (
+    MACHINES,
+    MachineFormat,
+    find_role_and_rank_or_none,
+    identify_machine,
+    normalize_header_text,
+)
+from tissue_sim.recording.measures import MEASURES, find_measure_name_in_header_or_none
+from tissue_sim.settings import make_shallow_read_only_copy
+
+
+def explain_missing_columns(found: Sequence[NumberTable], machine: MachineFormat | None,
+                            hints: InterpretationOverrides,
+                            statements: Callable[[NumberTable], Mapping[str, str]]) -> str:
+    """Return the message for a file without a recording, which lists all missing information.
+
+    Args:
+        found: tables of numbers in the file; the longest table is described.
+        machine: machine that wrote the file; None: unknown.
+        hints: hints of the user.
+        statements: function that returns the statements (key -> value with unit) about a table.
+    """
+    numbers = max(found, key=lambda each: len(each.rows))
+    names = [numbers.get_column_header(position) for position in numbers.columns]
+    has = (f"the columns are {', '.join(map(repr, names))}" if any(names)
+           else f"its {len(numbers.columns)} columns of numbers have no names")
+    if hints.columns:
+        missing = [(channel, name) for channel, name in hints.columns.items()
+                   if find_column_named_by_user_or_none(numbers, channel, name, hints) is None]
+        broken = [f"column {channel} = {name} cannot be read: {said}" for channel, name in missing
+                  if (said := _describe_first_unreadable_cell_or_empty(numbers,
+                                                                       find_column_position_or_none(numbers, name)))]
+        absent = [f"{channel} = {name}" for channel, name in missing
+                  if not _describe_first_unreadable_cell_or_empty(numbers, find_column_position_or_none(numbers, name))]
+        return "; ".join([*broken, *([f"has no column {' and none '.join(absent)}: {has}"] if absent else [])])
+    bare = [numbers.get_header_without_unit(position).casefold().replace(" ", "").replace("_", "")
+            for position in numbers.columns]
+    if any({f"{word}1", f"{word}2"} <= set(bare) for word in ("lambda", "stretch", "λ")):
+        return (f"is a biaxial test ({has}), which has no registered kind; the rows with a stress-free second "
+                "direction are of kind uniaxial_tension")
+    sizes = {position for position, _ in iterate_constant_size_columns(numbers)}
+    known = {role for position in numbers.columns if position not in sizes
+             if (
+                 role := (find_role_and_rank_or_none(
+                     numbers.get_header_without_unit(position), numbers.get_unit_in_header_or_unit_row(position),
+                     machine) or [None])[0])}
+    missing_roles = [words for words, roles in (("a motion (displacement, stretch, strain)",
+                                                 {"displacement", "stretch", "strain", "shear strain"}),
+                                                ("a load (force, stress)", {"force", "stress"})) if not known & roles]
+    if not missing_roles and not known & {"stretch"}:
+        seen = [text for size, text in find_size_texts_without_known_unit(statements(numbers)).items()
+                if size in ("height", "length", "gauge length", "thickness", "gap")]
+        gauge = f"of which the file states {', '.join(map(repr, seen))} without a known unit" if seen else \
+            "which its columns and the text above them do not state"
+        return (f"needs the gauge length, {gauge}: {has}; state the gauge length (--height-mm), which relates a strain "
+                "to a force, or a displacement to a stress")
+    true = [name for position in numbers.columns
+            if find_measure_name_in_header_or_none(normalize_header_text(name := numbers.get_column_header(position)),
+                                                   "stress") in MEASURES]
+    if missing_roles and true and "stress" in known:
+        return (f"has a true stress in {', '.join(map(repr, true))}, whose conversion to a nominal stress needs the "
+                f"stretch: {has}; add a column of stretch, strain or displacement")
+    if "force" in known and "time" in known and len(missing_roles) == 1:
+        return (f"shows no column with a motion (displacement, stretch, strain): {has}; name the column, "
+                "such as --column displacement=2 --unit displacement=mm, or state the constant speed "
+                "(--speed-mm-s)")
+    wanted = " and ".join(missing_roles) if missing_roles else "a matching pair of motion and load"
+    broken = [said for position in range(numbers.column_count) if position not in numbers.columns
+              and (said := _describe_first_unreadable_cell_or_empty(numbers, position))]
+    if missing_roles and broken:
+        return f"has columns that cannot be read: {'; '.join(broken)}; {has}"
+    return (f"shows no column with {wanted}: {has}; name the columns, such as --column "
+            "displacement=2 --unit displacement=mm --column force=3 --unit force=N")
+
+
+def _describe_first_unreadable_cell_or_empty(numbers: NumberTable, position: int | None) -> str:
+    """Return a description of the first cell of a column that is not a number; empty without such a cell."""
+    if position is None:
+        return ""
+    row = next((row for row in numbers.rows if position < len(row.cells) and row.cells[position]
+                and not is_number_with_either_mark(row.cells[position])), None)
+    name = numbers.get_column_header(position)
+    if row is None:
+        return ""
+    pair = split_number_and_unit(row.cells[position])
+    fault = "which is not a number" if pair is None else \
+        f"and other cells have another unit than {pair[1]} or none; give all cells of the column one unit"
+    return f"line {row.line}: {f'{name!r} holds ' if name else ''}{row.cells[position][:40]!r}, {fault}"
+
+
+#: Pattern of headers of dynamic moduli and of the loss factor, lower case, without unit: G', G'', E', |G*|, tan delta.
+_MODULUS = re.compile(
+    r"\b(storage|loss|complex|dynamic|elastic shear|viscous) modul(us|i)\b|\bspeichermodul\w*|"
+    r"\bverlust(modul|faktor)\w*|\bmodule (de |d )?(conservation|stockage|perte|complexe)\b|"
+    r"\btan ?\(?(delta|δ)\)?|\bloss factor\b|\bcomplex viscosity\b|"
+    r"\bkomplexe\w* (modul|viskosität|schubmodul)\b|^\|?[ge]\*\|?(?!\w)|^[ge] ?['′’´`]{1,2}(?!\w)|^[ge] ?[\"″”](?!\w)|"
+    r"^[ge][ _](double )?prime\b|^[ge]p{1,2}(?!\w)")
+#: Pattern of headers of the quantity over which the moduli are measured.
+_SWEPT = re.compile(r"\b(angular )?frequenc(y|ies)\b|\b(kreis)?frequenz\b|\bfréquence\b|\bomega\b|^ω|^f(req)?(?!\w)|"
+                    r"\bamplitude\w*|\boscillation (strain|stress)\b|\bscher(dehnungs)?amplitude\w*|\bstrain amp\w*")
+
+
+def is_frequency_or_amplitude_sweep(headers: Sequence[str]) -> bool:
+    """Return whether the headers of a table are those of moduli over frequency or amplitude.
+
+    Such a table has two dynamic moduli, or one modulus and the quantity over which the modulus is measured.
+    """
+    names = [" ".join(header.casefold().replace("_", " ").split()) for header in headers]
+    moduli = sum(bool(_MODULUS.search(name)) for name in names)
+    swept = sum(bool(_SWEPT.search(name)) for name in names)
+    amplitudes = sum("amplitude" in name or "oscillation" in name for name in names)
+    return moduli >= 2 or (moduli >= 1 and swept >= 1) or swept > amplitudes > 0
+
+
+def explain_refused_sweep(headers: Sequence[str]) -> str:
+    """Return the reason why a table of a sweep is not imported, in one sentence."""
+    named = ", ".join(repr(header) for header in headers if header)
+    return (f"moduli over frequency or amplitude are not a recording of a motion (columns {named}); give displacement "
+            "and force, or strain and stress, against time")
+
 
 #: Number of rows of a table that determine the decimal mark of the lines above and below the table.
 _MARKED_ROWS = 2000

@@ -21,9 +21,8 @@ from tissue_sim.errors import (
     make_hint_with_similar_or_known_words,
 )
 from tissue_sim.files import ZIP_MAGIC, read_bytes, read_first_bytes_or_empty
-from tissue_sim.recording.formats.cell_units import move_cell_units_to_unit_row
 from tissue_sim.recording.formats.number_text import TextOfNumericCell
-from tissue_sim.recording.formats.table import Table, TableRow
+from tissue_sim.recording.formats.table import Table, TableRow, move_cell_units_to_unit_row
 
 #: Expected content of the file, for messages.
 EXPECTED_SPREADSHEET = "a spreadsheet (xlsx, xls, ods)"

@@ -1,1 +1,0 @@
-"""Load increments of a path, steps of a tool to a pose, and equilibrium under self-weight."""
