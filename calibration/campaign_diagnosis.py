@@ -21,8 +21,8 @@ from calibration.diagnosis.confirmation import (
     predict_held_out_tests_from_fits,
     predict_last_recordings_from_others,
 )
-from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
-from calibration.diagnosis.diagnosis import Diagnosis, DiagnosisStage
+from calibration.diagnosis.design import suggest_experiments
+from calibration.diagnosis.diagnosis import Diagnosis, DiagnosisResult, DiagnosisStage, summarise_diagnosis
 from calibration.diagnosis.duration import describe_expected_duration_or_empty, measure_solid_simulation_cpu_s_by_test
 from calibration.diagnosis.effect_files import (
     list_all_possible_diagnosis_paths,
@@ -33,15 +33,11 @@ from calibration.diagnosis.evidence import (
     Measured,
     fit_without_effects,
     make_one_law_whole_recording_campaign,
+    refit_from_far_contacts_and_describe_them,
 )
-from calibration.diagnosis.next_experiment import suggest_experiments
-from calibration.diagnosis.offsets import refit_from_far_contacts_and_describe_them
 from calibration.diagnosis.proposals import CatalogueScores, score_effects
-from calibration.diagnosis.refit_settings import REFITS, RefitSettings
-from calibration.diagnosis.result import DiagnosisResult
-from calibration.diagnosis.statements import list_candidate_results, list_found_effects
-from calibration.diagnosis.verdict import fit_effects_and_decide_verdict
-from calibration.diagnosis.words import summarise_diagnosis
+from calibration.diagnosis.settings import LIMITS, REFITS, DecisionLimits, RefitSettings
+from calibration.diagnosis.verdict import fit_effects_and_decide_verdict, list_candidate_results, list_found_effects
 from calibration.fit.assess import build_fit_record
 from calibration.fit.fit import Fit
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator

@@ -11,30 +11,36 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.digest import compute_input_and_version_digest
-from calibration.campaign.measured import MeasuredCurve, make_campaign_with_scaled_offset_defaults
-from calibration.campaign.segmented import format_notes_summary_by_test_and_subject
+from calibration.campaign.measured import (
+    MeasuredCurve,
+    compute_input_and_version_digest,
+    make_campaign_with_scaled_offset_defaults,
+)
+from calibration.campaign.sample_selection import format_notes_summary_by_test_and_subject
 from calibration.fit.assess import build_fit_record
 from calibration.fit.curves import compute_test_curves
 from calibration.fit.estimate import Estimate
-from calibration.fit.estimator import Estimator
-from calibration.fit.failure import LawFailureRecord, call_and_catch_law_errors
+from calibration.fit.estimator import Estimator, LawFailureRecord, call_and_catch_law_errors
 from calibration.fit.fit import SensorNoiseRecord
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
-from calibration.fit.influence import add_influence_to_fit
 from calibration.fit.material_file import write_material_files
 from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator
-from calibration.fit.predictor import PredictionParameters, make_held_out_predictor_or_none
-from calibration.fit.preload_cover import copy_notes_with_explained_preload
-from calibration.fit.profiles import ProfileSide, compute_profile_side
-from calibration.fit.ranking import Fitted, explain_ranking, rank_fits_predictions_and_curves
+from calibration.fit.population import PredictionParameters, make_held_out_predictor_or_none
+from calibration.fit.ranking import (
+    Fitted,
+    LeftOutPredictionWithCost,
+    explain_ranking,
+    predict_held_out_test,
+    predict_left_out_test,
+    rank_fits_predictions_and_curves,
+)
 from calibration.fit.replicates import find_replicate_disagreements
 from calibration.fit.result import CalibrationResult, decode_calibration_result
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import DescentResult
-from calibration.fit.usability_settings import USABILITY, UsabilitySettings
-from calibration.fit.validation import LeftOutPredictionWithCost, predict_held_out_test, predict_left_out_test
-from calibration.forward.geometry import check_solvers_accept_test_geometries
+from calibration.fit.uncertainty import ProfileSide, add_influence_to_fit, compute_profile_side
+from calibration.fit.usability import USABILITY, UsabilitySettings, copy_notes_with_explained_preload
+from calibration.forward.forms import check_solvers_accept_test_geometries
 from calibration.job import Job
 from calibration.output_folder import (
     FIT_FILE,

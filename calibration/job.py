@@ -26,8 +26,7 @@ from typing import Any, ClassVar
 import msgspec
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.digest import compute_input_and_version_digest
-from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.measured import MeasuredCurve, compute_input_and_version_digest
 from calibration.effects.catalogue import CATALOGUE
 from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache, hash_content_and_source_code

@@ -18,14 +18,13 @@ __getattr__ = make_getattr_for_old_names(__name__, {"design_experiments": "evalu
 
 if TYPE_CHECKING:
     from calibration.campaign.campaign import Campaign
-    from calibration.diagnosis.decision_limits import DecisionLimits
     from calibration.diagnosis.design import Design
+    from calibration.diagnosis.diagnosis import DiagnosisResult
     from calibration.diagnosis.evidence import Measured
-    from calibration.diagnosis.refit_settings import RefitSettings
-    from calibration.diagnosis.result import DiagnosisResult
+    from calibration.diagnosis.settings import DecisionLimits, RefitSettings
     from calibration.fit.result import CalibrationResult
     from calibration.fit.run_context import IterationListener, Progress
-    from calibration.fit.usability_settings import UsabilitySettings
+    from calibration.fit.usability import UsabilitySettings
 
 
 def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool = False,

@@ -268,7 +268,7 @@ def report_selected_realtime_resolution() -> CheckResult:
     import numpy as np
 
     import tissue_sim as ts
-    from haptics.loop.tissue_factory import STEP_BUDGET
+    from haptics.loop.multirate import STEP_BUDGET
 
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
     experiment = ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(10e-3, 2), tool=ts.Tool("flat", 8e-3))
@@ -299,7 +299,7 @@ def check_clock_lateness(seconds: float) -> CheckResult:
     """
     import numpy as np
 
-    from haptics.loop.real_time import request_fifo_scheduling_and_get_refusal
+    from haptics.loop.ticker import request_fifo_scheduling_and_get_refusal
 
     with ExitStack() as undo:
         scheduler = "ordinary priority" if request_fifo_scheduling_and_get_refusal(undo) else "SCHED_FIFO"
@@ -352,7 +352,7 @@ def measure_lateness_of_each_tick(seconds: float) -> "np.ndarray":
 
 def check_real_time_priority() -> CheckResult:
     """Check whether this user may use the real-time scheduler SCHED_FIFO."""
-    from haptics.loop.real_time import request_fifo_scheduling_and_get_refusal
+    from haptics.loop.ticker import request_fifo_scheduling_and_get_refusal
 
     with ExitStack() as undo:
         allowed = not request_fifo_scheduling_and_get_refusal(undo)

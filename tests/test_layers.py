@@ -31,7 +31,7 @@ DOORS = {
     "tissue_sim/decode.py", "tissue_sim/bounded.py", "tissue_sim/bounded.py",
     # Our sources and caches, the system's files, results of this program that it has just written.
     "tissue_sim/laws/derivation.py", "calibration/forward/simulation_cache.py", "calibration/job.py",
-    "haptics/loop/loop.py", "scenes/viewer/page/material_controls.py", "scenes/viewer/trace.py",
+    "haptics/loop/loop.py", "scenes/viewer/page/scene_controls.py", "scenes/viewer/trace.py",
     "scenes/demo/hidden_effect_demo.py", "scenes/viewer/shell/__init__.py",
     # Bytes that come from a device or are measured already.
     "haptics/protocols/haply.py", "haptics/protocols/rdt.py", "haptics/protocols/ati_calibration.py",

@@ -10,12 +10,10 @@ from calibration.campaign.measured import make_campaign_with_scaled_offset_defau
 from calibration.campaign_diagnosis import DiagnosisWithFits, diagnose_campaign, read_campaign_and_curves_for_diagnosis
 from calibration.diagnosis.extended import simulate_whitened_effect_change_or_reason
 from calibration.effects.effect import Candidate, DiagnosisData
-from calibration.fit.campaign_problem import build_generalised_problem
-from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
+from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation, build_generalised_problem
 from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.adequacy import compute_orthonormal_basis
-from calibration.statistics.scores import EffectDirection
+from calibration.statistics.adequacy import EffectDirection, compute_orthonormal_basis
 from calibration.tasks.executors import Workers, open_task_executor
 
 #: Name of the law.

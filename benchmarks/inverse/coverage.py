@@ -46,12 +46,10 @@ from benchmarks.inverse.starts import (
 )
 from benchmarks.measure import about, show, table, verdict
 from calibration.campaign.campaign import Noise
-from calibration.fit.campaign_problem import build_generalised_problem
 from calibration.fit.estimate import iterate_mesh_correction_and_jitter
-from calibration.fit.problem import GeneralisedProblem
-from calibration.fit.profiles import compute_profile_side
+from calibration.fit.problem import GeneralisedProblem, build_generalised_problem
 from calibration.fit.trust_region import minimise_from_start
-from calibration.fit.uncertainty import compute_marginal_uncertainty
+from calibration.fit.uncertainty import compute_marginal_uncertainty, compute_profile_side
 from calibration.forward.forms import ACCURATE_MESH_ERRORS
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter

@@ -18,8 +18,11 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameters import PER_SPECIMEN, ScopedCampaignParameter
 from calibration.fit.curves import compute_test_curves
 from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator, fit_law_to_descents_and_estimate
-from calibration.fit.population import determine_population_and_left_out_specimens
-from calibration.fit.predictor import PredictionParameters, make_held_out_predictor_or_none
+from calibration.fit.population import (
+    PredictionParameters,
+    determine_population_and_left_out_specimens,
+    make_held_out_predictor_or_none,
+)
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.population import estimate_population
 from calibration.statistics.sensor_noise import SensorNoise

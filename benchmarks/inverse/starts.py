@@ -30,8 +30,8 @@ from benchmarks import ROOT
 from benchmarks.measure import about, option_parser, show, summary, table, verdict
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.campaign_problem import build_generalised_problem
 from calibration.fit.estimate import iterate_mesh_correction_and_jitter
+from calibration.fit.problem import build_generalised_problem
 from calibration.fit.trust_region import DESCENT, minimise_from_start
 from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.simulation_cache import SimulationCache

@@ -26,7 +26,7 @@ from rich.console import Console
 import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
 from benchmarks.viewer.processes import reading
-from haptics.loop.snapshot_board import SnapshotReader, SnapshotWriter
+from haptics.loop.shared_slots import SnapshotReader, SnapshotWriter
 from scenes.viewer.frame import Phase, PlotCurves, SessionFrame
 from scenes.viewer.page import Page
 from scenes.viewer.scene import Scene

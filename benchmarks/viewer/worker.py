@@ -32,11 +32,11 @@ import tissue_sim as ts
 from benchmarks.viewer.client import readouts_in
 from benchmarks.viewer.ticks import MOTION, SETTLING, SPEED, STANDING, TEST, TickCount, peak_memory
 from haptics.loop.ring import RingReader
-from scenes.viewer.cut_away import TriangulatedHalfSection
 from scenes.viewer.frame import FrameViewer, NullViewer, Phase, SessionFrame
 from scenes.viewer.measurement import build_measurement_from_replicates
 from scenes.viewer.page import Page
 from scenes.viewer.page.readouts import readouts_html
+from scenes.viewer.revolution import TriangulatedHalfSection
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
 from tissue_sim.experiment.kinds.indentation import NEEDLE

@@ -10,23 +10,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calibration.campaign.checks import (
-    check_bulk_ratio,
-    check_values_finite_and_consistent,
-    find_recording_files,
-    read_column_map_or_none,
-    reject_fit_and_noise_keys_without_effect,
-    require_analytical_support_of_fit_table,
-    require_analytical_support_of_test_table,
-    require_positive_if_stated,
-)
-from calibration.campaign.experiments import (
-    read_experiment_or_none_if_gripped,
-    read_rig_without_noise,
-    read_solver_name,
-)
-from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameters import (
+    OFFSET_DEFAULTS,
     PER_SPECIMEN,
     ScopedCampaignParameter,
     build_placeholder_material_with_effects,
@@ -43,7 +28,21 @@ from calibration.campaign.schema import (
     TestTable,
     decode_campaign_tables_bytes_and_defaults,
 )
-from calibration.campaign.specimens import find_and_check_specimen_or_none, read_specimens_by_name
+from calibration.campaign.tables import (
+    check_bulk_ratio,
+    check_values_finite_and_consistent,
+    find_and_check_specimen_or_none,
+    find_recording_files,
+    read_column_map_or_none,
+    read_experiment_or_none_if_gripped,
+    read_rig_without_noise,
+    read_solver_name,
+    read_specimens_by_name,
+    reject_fit_and_noise_keys_without_effect,
+    require_analytical_support_of_fit_table,
+    require_analytical_support_of_test_table,
+    require_positive_if_stated,
+)
 from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind

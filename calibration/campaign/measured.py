@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -9,28 +10,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import tissue_sim
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.closed_form_support import require_closed_form_support_if_used
-from calibration.campaign.loading import (
-    check_displacement_range,
-    reject_left_out_start_of_loading,
-    select_sample_indices_for_elastic_law,
-)
-from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
-from calibration.campaign.screened import (
+from calibration.campaign.parameters import OFFSET_DEFAULTS
+from calibration.campaign.sample_selection import (
+    SegmentedRecording,
     add_controlled_quantity_to_screening,
     add_load_at_zero_to_screening,
+    check_displacement_range,
     check_recording_names_of_leave_out,
-    make_screening_notes_by_subject,
-    remove_left_out_and_outlier_samples,
-)
-from calibration.campaign.segmented import (
-    SegmentedRecording,
     get_notes_with_fit_before_contact_warning,
     make_kind_and_tool_mismatch_notes,
+    make_screening_notes_by_subject,
+    reject_left_out_start_of_loading,
+    remove_left_out_and_outlier_samples,
     segment_recording_from_contact,
+    select_sample_indices_for_elastic_law,
 )
-from calibration.campaign.specimen_check import require_matching_specimen_metadata
+from calibration.campaign.schema import PRISM
 from calibration.statistics.sensor_noise import SensorNoise, estimate_pooled_sensor_noise, spread_time_stamps
 from calibration.statistics.statistics import estimate_white_noise, find_quantisation_step
 from tissue_sim.errors import InputError
@@ -43,6 +40,67 @@ from tissue_sim.specimen.specimen import add_indefinite_article
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+
+def require_closed_form_support_if_used(test: Test, material: Material, stressed: bool, closed: bool,
+                                        path: Path) -> None:
+    """Reject parts of the model that the closed form of a homogeneous test does not support.
+
+    Args:
+        test: test of the campaign.
+        material: material of the fit.
+        stressed: whether stress was recorded, which only the closed form describes.
+        closed: whether method or kind of the test require the closed form.
+        path: file of the recording.
+    """
+    if not (stressed or closed):
+        return
+    if material.layers:
+        remedy = ("use displacement and force of a compression or a needle test" if stressed or test.experiment is None
+                  else "set fit.method = 'inverse_fem'")
+        raise InputError(f"{path.name} is computed by a closed form, which requires a homogeneous specimen; for a "
+                         f"layered specimen {remedy}", field="kind")
+    if test.specimen is None and material.poroelasticity is not None:
+        raise InputError("a poroelastic material requires the size of the specimen; add a [[specimen]]",
+                         field="specimen")
+    if test.specimen is not None and test.specimen.specific_weight and material.is_history_dependent:
+        raise InputError("the closed form does not support gravity for a material with memory; set gravity = false, or "
+                         "fit.method = 'inverse_fem'", field="specimen")
+    if not test.rig.is_ideal:
+        raise InputError(f"{path.name} contains stress, to which a rig does not apply; leave rig out", field="rig")
+
+
+#: Largest relative difference between the specimen size in a recording and in the campaign.
+SIZE_TOLERANCE = 0.02
+
+
+def require_matching_specimen_metadata(recording: Recording, test: Test, campaign: Campaign, path: Path) -> None:
+    """Check that the metadata of a recording state the shape and sizes of the specimen in the campaign.
+
+    Metadata with ``radius_mm`` and without a shape mean a cylinder (older files). The shape is not compared if the test
+    depends on the cross-section only.
+
+    Raises:
+        InputError: shape or size differ; the error states the field of the specimen.
+    """
+    if test.specimen is None or not isinstance(metadata := recording.metadata.get("specimen"), Mapping):
+        return
+    field = f"specimen[{list(campaign.specimens).index(test.specimen.name)}]"
+    shape = test.specimen.shape
+    recorded = metadata.get("shape", "cylinder" if "radius_mm" in metadata else None)
+    any_shape = (test.kind.has_gripped_ends or campaign.fit.method == "analytical"
+                 or test.specimen.name in campaign.prisms)
+    if not any_shape and isinstance(recorded, str) and recorded not in (shape, PRISM):
+        raise InputError(f"shape must agree with the recordings; the campaign states {add_indefinite_article(shape)} "
+                         f"and "
+                         f"{path.name} states {add_indefinite_article(recorded)}. Correct the wrong statement.",
+                         file=campaign.path, field=f"{field}.shape")
+    for key, size in test.specimen.sizes.items():
+        stated = metadata.get(key)
+        if isinstance(stated, int | float) and abs(stated - size) > SIZE_TOLERANCE * size:
+            raise InputError(f"{key} must agree with the recordings within {100 * SIZE_TOLERANCE:g} %; the campaign "
+                             f"states {size:g} mm and {path.name} states {stated:g} mm. Correct the wrong statement.",
+                             file=campaign.path, field=f"{field}.{key}")
+
 
 #: Segments that are not part of the first loading; an elastic law is not fitted to them.
 NOT_LOADING = ("approach", "preconditioning", "hold", "unload", "reload", "retract")
@@ -397,3 +455,22 @@ def _find_stated_force_noise_or_none(curve: MeasuredCurve, campaign: Campaign) -
     if stress is not None:
         return stress * (1.0 if specimen is None else specimen.area)
     return None if specimen is None else force
+
+
+def compute_input_and_version_digest(campaign: Campaign, recordings: Sequence[MeasuredCurve],
+                                     changed: Mapping[str, object] | None = None) -> str:
+    """Return the SHA-256 digest, in hexadecimal, of all inputs of a campaign and of the program version.
+
+    Args:
+        campaign: campaign.
+        recordings: all recordings of the campaign.
+        changed: name -> value of settings that differ from the defaults; None: none.
+    """
+    content = [campaign.sha256, *(f"{curve.name} {curve.sha256}" for curve in recordings)]
+    for test in campaign.tests:
+        if test.experiment is not None:
+            outline = test.experiment.tool.profile.vertices.tolist()
+            content.append(hashlib.sha256(repr((test.rig, outline)).encode()).hexdigest())
+    content += [digest for specimen in campaign.specimens.values() if (digest := specimen.digest_of_files)]
+    content += [f"{name} = {value!r}" for name, value in (changed or {}).items()]
+    return hashlib.sha256("\n".join([*content, tissue_sim.__version__]).encode()).hexdigest()

@@ -1,9 +1,4 @@
-"""Resolve the parameter names in ``[fit]`` of a campaign.
-
-Parameters of a law have their own names. Other parameters are named by their path in `tissue_sim.parameters`; the
-prefix ``material.`` is optional, and the last part may be the key in files: ``viscoelastic.terms[0].tau_s``. Numbers in
-the file have the unit of the key (mm, mm/N, degrees). Internally all numbers are SI and named by the attribute path.
-"""
+"""Resolve the parameter names in ``[fit]`` of a campaign; default priors and bounds of contact offsets and zeros."""
 
 from __future__ import annotations
 
@@ -24,6 +19,39 @@ from tissue_sim.material.parts import (
 )
 from tissue_sim.parameters import Declaration, parameters
 from tissue_sim.rig.rig import Rig
+
+
+@dataclass(frozen=True)
+class OffsetDefaults:
+    """Default priors and bounds of contact offsets and force zeros.
+
+    A larger prior lets an offset explain more of a misfit, which increases the standard errors of the moduli. A
+    smaller prior makes the moduli depend on the recorded contact.
+
+    Attributes:
+        contact_prior: standard deviation of the prior of a contact offset, m; reduced for tests with small
+            displacements.
+        contact_bound: half width of the bounds of a contact offset in an analytical fit, m; reduced in the same way.
+        contact_fraction: largest standard deviation of a contact offset, as a fraction of the displacement of a test.
+        strain_fraction: standard deviation of a contact offset, as a fraction of the strain of a test recorded as
+            strain.
+        zero_prior: standard deviation of the prior of a zero, in units of the noise of the force.
+        zero_bound: half width of the bounds of a zero in an analytical fit, in standard deviations of its prior.
+        first_zero: first value of the zero's standard deviation in an inverse fit, as a fraction of the largest force;
+            it is kept if no test has two recordings.
+    """
+
+    contact_prior: float = 0.05e-3
+    contact_bound: float = 0.5e-3
+    contact_fraction: float = 0.02
+    strain_fraction: float = 0.005
+    zero_prior: float = 5.0
+    zero_bound: float = 10.0
+    first_zero: float = 0.002
+
+
+OFFSET_DEFAULTS = OffsetDefaults()
+
 
 #: Scope with one value for all tests that have the parameter.
 SHARED = "shared"

@@ -1,8 +1,9 @@
-"""Schema of a campaign file: keys, types, and errors that name the key."""
+"""Schema of a campaign file: keys, types, errors that name the key, and the files that a campaign names."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import GenericAlias
@@ -13,9 +14,62 @@ import msgspec
 from tissue_sim.decode import decode_struct, read_toml_dict
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.experiment.tools.tool import list_all_tool_sizes_by_key
+from tissue_sim.experiment.tools.tool import interpret_shape_or_profile_path, list_all_tool_sizes_by_key
 from tissue_sim.files import read_bytes
 from tissue_sim.specimen import SPECIMENS, specimen_sizes, specimen_texts
+
+
+def resolve_path_to_text(path: Path) -> str:
+    """Return the absolute path of a file as text, with symbolic links resolved."""
+    return str(path.resolve())
+
+
+def replace_mesh_profile_and_rig_paths(content: Mapping[str, Any], folder: Path,
+                                       name: Callable[[Path], str]) -> dict[str, Any]:
+    """Return the content of a campaign with other paths of its specimen meshes, tool profiles and rigs.
+
+    Files on disk are not changed.
+
+    Args:
+        content: parsed content of the campaign file.
+        folder: folder of the campaign file.
+        name: returns the new path, as text, of the file with a given path.
+    """
+    of_specimens = {key for kind in SPECIMENS.values() for key in kind.paths}
+
+    def replace_profile_or_rig_path(key: str, value: Any) -> Any:
+        """Return the value of a key of ``[[test]]`` with the new path if the value names a file."""
+        path = folder / value if key == "rig" else interpret_shape_or_profile_path(value, folder)[1] if key == "tool" \
+            else None
+        return value if path is None else name(path)
+
+    renamed = dict(content)
+    if "specimen" in content:
+        renamed["specimen"] = [{key: name(folder / value) if key in of_specimens else value
+                                for key, value in table.items()} for table in content["specimen"]]
+    if "defaults" in content:
+        renamed["defaults"] = {key: replace_profile_or_rig_path(key, value) for key,
+                               value in content["defaults"].items()}
+    renamed["test"] = [{key: replace_profile_or_rig_path(key, value) for key, value in table.items()}
+                       for table in content["test"]]
+    return renamed
+
+
+def list_mesh_profile_and_rig_paths(content: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Return the paths of meshes, tool profiles and rigs that a campaign names.
+
+    See `replace_mesh_profile_and_rig_paths`.
+    """
+    found: list[Path] = []
+
+    def collect_path(path: Path) -> str:
+        """Append a path to `found` and return the path unchanged."""
+        found.append(path)
+        return str(path)
+
+    replace_mesh_profile_and_rig_paths(content, folder, collect_path)
+    return found
+
 
 #: Shape of a body with an arbitrary constant cross-section, of which homogeneous tests use the area only.
 PRISM = "prism"

@@ -14,9 +14,9 @@ from calibration.diagnosis.evidence import FitEvidence
 from calibration.fit.estimate import Estimate, iterate_mesh_correction_and_jitter
 from calibration.fit.fit import RegionMisfitTest
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
-from calibration.fit.predictor import PredictionParameters
+from calibration.fit.lack_of_fit import compute_smooth_misfit_tests_of_regions
+from calibration.fit.population import PredictionParameters
 from calibration.fit.problem import GeneralisedProblem
-from calibration.fit.regions import compute_smooth_misfit_tests_of_regions
 from calibration.fit.trust_region import minimise_from_start
 from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.contract import InfeasibleError

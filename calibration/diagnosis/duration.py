@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from calibration.fit.generalised import list_starts_with_varied_exponents
 from calibration.fit.problem import GeneralisedProblem
-from calibration.fit.starts import list_starts_with_varied_exponents
 from calibration.forward.meshes import get_solver_fit_resolutions
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.simulation_cache import simulate_force_or_record_failure

@@ -12,7 +12,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.named_files import replace_mesh_profile_and_rig_paths, resolve_path_to_text
+from calibration.campaign.schema import replace_mesh_profile_and_rig_paths, resolve_path_to_text
 from calibration.diagnosis.diagnosis import Diagnosis, FoundEffect
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.fit.material_file import make_material_file_of_fit

@@ -1,4 +1,7 @@
-"""Evidence of a diagnosis: fit of a campaign to whole recordings, and tests of its residuals."""
+"""Evidence of a diagnosis: fit of a campaign to whole recordings, and tests of its residuals and contact offsets.
+
+A contact offset far beyond its assumed scatter shows, for example, a displacement that was set to zero at a preload.
+"""
 
 from __future__ import annotations
 
@@ -12,21 +15,20 @@ from scipy import special
 
 from calibration.campaign.campaign import Campaign, Noise
 from calibration.campaign.measured import MeasuredCurve
-from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
-from calibration.diagnosis.refit_settings import REFITS, RefitSettings
+from calibration.diagnosis.settings import LIMITS, REFITS, DecisionLimits, RefitSettings
 from calibration.effects.effect import DiagnosisData
 from calibration.fit.estimate import Estimate
 from calibration.fit.fit import RegionMisfitTest
-from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
+from calibration.fit.generalised import INVERSE_WARNINGS, GeneralisedLeastSquaresEstimator
+from calibration.fit.lack_of_fit import compute_smooth_misfit_tests_of_regions
 from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
-from calibration.fit.regions import compute_smooth_misfit_tests_of_regions
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import minimise_from_start
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.adequacy import compute_orthonormal_basis
-from calibration.statistics.common_signal import (
+from calibration.statistics.adequacy import (
     CommonSignal,
     compute_f_ratio_and_freedoms,
+    compute_orthonormal_basis,
     get_most_significant_common_signal,
 )
 from calibration.statistics.jitter import ContactAndForceZeroJitter
@@ -146,7 +148,7 @@ class FitEvidence:
     def variance_f_ratios_and_freedoms_by_test(self) -> dict[str, tuple[float, int, int]]:
         """Name of a test with several recordings -> F ratio and degrees of freedom of its residuals.
 
-        See `calibration.statistics.common_signal.compute_f_ratio_and_freedoms`.
+        See `calibration.statistics.adequacy.compute_f_ratio_and_freedoms`.
         """
         return {name: compute_f_ratio_and_freedoms(residuals) for name,
                 (_, residuals) in self._first_curve_and_replicate_residuals_by_test.items()}
@@ -274,3 +276,77 @@ def compute_upper_limit_of_estimated_jitter(problem: GeneralisedProblem, theta: 
         larger = np.sqrt((value**2 + own_variance) * factor - own_variance)
         found[name] = value if known[name] is not None else float(larger)
     return ContactAndForceZeroJitter(found["contact"], found["zero"], jitter.freedom)
+
+
+@dataclass(frozen=True)
+class ContactIterationSettings:
+    """Iteration of fits whose displacements are counted from the contacts of the previous fit.
+
+    Attributes:
+        max_fits: maximum number of fits.
+        tolerance: contact offset at which the iteration ends, in standard deviations of the prior. A smaller tolerance
+            requires more fits.
+    """
+
+    max_fits: int = 4
+    tolerance: float = 0.2
+
+
+_CONTACT_ITERATION = ContactIterationSettings()
+
+
+def refit_from_far_contacts_and_describe_them(evidence: FitEvidence,
+                                              context: RunContext) -> tuple[FitEvidence, list[str]]:
+    """Repeat the fit with displacements counted from the fitted contacts if these are far beyond their prior.
+
+    The prior and the linear extrapolation of the simulated force bias such a contact, and the bias may appear as an
+    effect. The fit is repeated only if all regions are adequate and the scatter was assumed; otherwise the evidence is
+    returned unchanged.
+
+    Args:
+        evidence: fit without effects.
+        context: workers and listeners.
+
+    Returns:
+        The evidence, and a sentence for each contact far beyond its prior.
+    """
+    scatter, found, shifts = evidence.problem.jitter, evidence, dict[str, float]()
+    if scatter.freedom != 0 or not evidence.has_no_misfit_or_common_signal:
+        return evidence, []
+    for _ in range(_CONTACT_ITERATION.max_fits):
+        far = {name: contact for name, contact in _get_fitted_contact_offsets(found).items()
+               if abs(contact) > INVERSE_WARNINGS.suspect_nuisance * scatter.contact
+               or (name in shifts and abs(contact) > _CONTACT_ITERATION.tolerance * scatter.contact)}
+        if not far:
+            break
+        shifts |= {name: shifts.get(name, 0.0) + contact for name, contact in far.items()}
+        measured = {test: tuple(replace(curve, displacement=curve.displacement - shifts.get(curve.name, 0.0))
+                                for curve in curves) for test, curves in evidence.measured.items()}
+        try:
+            found = fit_without_effects(evidence.campaign, measured, evidence.problem.solves, context, evidence.limits)
+        except ConvergenceError:
+            return evidence, []
+    if not found.has_no_misfit_or_common_signal:
+        return evidence, []
+    rest = _get_fitted_contact_offsets(found)
+    stressed = {curve.name: curve.stressed for curve in evidence.problem.measured}
+    return found, [_describe_contact_offset(name, shift + rest[name], scatter, stressed[name])
+                   for name, shift in shifts.items()]
+
+
+def _get_fitted_contact_offsets(evidence: FitEvidence) -> dict[str, float]:
+    """Return recording -> fitted contact offset, m (strain for recordings of stress)."""
+    problem, nuisances = evidence.problem, evidence.evaluation.nuisances
+    if "contact" not in problem.kinds:
+        return {}
+    index = problem.kinds.index("contact")
+    return {curve.name: float(nuisances[columns][index]) * problem.jitter.contact
+            for columns, curve in zip(problem.offset_columns, problem.measured, strict=True)}
+
+
+def _describe_contact_offset(name: str, contact: float, scatter: ContactAndForceZeroJitter, stressed: bool) -> str:
+    """Describe a contact offset beyond the assumed scatter."""
+    size, assumed = (f"{each:.2g} of strain" if stressed else f"{1e3 * each:.2f} mm"
+                     for each in (abs(contact), scatter.contact))
+    return (f"contact offset of {name}: contact lies {size} {'before' if contact < 0 else 'after'} the zero of the "
+            f"displacement, {abs(contact) / scatter.contact:.2g} times the assumed scatter of {assumed}")

@@ -9,13 +9,17 @@ from functools import cached_property
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.extended import simulate_whitened_effect_change_or_reason
+from calibration.diagnosis.settings import LIMITS, DecisionLimits
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import Candidate, Effect, NotTestableError
 from calibration.fit.run_context import RunContext
-from calibration.statistics.scores import EffectDirection, compute_familywise_p_values, compute_largest_principal_cosine
+from calibration.statistics.adequacy import (
+    EffectDirection,
+    compute_familywise_p_values,
+    compute_largest_principal_cosine,
+)
 
 #: Fraction of a change outside the fitted space below which its second-order part is computed too.
 _SECOND_ORDER = 0.05

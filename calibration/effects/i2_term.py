@@ -1,7 +1,7 @@
 """Dependence of the strain energy on the second invariant."""
 
+from calibration.effects.candidates import WIDER, check_biderman_case_and_get_parameter_names
 from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError
-from calibration.effects.wider_law import WIDER, check_biderman_case_and_get_parameter_names
 
 
 class I2Term(Effect):

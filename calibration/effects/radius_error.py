@@ -1,8 +1,7 @@
 """Error of the stated radius of a specimen."""
 
-from calibration.effects.candidates import require_tests
+from calibration.effects.candidates import make_specimen_size_candidates, require_tests
 from calibration.effects.effect import Candidate, DiagnosisData, Effect
-from calibration.effects.specimen_size import make_specimen_size_candidates
 
 
 class RadiusError(Effect):

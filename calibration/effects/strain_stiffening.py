@@ -1,7 +1,7 @@
 """Strain stiffening beyond the fitted law."""
 
+from calibration.effects.candidates import WIDER, find_lowest_missing_coefficient_and_power
 from calibration.effects.effect import Candidate, DiagnosisData, Effect
-from calibration.effects.wider_law import WIDER, find_lowest_missing_coefficient_and_power
 
 
 class StrainStiffening(Effect):

@@ -8,24 +8,30 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
-from calibration.fit.alternatives import find_equally_good_different_materials, replace_misleading_standard_errors
-from calibration.fit.determination import ShearModulusPrecision, assess_modulus_error_and_bound_dependence
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, FitFieldInputs
-from calibration.fit.fit import Fit, ProfileLikelihood
-from calibration.fit.identifiability import find_undetermined_parameters
+from calibration.fit.fit import Fit, ParameterCovariance, ProfileLikelihood
+from calibration.fit.identifiability import (
+    ShearModulusPrecision,
+    assess_modulus_error_and_bound_dependence,
+    find_undetermined_parameters,
+)
 from calibration.fit.population import determine_population_and_left_out_specimens, list_warning_if_specimens_differ
-from calibration.fit.population_records import ParameterCovariance
-from calibration.fit.profiles import ProfileSide
-from calibration.fit.self_weight import compute_specimen_sags_mm
-from calibration.fit.trust_region import DescentResult
+from calibration.fit.result import compute_specimen_sags_mm
+from calibration.fit.trust_region import (
+    DescentResult,
+    find_equally_good_different_materials,
+    replace_misleading_standard_errors,
+)
+from calibration.fit.uncertainty import ProfileSide
 from calibration.fit.usability import (
+    USABILITY,
     UsabilityEvidence,
+    UsabilitySettings,
     compute_misfit_percents_and_noise_ratios,
     describe_instability,
     evaluate_usability_clauses_and_status,
 )
-from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
 from calibration.statistics.statistics import compute_aic_and_bic, compute_correlation_matrix
 from calibration.statistics.uncertainty import ParameterUncertainty

@@ -1,4 +1,7 @@
-"""Base class of the two estimation methods (ordinary and generalised least squares) in the calibration pipeline."""
+"""Base class of the two estimation methods (ordinary and generalised least squares) in the calibration pipeline.
+
+A failure of one law does not end the calibration of the others.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,46 @@ from typing import Any
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
-from calibration.fit.predictor import PredictionParameters
+from calibration.fit.population import PredictionParameters
 from calibration.fit.problem import ProblemEvaluation
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import DescentResult
-from calibration.forward.contract import ForwardTest
+from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter
 from calibration.statistics.uncertainty import ParameterUncertainty
+from tissue_sim.errors import ConvergenceError
+
+#: Exceptions that the parameter values of one law can cause: no convergence, no force, an invalid material
+#: (`InputError` is a `ValueError`), overflow, a singular matrix (`LinAlgError` is a `ValueError`).
+LAW_ERRORS = (ConvergenceError, InfeasibleError, ArithmeticError, ValueError)
+
+
+@dataclass(frozen=True)
+class LawFailureRecord:
+    """Failure of the calibration of one law, which does not end the calibration of the other laws.
+
+    Attributes:
+        reason: description of the failure.
+    """
+
+    reason: str
+
+
+def call_and_catch_law_errors(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function and convert exceptions of `LAW_ERRORS` to a `LawFailureRecord`.
+
+    Args:
+        function: function to call.
+        arguments: arguments of the function.
+
+    Returns:
+        Result of the function, or a `LawFailureRecord`.
+    """
+    try:
+        return function(*arguments)
+    except LAW_ERRORS as error:
+        return LawFailureRecord(str(error) or type(error).__name__)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,14 +1,123 @@
-"""Records of a calibration: one `Fit` per law, predictions of held-out tests, and their parts."""
+"""Records of a calibration: one `Fit` per law, predictions of held-out tests, and their parts.
+
+The parts are the covariance of parameters, the population of specimens, the clauses of the usability rule and other
+optima. The representative material of a fit has the shared parameters and the mean of the individual ones.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import msgspec
+import numpy as np
 
-from calibration.fit.population_records import ParameterCovariance, PopulationRecord
-from calibration.fit.usability_records import AlternativeMinimum, UsabilityClauseResult
 from tissue_sim.public_names import OldName
+
+
+class ParameterCovariance(msgspec.Struct, frozen=True, kw_only=True):
+    """Covariance matrix of parameters.
+
+    Attributes:
+        order: names of the parameters.
+        matrix: covariance matrix, SI, shape (p, p) as lists.
+    """
+
+    order: list[str]
+    matrix: list[list[float]]
+
+
+class PopulationRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """Population of specimens with individual parameters, SI.
+
+    See `calibration.statistics.population.PopulationEstimate`.
+
+    Attributes:
+        order: paths of the parameters.
+        specimens: names of the included specimens; `Fit.left_out_specimens` are the others.
+        mean: population mean.
+        mean_errors: standard errors of the mean.
+        mean_intervals: 95 % intervals of the mean.
+        mean_covariance: covariance of the mean.
+        covariance: joint covariance of the mean and the parameters that all specimens share.
+        between: between-specimen covariance.
+        spread: between-specimen standard deviations.
+        spread_intervals: 95 % intervals of the spread.
+        next_specimen: 95 % prediction intervals of a further specimen.
+        estimates: estimates of each specimen alone.
+        errors: standard errors of the estimates.
+        shrunken: shrinkage estimates of each specimen.
+        shrunken_errors: standard errors of the shrinkage estimates.
+    """
+
+    order: list[str]
+    specimens: list[str]
+    mean: list[float]
+    mean_errors: list[float]
+    mean_intervals: list[tuple[float, float]]
+    mean_covariance: list[list[float]]
+    covariance: ParameterCovariance
+    between: list[list[float]]
+    spread: list[float]
+    spread_intervals: list[tuple[float, float]]
+    next_specimen: list[tuple[float, float]]
+    estimates: list[list[float]]
+    errors: list[list[float]]
+    shrunken: list[list[float]]
+    shrunken_errors: list[list[float]]
+
+
+class UsabilityClauseResult(msgspec.Struct, frozen=True, kw_only=True):
+    """One clause of the usability rule, see `calibration.fit.usability`.
+
+    Attributes:
+        name: ``"physical"``, ``"converged"``, ``"stable"``, ``"recordings"``, ``"replicates"``, ``"residuals"``,
+            ``"explained"``, ``"displacement"``, ``"bounds"``, ``"determined"``, ``"unique"`` or ``"population"``.
+        holds: whether the clause holds.
+        status: status of the fit if this clause is the first one that fails.
+        reason: reason of the failure in words; empty if the clause holds.
+        remedy: remedy in words; empty if the clause holds.
+    """
+
+    name: str
+    holds: bool
+    status: str
+    reason: str = ""
+    remedy: str = ""
+
+
+class AlternativeMinimum(msgspec.Struct, frozen=True, kw_only=True):
+    """Second set of parameters that fits the recordings as well as the best fit but describes another material.
+
+    Attributes:
+        parameters: name -> value, SI.
+        parameters_of_law: parameters of the law by their names in the law, SI.
+        R2: coefficient of determination, see `calibration.fit.fit.Minimum`.
+        rise: rise of the sum of squares, see `calibration.fit.fit.Minimum`.
+        separated_by: test in which the nominal stresses of both differ most, in words.
+        at: stretch, or shear strain, of that test.
+        stress_Pa: nominal stress of the fit there, Pa.
+        alternative_stress_Pa: nominal stress of this alternative there, Pa.
+    """
+
+    parameters: dict[str, float]
+    parameters_of_law: dict[str, float]
+    R2: float
+    rise: float
+    separated_by: str
+    at: float
+    stress_Pa: float
+    alternative_stress_Pa: float
+
+    @property
+    def stress_ratio_suffix_or_empty(self) -> str:
+        """Text that is appended to a sentence, such as ``, 4.2 times``; empty if the two stresses differ in sign.
+
+        The number is the larger of the two stresses (fit and alternative) divided by the smaller.
+        """
+        low, high = sorted((abs(self.stress_Pa), abs(self.alternative_stress_Pa)))
+        same = self.stress_Pa * self.alternative_stress_Pa > 0
+        return f", {high / low:.3g} times" if same else ""
 
 
 class Minimum(msgspec.Struct, frozen=True, kw_only=True):
@@ -393,3 +502,40 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     def format_symbols(self, names: Iterable[str]) -> str:
         """Return the symbols of parameters as one text, such as ``C10, g1``."""
         return ", ".join(self.symbols[name] for name in names)
+
+
+@dataclass(frozen=True, eq=False)
+class RepresentativeMaterial:
+    """Shared parameters, and the mean over specimens of individual parameters (or those of the only specimen).
+
+    Attributes:
+        parameters: path -> value, SI.
+        errors: path -> standard error, SI; 0 if fixed, None if not determined.
+        covariance: covariance in the order of `parameters`, SI, shape (p, p); zero for fixed parameters and bounds.
+    """
+
+    parameters: dict[str, float]
+    errors: dict[str, float | None]
+    covariance: np.ndarray
+
+
+def get_shared_and_population_mean_material(fit: Fit) -> RepresentativeMaterial:
+    """Return the representative material of a fit, without parameters of single tests or recordings."""
+    name_of: dict[str, str] = {}
+    for name in fit.parameters:
+        path, at, mark = name.partition("@")
+        if not at or mark in fit.material_of[:1]:
+            name_of[path] = name
+    order, indices = list(name_of), [fit.covariance.order.index(name) for name in name_of.values()]
+    parameters = {path: fit.parameters[name] for path, name in name_of.items()}
+    errors = {path: fit.standard_errors[name] for path, name in name_of.items()}
+    covariance = np.array(fit.covariance.matrix)[np.ix_(indices, indices)]
+    if fit.population is not None:
+        found = fit.population
+        parameters |= dict(zip(found.order, found.mean, strict=True))
+        errors |= dict(zip(found.order, found.mean_errors, strict=True))
+        means = [order.index(path) for path in found.order]
+        covariance[means], covariance[:, means] = 0.0, 0.0
+        together = [order.index(path) for path in found.covariance.order]
+        covariance[np.ix_(together, together)] = found.covariance.matrix
+    return RepresentativeMaterial(parameters, errors, covariance)

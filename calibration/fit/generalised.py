@@ -1,18 +1,19 @@
-"""Estimation by generalised least squares on forces, with finite elements and marginalised nuisances."""
+"""Estimation by generalised least squares on forces, with finite elements and marginalised nuisances.
+
+Starting values, checks of the first start, and the estimator.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement, cycle
 from typing import Any
 
 import numpy as np
 
-from calibration.campaign.campaign import Noise, Test
-from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
-from calibration.fit.alternatives import find_index_of_preferred_minimum, list_sign_flipped_starts
-from calibration.fit.campaign_problem import build_generalised_problem
-from calibration.fit.checks import require_fittable_start
+from calibration.campaign.campaign import Campaign, Noise, Test
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.estimate import Estimate, iterate_mesh_correction_and_jitter, make_test_with_mesh_correction
 from calibration.fit.estimator import Estimator, FitFieldInputs
 from calibration.fit.fit import MeshCorrectionSummary, Minimum, Nuisance, ReplicateJitterRecord
@@ -21,18 +22,139 @@ from calibration.fit.identifiability import (
     find_weak_directions,
     suggest_further_tests,
 )
-from calibration.fit.predictor import PredictionParameters
-from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
-from calibration.fit.regions import compute_smooth_misfit_tests_of_regions, format_regions_with_misfit
+from calibration.fit.lack_of_fit import compute_smooth_misfit_tests_of_regions, format_regions_with_misfit
+from calibration.fit.population import PredictionParameters
+from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation, build_generalised_problem
 from calibration.fit.run_context import RunContext
-from calibration.fit.starts import list_starts_with_varied_exponents
-from calibration.fit.trust_region import DESCENT, DescentResult, Listener, find_distinct_minima, minimise_from_start
+from calibration.fit.trust_region import ALTERNATIVES as ALTERNATIVES
+from calibration.fit.trust_region import (
+    DESCENT,
+    DescentResult,
+    Listener,
+    find_distinct_minima,
+    find_index_of_preferred_minimum,
+    list_sign_flipped_starts,
+    minimise_from_start,
+)
 from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.forms import build_forward_test_of_inverse_fit
 from calibration.statistics.jitter import ContactAndForceZeroJitter
 from calibration.statistics.statistics import NOISE_RATIOS, compute_r_squared
 from calibration.statistics.uncertainty import ParameterUncertainty
+from tissue_sim.errors import InputError
+from tissue_sim.laws import find_law, find_stability_range
+
+#: Starting values of exponents in the order of their use. Moduli need no such list: the fit rescales them at once.
+EXPONENTS = (2.0, 8.0, -4.0, 15.0, -10.0, 4.0, -2.0)
+#: Factors of single parameters in further starts.
+FACTORS = (3.0, 1.0 / 3.0, 10.0, 0.1)
+#: Starting value of the first modulus, Pa; that of modulus i is smaller by 1 / i.
+_MODULUS = 1000.0
+
+
+def list_starts_with_varied_exponents(space: ParameterSpace, count: int) -> list[np.ndarray]:
+    """Return starting values of a law: those that the campaign states, then others spread around them.
+
+    Args:
+        space: parameter space of the law.
+        count: maximum number of starts.
+
+    Returns:
+        Free parameters inside their bounds, SI, each of shape (p,).
+    """
+    exponents = [each.name for each in space.free_parameters if each.is_dimensionless_law_parameter]
+    grids = [grid for grid in combinations_with_replacement(EXPONENTS, len(exponents))
+             if len(set(grid)) == len(grid)] or [()]
+    # Exponents of different signs come before those of equal signs.
+    grids.sort(key=lambda grid: (len({np.sign(e) for e in grid}) < min(len(grid), 2),
+                                 sum(EXPONENTS.index(e) for e in grid)))
+    found: list[np.ndarray] = []
+    moduli = [each.name for each in space.free_parameters if each.is_modulus]
+    for turns, grid in enumerate(cycle(grids)):
+        factors = [1.0] * len(space.free)
+        if turns >= len(grids) and len(space.free) > 1:
+            step = turns // len(grids) - 1
+            place = step % len(space.free)
+            factors[place] = FACTORS[step // len(space.free) % len(FACTORS)]
+        guess = dict(zip(exponents, grid, strict=True))
+        guess |= {name: _MODULUS / (1 + i) for i, name in enumerate(moduli)}
+        values = [space.start.get(name, guess.get(name, 1.0)) for name in space.free]
+        theta = np.clip(np.array(values) * factors, space.low, space.high)
+        if not any(np.allclose(theta, other) for other in found):
+            found.append(theta)
+        if len(found) >= count or turns > 50 * count:
+            return found
+    return found
+
+
+#: Norm of the change of all forces, in units of their noise, below which a change of a parameter by its own size counts
+#: as undetectable.
+UNSEEN = 0.1
+
+
+def require_fittable_start(problem: GeneralisedProblem, campaign: Campaign, number: int) -> None:
+    """Simulate the tests with the first starting values, and check that a fit can start from these values.
+
+    Args:
+        problem: problem of one law.
+        campaign: campaign of the problem.
+        number: index of the law in ``fit.laws``.
+
+    Raises:
+        InputError: a stated start or fixed value is invalid or unstable within the data, there are more unknowns than
+            samples, or no test depends on a parameter; with file and field.
+    """
+    space, law = problem.space, find_law(problem.space.law)
+    if problem.samples <= len(space.free):
+        raise InputError(f"the tests must have more samples than the {len(space.free)} unknown parameters of "
+                         f"{law.name}; got {problem.samples}. Increase max_strain, or choose a law with fewer "
+                         "parameters", file=campaign.path, field=f"fit.laws[{number}]")
+    theta = list_starts_with_varied_exponents(space, 1)[0]
+    values = space.get_values_by_name(theta)
+    stated = [name for name in space.select_law_parameter_values(values) if name in campaign.fit.start
+              or name in campaign.fit.fixed]
+    key = "start" if any(name in campaign.fit.start for name in stated) else "fixed"
+    try:
+        space.build_material(values)
+    except InputError as error:
+        raise InputError(f"the values must give a valid material of {law.name}; got: {error.problem}. Change them",
+                         file=campaign.path, field=f"fit.{key}") from None
+    if stated:
+        _require_stable_law_in_homogeneous_tests(problem, theta, campaign, key)
+    try:
+        evaluation = problem.evaluate(theta)
+    except InfeasibleError as error:
+        if stated:
+            raise InputError(f"the simulation of the tests with these parameter values fails ({error}). State other "
+                             "values, or reduce max_strain", file=campaign.path, field=f"fit.{key}") from None
+        return
+    seen = np.linalg.norm(evaluation.rates, axis=0) * space.compute_typical_parameter_sizes(values)
+    for name, size in zip(space.free, seen, strict=True):
+        if size < UNSEEN and not np.isfinite(space.prior_deviation[space.free.index(name)]):
+            field = f"fit.start.{name}" if name in campaign.fit.start else f"fit.laws[{number}]"
+            raise InputError(f"the force of at least one test must depend on {name}; a change of {name} by its "
+                             f"typical size changes the forces of all tests by only {size:.2g} times their noise. Fix "
+                             f"{name} in [fit.fixed], or add a test that depends on {name}",
+                             file=campaign.path, field=field)
+
+
+def _require_stable_law_in_homogeneous_tests(problem: GeneralisedProblem, theta: np.ndarray, campaign: Campaign,
+                                             key: str) -> None:
+    """Raise an `InputError` if stated values make the law unstable within the data of a homogeneous test."""
+    law, space = find_law(problem.space.law), problem.space
+    own = law.convert_parameters_to_array(space.select_law_parameter_values(space.get_values_by_name(theta)))
+    for test in problem.tests:
+        if not test.is_homogeneous or not test.closed_form.rest:
+            continue
+        reached = test.compute_stretch_range(space, theta)
+        low, high = reached.low, reached.high
+        lower, upper = find_stability_range(law, own, (min(low, 0.99), max(high, 1.01))).limits[test.closed_form.mode]
+        if lower > low or upper < high:
+            limit, end = (lower, low) if lower > low else (upper, high)
+            raise InputError(f"the values must make {law.name} stable up to stretch {end:.3g}, which {test.name} "
+                             f"reaches; the law loses stability at stretch {limit:.3g}. Change the values",
+                             file=campaign.path, field=f"fit.{key}")
 
 
 @dataclass(frozen=True)
@@ -63,7 +185,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         return build_generalised_problem(law, self.campaign, self.measured, self.solves)
 
     def require_fittable_law(self, law: str, number: int) -> None:
-        """Simulate the first start of a law; errors are those of `calibration.fit.checks.require_fittable_start`."""
+        """Simulate the first start of a law; errors are those of `calibration.fit.generalised.require_fittable_start`."""
         require_fittable_start(self.build_law_problem(law), self.campaign, number)
 
     def fit_laws(self, laws: Sequence[str],

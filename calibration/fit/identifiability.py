@@ -1,21 +1,27 @@
-"""Identifiability: undetermined parameters, weakly determined directions, and further tests that determine them."""
+"""Identifiability: undetermined parameters, weakly determined directions, and further tests that determine them.
+
+The determination of the shear modulus by the tests, and its dependence on bounds that were not stated, decides about a
+fit, since one parameter of a law may be undetermined where the modulus is known: C20 on the data of a neo-Hookean
+solid, or C10 and C01 in simple shear, where their sum acts.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.campaign.experiments import ROUND_SOLVER, SPACE_SOLVER
 from calibration.campaign.parameter_space import ParameterSpace
+from calibration.campaign.tables import ROUND_SOLVER, SPACE_SOLVER
+from calibration.fit.estimate import Estimate
 from calibration.fit.fit import SuggestedTest, WeakDirection
 from calibration.fit.problem import GeneralisedProblem
 from calibration.forward.contract import ForwardTest
 from calibration.forward.meshes import get_solver_fit_resolutions
 from calibration.forward.motion import compute_force_derivative_by_offset
 from calibration.forward.simulated import SimulatedTest
-from calibration.statistics.uncertainty import ParameterUncertainty
+from calibration.statistics.uncertainty import COVARIANCE, ParameterUncertainty
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment
@@ -24,6 +30,121 @@ from tissue_sim.experiment.tools.flat import Flat
 from tissue_sim.experiment.tools.plate import Plate
 from tissue_sim.model import Model
 from tissue_sim.specimen.cylinder import Cylinder
+
+
+@dataclass(frozen=True)
+class ModulusPrecisionSettings:
+    """Limits of the clauses `determined` and `bounds`.
+
+    Attributes:
+        relative_error: largest standard error of the shear modulus, relative to it: the 95 % interval then reaches from
+            half the value to 1.5 times it.
+        change: largest relative change of the shear modulus by the release of a bound that was not stated.
+        significance: least decrease of the sum of squares by that release, in units of the variance of the residuals:
+            the 95 % quantile of chi-square with one degree of freedom.
+        relative_step: step of central differences of the shear modulus, relative to the size of a parameter.
+        rounding: relative change of the modulus along a direction without information up to which the change counts as
+            rounding.
+    """
+
+    relative_error: float = 0.25
+    change: float = 0.05
+    significance: float = 3.84
+    relative_step: float = 1e-6
+    rounding: float = 1e-6
+
+
+PRECISION = ModulusPrecisionSettings()
+
+
+@dataclass(frozen=True)
+class ShearModulusPrecision:
+    """Precision of the shear modulus mu0 (the instantaneous one, if the material has a memory).
+
+    Attributes:
+        relative_error: standard error of mu0 divided by mu0, with parameters on bounds fixed; inf if the samples
+            contain no information on mu0.
+        held: names of the parameters on bounds that were not stated, if mu0 depends on these bounds.
+        change: relative change of mu0 in the first Newton step without these bounds.
+    """
+
+    relative_error: float
+    held: tuple[str, ...] = ()
+    change: float = 0.0
+
+    @property
+    def is_precise_enough(self) -> bool:
+        """Whether the standard error of mu0 is within the limit."""
+        return self.relative_error <= PRECISION.relative_error
+
+
+def assess_modulus_error_and_bound_dependence(estimate: Estimate, spread: ParameterUncertainty,
+                                              modulus: Callable[[np.ndarray], float],
+                                              stated: Collection[str]) -> ShearModulusPrecision:
+    """Compute the standard error of the shear modulus, and its dependence on bounds.
+
+    Args:
+        estimate: minimum of the sum of squares.
+        spread: uncertainty of the estimate.
+        modulus: shear modulus, Pa, of the free parameters, shape (p,).
+        stated: names of the parameters whose bounds the campaign states; these bounds count as known.
+    """
+    space = estimate.problem.space
+    count = len(space.free)
+    theta = estimate.theta[:count]
+    sizes = space.compute_typical_parameter_sizes(space.get_values_by_name(theta))
+    slope = np.zeros(estimate.theta.size)
+    slope[:count] = _differentiate_shear_modulus(modulus, theta, sizes) / abs(modulus(theta))
+    residual, jacobian = estimate.evaluation.projected_residual_and_jacobian
+    slope = slope[: jacobian.shape[1]]
+    held = spread.on_bound[: jacobian.shape[1]]
+    _, flat = _solve_step_and_undetermined_modulus_change(jacobian[:, ~held], np.zeros(residual.size), slope[~held])
+    variance = float(slope[:count] @ spread.covariance[:count, :count] @ slope[:count])
+    error = np.inf if flat > PRECISION.rounding else float(np.sqrt(max(variance, 0.0)))
+    suspects = [i for i in range(count) if held[i] and space.free[i] not in stated]
+    if not suspects:
+        return ShearModulusPrecision(error)
+    released = ~held
+    released[suspects] = True
+    columns = jacobian[:, released]
+    step, flat = _solve_step_and_undetermined_modulus_change(columns, residual, slope[released])
+    change = float("inf") if flat > PRECISION.rounding else float(slope[released] @ step)
+    decrease = float(residual @ residual - np.sum((residual + columns @ step)**2))
+    depends = abs(change) > PRECISION.change and decrease > PRECISION.significance * max(spread.ratio, 1.0)**2
+    return ShearModulusPrecision(error, tuple(space.free[i] for i in suspects) if depends else (), change)
+
+
+def _differentiate_shear_modulus(modulus: Callable[[np.ndarray], float], theta: np.ndarray,
+                                 sizes: np.ndarray) -> np.ndarray:
+    """Return the gradient of the modulus with respect to the parameters by central differences, shape (p,)."""
+    steps = np.diag(PRECISION.relative_step * sizes)
+    return np.array([(modulus(theta + step) - modulus(theta - step)) / (2.0 * step.max()) for step in steps])
+
+
+def _solve_step_and_undetermined_modulus_change(jacobian: np.ndarray, residual: np.ndarray,
+                                                slope: np.ndarray) -> tuple[np.ndarray, float]:
+    """Solve the linearised least-squares problem.
+
+    Args:
+        jacobian: derivatives of the residual with respect to the parameters, shape (n, p).
+        residual: residual, shape (n,).
+        slope: relative derivative of the modulus with respect to the parameters, shape (p,).
+
+    Returns:
+        Gauss-Newton step, shape (p,), and the largest relative change of the modulus along a direction without
+        information, for a change of each parameter in inverse proportion to the norm of its column.
+    """
+    norms = np.linalg.norm(jacobian, axis=0)
+    scale = np.where(norms > 0, norms, 1.0)
+    if not jacobian.shape[1]:
+        return np.zeros(0), 0.0
+    _, values, rows = np.linalg.svd(jacobian / scale, full_matrices=False)
+    known = values**2 > values.max(initial=0.0)**2 / COVARIANCE.singular_condition
+    root = rows[known] / values[known, None]
+    step = -(root.T @ (root @ ((jacobian / scale).T @ residual))) / scale
+    flat = np.abs(rows[~known] @ (slope / scale)) / max(np.linalg.norm(slope / scale), 1e-300)
+    return step, float(flat.max(initial=0.0))
+
 
 #: Relative standard error above which a direction counts as weakly determined.
 WEAK = 0.2
@@ -58,7 +179,7 @@ class SuggestedTestSettings:
     jitter: tuple[float, float] = (0.03e-3, 0.01)
 
 
-_SETTINGS = SuggestedTestSettings()
+_SUGGESTIONS = SuggestedTestSettings()
 #: Specimen of the reference study, for campaigns without specimens.
 _SPECIMEN = Cylinder(0.040, 0.070)
 
@@ -110,7 +231,7 @@ def suggest_further_tests(problem: GeneralisedProblem, theta: np.ndarray,
     information = spread.information[np.ix_(free, free)] / spread.inflation
     axis = np.linalg.eigh(information)[1][:, 0]
     mechanical = [curve.noise.deviation for curve in problem.measured if curve.test.specimen is not None]
-    noise, jitter = (_SETTINGS.noise, _SETTINGS.jitter) if not mechanical else (
+    noise, jitter = (_SUGGESTIONS.noise, _SUGGESTIONS.jitter) if not mechanical else (
         float(np.median(mechanical)), (problem.jitter.contact, problem.jitter.zero))
     about = problem.space.free_parameters[free[np.argmax(np.abs(axis))]]
     acting = [test for test in problem.tests if about.applies_to_recording(test.name, None)] or list(problem.tests)
@@ -128,7 +249,7 @@ def suggest_further_tests(problem: GeneralisedProblem, theta: np.ndarray,
     rated.sort(key=lambda item: -item[0])
     # A test is suggested only if it gives more information on the weak direction than the existing tests.
     existing = float(axis @ information @ axis)
-    return [suggestion for gain, suggestion in rated[:_SETTINGS.max_suggestions] if gain > existing]
+    return [suggestion for gain, suggestion in rated[:_SUGGESTIONS.max_suggestions] if gain > existing]
 
 
 def _build_candidate_tests(problem: GeneralisedProblem, theta: np.ndarray,
@@ -140,10 +261,10 @@ def _build_candidate_tests(problem: GeneralisedProblem, theta: np.ndarray,
         specimen = Cylinder(float(np.sqrt(specimen.area / np.pi)), specimen.height)
     ageing = problem.space.build_material(problem.space.get_values_by_name(theta), test=of.name).is_history_dependent
     found = []
-    for strain in (_SETTINGS.strain, min(_SETTINGS.depth_factor * _SETTINGS.strain, 0.3)):
+    for strain in (_SUGGESTIONS.strain, min(_SUGGESTIONS.depth_factor * _SUGGESTIONS.strain, 0.3)):
         depth = strain * specimen.vertical_thickness()
         millimetres = f"{depth * 1e3:.3g} mm"
-        needle = Flat(radius=_SETTINGS.needle_fraction * specimen.margin())
+        needle = Flat(radius=_SUGGESTIONS.needle_fraction * specimen.margin())
         for words, tool, friction in (
                 (f"lubricated compression to {millimetres}", Plate(), "frictionless"),
                 (f"bonded compression to {millimetres}", Plate(), "bonded"),
@@ -155,7 +276,7 @@ def _build_candidate_tests(problem: GeneralisedProblem, theta: np.ndarray,
 
 def _build_candidate_motions(depth: float, ageing: bool) -> list[tuple[str, Protocol]]:
     """Return motions to a depth, m, with the end of their description; with holds for a material with memory."""
-    points, hold = _SETTINGS.points, _SETTINGS.hold
+    points, hold = _SUGGESTIONS.points, _SUGGESTIONS.hold
     if not ageing:
         return [("", Protocol.ramp(depth, points))]
     text = f"ramp {depth * 1e3:.6g}mm @{STUDY_SPEED * 1e3:.6g}mm/s; hold {hold:g}s"
@@ -194,11 +315,11 @@ def _compute_scaled_test_information_or_none(problem: GeneralisedProblem, theta:
     except (ConvergenceError, InputError):
         return None
     recording = answer.recording
-    weight = np.sqrt(_SETTINGS.samples / recording.force.size) / noise
+    weight = np.sqrt(_SUGGESTIONS.samples / recording.force.size) / noise
     rates = np.zeros((recording.force.size, len(space.free)))
     rates[:, own] = weight * answer.values * spread.sizes[own]
     contact, zero = jitter
     columns = weight * np.column_stack([contact * compute_force_derivative_by_offset(recording),
                                         zero * np.ones_like(recording.force)])
     inner = np.linalg.inv(np.eye(2) + columns.T @ columns)
-    return _SETTINGS.replicates * (rates.T @ rates - rates.T @ columns @ inner @ columns.T @ rates)
+    return _SUGGESTIONS.replicates * (rates.T @ rates - rates.T @ columns @ inner @ columns.T @ rates)

@@ -9,10 +9,8 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.fit import Fit
-from calibration.fit.result import CalibrationResult
-from calibration.fit.self_weight import describe_self_weight
-from calibration.fit.typical_material import get_shared_and_population_mean_material
+from calibration.fit.fit import Fit, get_shared_and_population_mean_material
+from calibration.fit.result import CalibrationResult, describe_self_weight
 from tissue_sim.laws import find_law
 from tissue_sim.material.file import MaterialFile, write_material_file
 

@@ -1,8 +1,13 @@
-"""Least-squares problems over all tests of a campaign: whitened residuals, priors, and elimination of nuisances."""
+"""Least-squares problems over all tests of a campaign: whitened residuals, priors, and elimination of nuisances.
+
+The variables of the optimiser are transformations of the unknowns. `make_problem` constructs the problem of a law from
+a campaign and its recordings.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
@@ -10,14 +15,127 @@ from typing import Self
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.campaign import Campaign
+from calibration.campaign.measured import MeasuredCurve, compute_default_contact_offset_deviation
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.variables import SizeScaledVariables, Variables
+from calibration.campaign.parameters import OFFSET_DEFAULTS
 from calibration.forward.contract import ForwardTest, InfeasibleError
+from calibration.forward.forms import build_forward_test_of_inverse_fit, compute_mesh_uncertainty
+from calibration.forward.meshes import FAST_MESH_ERRORS
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter, WhitenedReplicate
 from calibration.statistics.sensor_noise import whiten_columns
 from tissue_sim.errors import InputError
+
+
+@dataclass(frozen=True)
+class PronyVariableBoundSettings:
+    """Default bounds of the variables of a law with Prony terms, used where the campaign states no bounds.
+
+    Attributes:
+        max_ratio: largest ratio r_i = g_i / (1 - sum g) of a relaxing to the long-term stiffness.
+        max_exponent: largest absolute value of an exponent.
+        time_margin: factor by which a relaxation time may be shorter than the sampling interval or longer than the
+            longest recording. A larger value admits times on which the samples have no information.
+    """
+
+    max_ratio: float = 1e3
+    max_exponent: float = 50.0
+    time_margin: float = 10.0
+
+
+_BOUNDS = PronyVariableBoundSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class SizeScaledVariables:
+    """Variables that are the unknowns divided by their sizes; all arrays have shape (k,).
+
+    Attributes:
+        sizes: scale of each unknown.
+        bounds: lower and upper bounds of the variables.
+    """
+
+    sizes: np.ndarray
+    bounds: tuple[np.ndarray, np.ndarray]
+
+    def convert_from_unknowns(self, unknowns: np.ndarray) -> np.ndarray:
+        """Convert unknowns (SI units) to variables of the optimiser; both have shape (k,)."""
+        return unknowns / self.sizes
+
+    def convert_to_unknowns(self, variables: np.ndarray) -> np.ndarray:
+        """Convert variables of the optimiser to unknowns (SI units); both have shape (k,)."""
+        return variables * self.sizes
+
+    def convert_jacobian_to_variables(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
+        """Return derivatives with respect to the variables, from those with respect to the unknowns (chain rule).
+
+        Args:
+            jacobian: derivatives with respect to the unknowns, shape (n, k).
+            variables: variables at which the Jacobian was evaluated, shape (k,).
+        """
+        return jacobian * self.sizes
+
+
+@dataclass(frozen=True, eq=False)
+class LongTermPronyVariables:
+    """Variables of a law with Prony terms: long-term moduli, ratios r_i = g_i / (1 - sum g), and ln tau_i.
+
+    Every set of ratios r_i >= 0 gives fractions g_i with sum g < 1, so simple bounds suffice.
+
+    Attributes:
+        moduli: indices of the moduli among the unknowns.
+        exponents: indices of the exponents.
+        g: indices of the fractions g_i.
+        tau: indices of the relaxation times.
+        time_range: sampling interval and duration of the longest recording, s.
+    """
+
+    moduli: np.ndarray
+    exponents: np.ndarray
+    g: np.ndarray
+    tau: np.ndarray
+    time_range: tuple[float, float]
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the variables, shapes (k,)."""
+        low = np.full(self.moduli.size + self.exponents.size + self.g.size + self.tau.size, -np.inf)
+        high = -low
+        low[self.exponents], high[self.exponents] = -_BOUNDS.max_exponent, _BOUNDS.max_exponent
+        low[self.g], high[self.g] = 0.0, _BOUNDS.max_ratio
+        shortest, longest = self.time_range
+        low[self.tau], high[self.tau] = np.log([shortest / _BOUNDS.time_margin, longest * _BOUNDS.time_margin])
+        return low, high
+
+    def convert_from_unknowns(self, unknowns: np.ndarray) -> np.ndarray:
+        """Convert unknowns (SI units) to variables of the optimiser; both have shape (k,)."""
+        rest, variables = max(1.0 - unknowns[self.g].sum(), 1.0 / _BOUNDS.max_ratio), unknowns.copy()
+        variables[self.moduli] *= rest
+        variables[self.g] /= rest
+        variables[self.tau] = np.log(unknowns[self.tau])
+        return variables
+
+    def convert_to_unknowns(self, variables: np.ndarray) -> np.ndarray:
+        """Convert variables of the optimiser to unknowns (SI units); both have shape (k,)."""
+        factor, unknowns = 1.0 + variables[self.g].sum(), variables.copy()
+        unknowns[self.moduli] *= factor
+        unknowns[self.g] /= factor
+        unknowns[self.tau] = np.exp(variables[self.tau])
+        return unknowns
+
+    def convert_jacobian_to_variables(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
+        """Return derivatives with respect to the variables; see `SizeScaledVariables.convert_jacobian_to_variables`."""
+        factor, changed = 1.0 + variables[self.g].sum(), jacobian.copy()
+        changed[:, self.moduli] *= factor
+        changed[:, self.tau] *= np.exp(variables[self.tau])
+        # Each r_i changes all instantaneous moduli and all fractions g_j.
+        shared = jacobian[:, self.moduli] @ variables[self.moduli] - jacobian[:, self.g] @ variables[self.g] / factor**2
+        changed[:, self.g] = jacobian[:, self.g] / factor + shared[:, None]
+        return changed
+
+
+Variables = SizeScaledVariables | LongTermPronyVariables
 
 
 @dataclass(frozen=True)
@@ -42,7 +160,7 @@ class NuisanceEliminationSettings:
     scan_points: int = 25
 
 
-_SETTINGS = NuisanceEliminationSettings()
+_ELIMINATION = NuisanceEliminationSettings()
 #: Number of modes of the mesh error: proportional to the force, and to the force times the displacement.
 MESH_MODES = 2
 
@@ -324,7 +442,7 @@ class GeneralisedProblem(LeastSquaresProblem):
         """
         trial, lowest, step = self._scan_contact_offsets(answers), np.inf, 1.0
         best, found, change = trial, (), trial
-        for _ in range(_SETTINGS.max_steps):
+        for _ in range(_ELIMINATION.max_steps):
             linearised = self._compute_whitened_terms_at_nuisances(answers, trial)
             residual, columns = linearised[0], linearised[2]
             error = residual @ residual + trial @ trial
@@ -336,7 +454,7 @@ class GeneralisedProblem(LeastSquaresProblem):
             if not trial.size:
                 break
             change = -cho_solve(cho_factor(np.eye(trial.size) + columns.T @ columns), columns.T @ residual + trial)
-            if np.abs(change).max() < _SETTINGS.tolerance:
+            if np.abs(change).max() < _ELIMINATION.tolerance:
                 break
             trial = trial + change
         return best, found
@@ -350,7 +468,7 @@ class GeneralisedProblem(LeastSquaresProblem):
         trial = np.zeros(self.nuisances)
         if "contact" not in self.kinds:
             return trial
-        offsets = np.linspace(-_SETTINGS.scan_range, _SETTINGS.scan_range, _SETTINGS.scan_points)
+        offsets = np.linspace(-_ELIMINATION.scan_range, _ELIMINATION.scan_range, _ELIMINATION.scan_points)
         for columns, (t, r) in zip(self.offset_columns, self.places, strict=True):
             test, measured = self.tests[t], self.tests[t].measured[r]
             if not hasattr(test, "compute_force_at_contact_offsets"):
@@ -378,12 +496,12 @@ class GeneralisedProblem(LeastSquaresProblem):
         for rows, places, (t, r) in zip(self.rows, self.offset_columns, self.places, strict=True):
             test, measured = self.tests[t], self.tests[t].measured[r]
             values = dict(zip(self.kinds, nuisances[places] * sizes, strict=True))
-            offset, farthest = values.get("contact", 0.0), _SETTINGS.extrapolation * self.jitter.contact
+            offset, farthest = values.get("contact", 0.0), _ELIMINATION.extrapolation * self.jitter.contact
             near = float(np.clip(offset, -farthest, farthest))
             model, model_rates, contact_rate = test.evaluate_force_and_derivatives(answers[t], r, near)
             if offset != near:
                 # The derivatives are extrapolated too, so that they are those of the extrapolated force.
-                close = _SETTINGS.relative_step
+                close = _ELIMINATION.relative_step
                 other = test.evaluate_force_and_derivatives(answers[t], r, (1 - close) * near)[1]
                 model_rates = model_rates + (offset - near) * (model_rates - other) / (close * near)
                 model = model + (offset - near) * contact_rate
@@ -440,3 +558,39 @@ class GeneralisedProblem(LeastSquaresProblem):
             found[t].append(WhitenedReplicate(white[:, 0], white[:, 1], white[:, 2], white[:, 3:3 + p],
                                               white[:, 3 + p:]))
         return found
+
+
+def build_generalised_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]],
+                              solves: SimulationCache) -> GeneralisedProblem:
+    """Return the least-squares problem of one law over all tests that are not held out.
+
+    Args:
+        law: name of the law.
+        campaign: campaign.
+        measured: test -> its recordings.
+        solves: cache of simulations.
+    """
+    names = {test: [curve.name for curve in curves] for test, curves in measured.items()}
+    space = ParameterSpace.from_campaign(law, campaign, names)
+    fitted = [test for test in campaign.tests if not test.hold_out]
+    jitter = make_stated_or_guessed_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
+    tests = tuple(build_forward_test_of_inverse_fit(test, measured[test.name], campaign.fit, jitter.contact)
+                  for test in fitted)
+    # With the error of the fast mesh in the covariance, offsets do not compensate for this error.
+    return GeneralisedProblem(space, tests, solves, jitter,
+                              tuple(compute_mesh_uncertainty(test, FAST_MESH_ERRORS) for test in tests))
+
+
+def make_stated_or_guessed_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> ContactAndForceZeroJitter:
+    """Return one jitter for all tests: stated values, or first guesses of values that are estimated later."""
+    fit, noise = campaign.fit, campaign.noise
+    contact, zero, freedom = noise.contact_jitter, noise.zero_jitter, None
+    largest = float(np.median([np.abs(curve.force).max() for curve in curves]))
+    if fit.offset == "fit":
+        noisiest = max(curve.noise.deviation for curve in curves)
+        contact, zero = fit.offset_prior, fit.zero_prior or OFFSET_DEFAULTS.zero_prior * noisiest
+    if contact is None:
+        contact, freedom = compute_default_contact_offset_deviation(curves), 0
+    if zero is None:
+        zero, freedom = OFFSET_DEFAULTS.first_zero * largest, 0
+    return ContactAndForceZeroJitter(contact, zero, freedom)

@@ -3,32 +3,197 @@
 Values between the clauses are compared after noise and the scatter between recordings have been taken out, so that a
 noisy recording of the right law is usable and a precise recording of the wrong law is not. A fit whose residuals are
 many times the noise is usable as long as the limits below hold: real tissue obeys no law to the precision of a sensor.
+
+Two clauses concern contact. The recordings must determine contact well enough for the shear modulus. The contact offset
+must cover a preload at the zero of the displacement; the zero of the force does not count: a fit without a contact
+offset takes the preload for a zero of the force, and its modulus is then wrong.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.alternatives import describe_alternative_minima
-from calibration.fit.contact_cover import describe_worst_uncertain_contact_or_empty
-from calibration.fit.determination import SETTINGS as DETERMINATION
-from calibration.fit.determination import ShearModulusPrecision
 from calibration.fit.estimate import Estimate
-from calibration.fit.kindred_tests import find_same_kind_disagreements
-from calibration.fit.lack_of_fit import compute_lack_of_fit_r2_and_relative_error
-from calibration.fit.own_stiffness import describe_stiffness_disagreement_or_empty
+from calibration.fit.fit import AlternativeMinimum, Fit, UsabilityClauseResult
+from calibration.fit.identifiability import PRECISION as DETERMINATION
+from calibration.fit.identifiability import ShearModulusPrecision
+from calibration.fit.lack_of_fit import (
+    compute_lack_of_fit_r2_and_relative_error,
+    describe_stiffness_disagreement_or_empty,
+)
+from calibration.fit.ordinary_problem import OrdinaryProblem
 from calibration.fit.population import PopulationAndLeftOutSpecimens
-from calibration.fit.preload_cover import get_fitted_contact_offsets, is_preload_absent_or_explained
-from calibration.fit.replicates import find_replicate_disagreements
-from calibration.fit.usability_records import AlternativeMinimum, UsabilityClauseResult
-from calibration.fit.usability_settings import USABILITY, UsabilitySettings
+from calibration.fit.replicates import find_replicate_disagreements, find_same_kind_disagreements
+from calibration.fit.trust_region import describe_alternative_minima
 from calibration.forward.contract import StretchRange
-from calibration.statistics.statistics import compute_median_sampling_interval_or_zero
+from calibration.statistics.statistics import NOISE_RATIOS, compute_median_sampling_interval_or_zero
+from tissue_sim.errors import InputError
 from tissue_sim.laws import StabilityRange
+from tissue_sim.recording.contact import (
+    relative_modulus_error_from_contact,
+    relative_modulus_error_from_contact_range,
+)
+from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
+from tissue_sim.settings import require_all_settings_positive
+
+
+@dataclass(frozen=True)
+class UsabilitySettings:
+    """Limits of the clauses of the usability rule; a fit is usable if all clauses hold.
+
+    Attributes:
+        largest_residual: largest root mean square residual of a test, relative to its largest force. A smaller value
+            rejects laws whose error is below the scatter between specimens.
+        smallest_R2: smallest fraction of the variance of the force (of the displacement if the force is controlled)
+            that a law must explain in each test, over the samples in which the controlled quantity moves. A larger
+            value rejects laws that describe measured tissue; docs/calibration.md compares the limit with measured data.
+        noise_ratio: residuals below this many times the noise fail no clause on residuals. A larger value accepts a
+            misfit in recordings with little noise.
+        start_samples: number of samples whose mean is the force at the start of a recording.
+        start_fraction: a force against the load at the start counts above this fraction of the range of the force ...
+        start_noise: ... and above this many times the noise; the remedy of a misfit is then the zero of the load cell.
+            A force that exceeds that at the start by more is a clear rise, before which the tool may be in the air.
+
+    Raises:
+        InputError: a limit is not positive, or `smallest_R2` is 1 or more.
+    """
+
+    largest_residual: float = 0.10
+    smallest_R2: float = 0.95
+    noise_ratio: float = NOISE_RATIOS.model_error
+    start_samples: int = 3
+    start_fraction: float = 0.02
+    start_noise: float = 5.0
+
+    def __post_init__(self) -> None:
+        require_all_settings_positive(self)
+        if not self.smallest_R2 < 1:
+            raise InputError(f"smallest_R2 must be below 1; got {self.smallest_R2:g}", field="smallest_R2")
+
+
+#: Default limits of the usability rule.
+USABILITY = UsabilitySettings()
+
+
+def describe_worst_uncertain_contact_or_empty(estimate: Estimate, misfitted_tests: Collection[str],
+                                              limits: UsabilitySettings) -> str:
+    """Describe the recordings whose contact is not known well enough; empty if there are none.
+
+    The standard errors of the parameters include the uncertainty of a fitted contact offset. An unclear contact does
+    not count if the residuals are near the noise: they then show no motion in air.
+
+    Args:
+        estimate: minimum of the sum of squares.
+        misfitted_tests: names of the tests whose residuals are far above the noise.
+        limits: limits of a clear rise of the force, `start_samples` and `start_noise`.
+    """
+    if _has_fitted_contact_offsets(estimate.problem):
+        return ""
+    found = []
+    for curve in estimate.problem.measured:
+        contact = None if curve.whole is None else curve.whole.segmentation.contact
+        if contact is None:
+            continue
+        if curve.test.contact == "find":
+            error = relative_modulus_error_from_contact(curve.displacement, curve.force, curve.time, contact)
+            found.append((error, curve, contact.interval))
+        elif curve.test.contact == "recorded" and contact.status == "unclear" and curve.test.name in misfitted_tests:
+            high = _find_last_displacement_without_clear_rise(curve, limits)
+            error = relative_modulus_error_from_contact_range(curve.displacement, curve.force, curve.time,
+                                                              0.5 * (high - float(curve.displacement[0])))
+            found.append((error, curve, (-np.inf, high)))
+    errors = [each for each in found if each[0] > MODULUS_TOLERANCE]
+    if not errors:
+        return ""
+    error, curve, (low, high) = max(errors, key=lambda each: each[0])
+    scale, unit, of = (1.0, "", "a strain of ") if curve.stressed else (1e3, " mm", "")
+    known = f"contact is known to be at {of}{scale * low:.4g} to {scale * high:.4g}{unit} (95 %)" if np.isfinite(low) \
+        else (f"contact is not found, and the force does not rise clearly before {of}{scale * high:.4g}{unit}, so the "
+              "tool may be in the air")
+    more = f" and {len(errors) - 1} more" if len(errors) > 1 else ""
+    return (f"{curve.name}{more}: {known}; the shear modulus changes by {100 * error:.2g} % within this range, and the "
+            f"limit is {100 * MODULUS_TOLERANCE:g} %")
+
+
+def _find_last_displacement_without_clear_rise(curve: MeasuredCurve, limits: UsabilitySettings) -> float:
+    """Return the displacement, m, of the last sample of the loading whose force is not clearly above that at the start.
+
+    The tool may be in the air up to this displacement.
+    """
+    start = float(np.mean(curve.force[:limits.start_samples]))
+    low = np.flatnonzero(curve.force - start <= limits.start_noise * curve.noise.deviation)
+    return float(curve.displacement[low[low <= np.argmax(curve.displacement)].max(initial=0)])
+
+
+def _has_fitted_contact_offsets(problem: Any) -> bool:
+    """Return whether contact offsets are unknowns of the fit."""
+    if isinstance(problem, OrdinaryProblem):
+        return bool(problem.shifted)
+    return "contact" in problem.kinds
+
+
+@dataclass(frozen=True)
+class PreloadCoverFractions:
+    """Range of a fitted contact offset that covers a preload, as a fraction of the distance from contact.
+
+    Attributes:
+        min_fraction: smallest fraction; a smaller offset leaves a part of the preload unexplained.
+        max_fraction: largest fraction; a larger offset has another cause.
+    """
+
+    min_fraction: float = 0.8
+    max_fraction: float = 1.25
+
+
+_PRELOAD = PreloadCoverFractions()
+
+
+def get_fitted_contact_offsets(estimate: Estimate) -> Mapping[str, float]:
+    """Return recording -> fitted contact offset, m; negative if contact lies before the zero of the displacement."""
+    problem: Any = estimate.problem
+    if isinstance(problem, OrdinaryProblem):
+        values = problem.get_contact_offsets_and_zeros(estimate.theta)[:, 0]
+    elif "contact" in problem.kinds:
+        first = [columns.start + problem.kinds.index("contact") for columns in problem.offset_columns]
+        values = problem.jitter.contact * estimate.evaluation.nuisances[first]
+    else:
+        values = np.zeros(len(problem.places))
+    return {curve.name: float(contact) for curve, contact in zip(problem.measured, values, strict=True)}
+
+
+def copy_notes_with_explained_preload(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
+    """Return the notes of a recording; the note on a preload is replaced if the fitted contact offset covers it.
+
+    Args:
+        curve: recording.
+        fit: best fit.
+    """
+    notes, preload = dict(curve.notes), curve.screening.preload
+    contacts = {each.replicate: 1e-3 * each.contact_offset_mm for each in fit.nuisances}
+    if preload is None or curve.stressed or curve.name not in contacts:
+        return notes
+    contact = contacts[curve.name]
+    if _equals_preload_distance(contact, preload.shift):
+        notes["preload"] = (f"the displacement was zeroed at a preload of {preload.force:.3g} N; the fitted contact "
+                            f"offset of {1e3 * contact:.3g} mm covers it")
+    return notes
+
+
+def is_preload_absent_or_explained(curve: MeasuredCurve, contact: float) -> bool:
+    """Return whether a contact offset, m, explains the preload at zero displacement; true without such a preload."""
+    preload = curve.screening.preload
+    return preload is None or preload.is_settled or _equals_preload_distance(contact, preload.shift)
+
+
+def _equals_preload_distance(contact: float, shift: float) -> bool:
+    """Return whether a contact offset, m, equals the distance of a preload from contact, m, within the limits."""
+    return _PRELOAD.min_fraction <= -contact / shift <= _PRELOAD.max_fraction
+
 
 #: Status of a usable fit.
 USABLE = "converged"

@@ -1,4 +1,4 @@
-"""Construction of the forward model of a test: closed form or finite elements."""
+"""Construction of the forward model of a test (closed form or finite elements), and check of its geometry."""
 
 from __future__ import annotations
 
@@ -7,16 +7,38 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.campaign.campaign import FitSettings, Test
+from calibration.campaign.campaign import Campaign, FitSettings, Test
 from calibration.campaign.measured import MeasuredCurve, is_test_force_history_dependent
-from calibration.forward.closed import ClosedFormTest
-from calibration.forward.column import ColumnTest
+from calibration.campaign.tables import ROUND_SOLVER
+from calibration.forward.closed import ClosedFormTest, ColumnTest
 from calibration.forward.contract import ForwardTest
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS, MESH_ERROR, get_solver_fit_resolutions
 from calibration.forward.motion import MonotonicLoading, TimedMotion
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.simulation_cache import hash_content_and_source_code
+from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
+from tissue_sim.fem.solver import SOLVERS
+from tissue_sim.model import Model
+
+
+def check_solvers_accept_test_geometries(campaign: Campaign) -> None:
+    """Build the solver of each three-dimensional test once, with the first material of the campaign.
+
+    Raises:
+        InputError: the mesh or the contact cannot be built; with file and field.
+    """
+    for number, test in enumerate(campaign.tests):
+        if test.experiment is None or test.solver == ROUND_SOLVER:
+            continue
+        try:
+            SOLVERS.find(test.solver, "solver")(Model(test.experiment, campaign.fit.placeholder_material_with_effects),
+                                                resolution=get_solver_fit_resolutions(test.solver).fast)
+        except InputError as error:
+            raise InputError(error.problem, file=campaign.path, field=f"test[{number}]") from None
+        except ConvergenceError:
+            continue  # the specimen may be in equilibrium under its weight with another material
+
 
 #: Largest strain step of histories in an analytical fit, coarser than in a prediction. Its error of 1e-4 of the largest
 #: stress is below measurement errors.

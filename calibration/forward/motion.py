@@ -1,4 +1,7 @@
-"""Knots of a tool's motion at which a test is simulated, and interpolation of the force between the knots."""
+"""Knots of a tool's motion at which a test is simulated, and interpolation of the force between the knots.
+
+Also the steps of the finite differences of forward models.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,28 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 
-from calibration.forward.difference_steps import DIFFERENCES
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_motion_corners
 from tissue_sim.rig.rig import Rig
+
+
+@dataclass(frozen=True)
+class RelativeFiniteDifferenceSteps:
+    """Steps of finite differences: a smaller step increases rounding errors, a larger one truncation errors.
+
+    Attributes:
+        relative: step of closed forms and readouts, relative to the size of a parameter, to the height of the specimen
+            for a contact offset, or to the largest true force for a readout.
+        contact_offset: step of the contact offset of a simulated loading curve, as a fraction of the travel. Larger
+            than `relative`, because the curve is a spline through few knots.
+    """
+
+    relative: float = 1e-6
+    contact_offset: float = 1e-3
+
+
+DIFFERENCES = RelativeFiniteDifferenceSteps()
 
 
 @dataclass(frozen=True)

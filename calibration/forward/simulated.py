@@ -13,25 +13,26 @@ from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.contract import InfeasibleError, StretchRange
 from calibration.forward.meshes import AccurateMeshErrorOverDepth, get_solver_fit_resolutions
 from calibration.forward.motion import ForceCurve, MonotonicLoading, TimedMotion, build_cubic_or_linear_spline
-from calibration.forward.proportionality import is_force_proportional_to_moduli
 from calibration.forward.readout import (
     ForceFactorEffects,
-    RigReadout,
-    SimulatedTestForceCurves,
-    compute_depth_in_tissue,
-    compute_difference_step,
-)
-from calibration.forward.rig_motion import (
     ForcePositionCurve,
     RigForceCurve,
+    RigReadout,
+    SimulatedTestForceCurves,
     build_loading_to_true_depth,
+    compute_depth_in_tissue,
+    compute_difference_step,
     is_path_dependent_with_rig,
     is_rig_or_tilt_parameter,
     tool_separates_on_retraction,
 )
-from calibration.forward.simulated_motions import SimulatedMotions
+from calibration.forward.simulated_motions import (
+    SimulatedMotions,
+    compute_compression_stretch_range,
+    compute_simulated_stretch_range,
+    is_force_proportional_to_moduli,
+)
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.forward.stretch_range import compute_compression_stretch_range, compute_simulated_stretch_range
 from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol

@@ -1,4 +1,7 @@
-"""Finite-element simulation of the motions of a test."""
+"""Finite-element simulation of the motions of a test: forces, range of the stretches, proportionality to the moduli.
+
+If all forces of a test are proportional to the moduli, one simulation serves all sets of moduli with the same ratios.
+"""
 
 from __future__ import annotations
 
@@ -8,28 +11,90 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import FitParameter, ParameterSpace
-from calibration.forward.contract import InfeasibleError
+from calibration.forward.contract import InfeasibleError, StretchRange
 from calibration.forward.meshes import AccurateMeshErrorOverDepth, get_solver_fit_resolutions
 from calibration.forward.motion import MonotonicLoading, TimedMotion
-from calibration.forward.proportionality import is_force_proportional_to_moduli, keeps_force_proportional_to_moduli
 from calibration.forward.readout import (
     ForceFactorEffects,
-    parameter_affects_readings_only,
-)
-from calibration.forward.rig_motion import (
     is_rig_or_tilt_parameter,
     make_model_without_rig_and_tilt,
+    parameter_affects_readings_only,
 )
 from calibration.forward.simulation_cache import (
     SimulationCache,
     hash_content_and_source_code,
     simulate_force_or_record_failure,
 )
-from tissue_sim.errors import InputError
+from tissue_sim.closed_form.homogeneous import ClosedForm
+from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.model import Model
 from tissue_sim.rig.rig import Rig
+from tissue_sim.simulation import simulate
 from tissue_sim.specimen import Specimen
+
+#: Parameters of an experiment that are neither forces nor stiffnesses.
+_EXPERIMENT_PARAMETERS = frozenset(f"experiment.{name}" for name in (
+    "friction", "friction_base", "friction_wall", "tilt", "slip"))
+#: Parameters of a rig that only change the motion of the tool.
+_MOTION_PARAMETERS = frozenset(f"rig.{name}" for name in (
+    "contact_offset", "displacement_gain", "backlash", "step_loss", "step_loss_depth"))
+
+
+def is_force_proportional_to_moduli(experiment: Experiment, rig: Rig) -> bool:
+    """Return whether the tissue is the only source of force and stiffness in a test.
+
+    Self-weight, contact laws with a stress scale and a compliant load train break the proportionality.
+    """
+    return not (experiment.specimen.specific_weight or experiment.acting_laws or rig.compliance)
+
+
+def keeps_force_proportional_to_moduli(unknown: FitParameter, *, rigid: bool) -> bool:
+    """Return whether forces stay proportional to the moduli for every value of a parameter.
+
+    Args:
+        unknown: parameter of the fit.
+        rigid: whether the simulation uses an ideal rig, so that parameters of the rig have no influence.
+    """
+    if unknown.is_modulus:
+        # A modulus of some tests or recordings does not scale all forces.
+        return unknown.tests is None and unknown.recording is None
+    if unknown.is_material_parameter:
+        return True
+    if unknown.path.startswith("rig."):
+        return rigid or unknown.path in _MOTION_PARAMETERS
+    return unknown.path in _EXPERIMENT_PARAMETERS or unknown.declaration.shapes_mesh
+
+
+def compute_compression_stretch_range(closed_form: ClosedForm, low: float) -> StretchRange:
+    """Return the range of the principal stretches in a homogeneous compression, from `low` to 1 along the load.
+
+    Args:
+        closed_form: closed form of the test.
+        low: smallest stretch along the load.
+    """
+    return StretchRange(closed_form.mode, low, 1.0, closed_form.find_extreme_stretches(low, 1.0))
+
+
+def compute_simulated_stretch_range(model: Model | None, solver: str, strain: float) -> StretchRange:
+    """Simulate a model, and return the range of its principal stretches without the lowest and highest 1 % of volume.
+
+    Without a converged simulation the range is 1 - `strain` to 1.
+
+    Args:
+        model: model in its most deformed state; None: no valid model exists.
+        solver: name of the solver.
+        strain: displacement divided by the specimen's height.
+    """
+    fields = None
+    if model is not None:
+        try:
+            fields = simulate(model, resolution=get_solver_fit_resolutions(solver).fast, fields=True, solver=solver,
+                              estimate_error=False).fields
+        except (ConvergenceError, InputError):
+            fields = None
+    low, high = (1.0 - strain, 1.0) if fields is None else fields.stretch_range()
+    return StretchRange(None, low, high, (low, high))
 
 
 @dataclass(eq=False)

@@ -1,25 +1,201 @@
-"""Make the lines of a campaign for specimens, tests and fit from interpreted files and the options of the user."""
+"""Make the lines of a campaign for specimens, tests and fit from interpreted files and the options of the user.
+
+The signals give the lines about omitted samples, the contact offset and relaxation. All files get one decimal mark, so
+that replicates have equal options.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
 
-from calibration.importing.decimal_marks import explain_why_campaign_states_decimal_mark
 from calibration.importing.flags import is_test_key_used_by_kind
 from calibration.importing.imported import CampaignLine, ImportedTest, ImportOptions, ReplicateFile
-from calibration.importing.signal_lines import (
-    make_contact_offset_lines,
-    make_outlier_leave_out_lines,
-    make_prony_term_start_lines,
-)
-from calibration.importing.size_assumptions import explain_unusable_size_or_empty
+from calibration.importing.specimen_sizes import explain_unusable_size_or_empty
+from calibration.importing.zero import PRELOAD
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.experiment.tools.tool import list_shapes_without_file
-from tissue_sim.recording.formats.guesses import TableGroup
+from tissue_sim.recording.contact import (
+    INTERVAL_DEVIATIONS,
+    relative_modulus_error_from_contact,
+)
+from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
+from tissue_sim.recording.formats.guesses import FileInterpretation, TableGroup
 from tissue_sim.recording.formats.sizes import SizeOrSpeedInMillimetres, find_sizes_and_speed_in_mm
+from tissue_sim.recording.recording import MIN_POINTS
+from tissue_sim.recording.screening import ControlledQuantityFindings
+from tissue_sim.recording.segments import get_positive_motion_load_and_stress_flag
+from tissue_sim.settings import make_shallow_read_only_copy
 from tissue_sim.specimen import SPECIMENS, specimen_sizes
 from tissue_sim.specimen.specimen import get_size_declarations_of_shape
+
+#: Bounds of a fitted contact offset, in its standard deviations.
+_OFFSET_BOUNDS = 3.0
+#: Smallest and largest relaxed fraction of the stiffness at the start of a fit.
+_FRACTIONS = (0.1, 0.9)
+
+
+def make_outlier_leave_out_lines(parts: Sequence[ReplicateFile]) -> list[CampaignLine]:
+    """Return the line ``leave_out`` of a test as a list of one line; an empty list without outliers.
+
+    The line contains the sample numbers of the outliers, from 1, and the reason of the first outlier.
+    """
+    found: dict[str, list[int]] = {}
+    reasons: list[str] = []
+    for part in parts:
+        several = len(part.motions) > 1
+        for number, motion in enumerate(part.motions, start=1):
+            samples = sorted({sample for each in motion.screening.left_out for sample in each.samples})
+            if samples:
+                found[f"{part.file.stem}_{number}" if several else part.file.stem] = samples
+                reasons += [each.sentence for each in motion.screening.left_out]
+    if not found:
+        return []
+    more = f"; and {len(reasons) - 1} more" if len(reasons) > 1 else ""
+    alone = sum(len(part.motions) for part in parts) == 1
+    return [CampaignLine("leave_out", next(iter(found.values())) if alone else found, f"{reasons[0]}{more}")]
+
+
+class _ZeroMeanContactOffsetPriorInMm(NamedTuple):
+    """Zero-mean normal prior of a fitted contact offset.
+
+    Attributes:
+        prior: standard deviation, mm.
+        bound: largest absolute value, mm.
+        reason: reason of the fit in one sentence.
+    """
+
+    prior: float
+    bound: float
+    reason: str
+
+
+def make_contact_offset_lines(tests: Sequence[ImportedTest], *, bounded: bool) -> list[CampaignLine]:
+    """Return the lines of ``[fit]`` that fit a contact offset; an empty list if no offset is needed.
+
+    The offset is fitted if the displacement was zeroed at a preload, or if the interval of contact after motion in air
+    is too wide for the modulus.
+
+    Args:
+        tests: imported tests.
+        bounded: whether the method supports bounds of the offset.
+    """
+    found = [*_iterate_offset_priors_from_preloads(tests),
+             *(_iterate_offset_priors_of_unclear_contacts(tests) if bounded else ())]
+    if not found:
+        return []
+    widest = max(found, key=lambda each: each.prior)
+    lines = [CampaignLine("offset", "fit", widest.reason),
+             CampaignLine("offset_prior_mm", float(f"{widest.prior:.2g}"), "covers that distance")]
+    if bounded:
+        lines.append(CampaignLine("offset_bounds_mm", float(f"{widest.bound:.2g}"), "largest offset"))
+    return lines
+
+
+def _iterate_offset_priors_from_preloads(tests: Sequence[ImportedTest]) -> Iterator[_ZeroMeanContactOffsetPriorInMm]:
+    """Yield a prior of the contact offset, mm, for each test whose displacement was zeroed at a preload."""
+    for test in tests:
+        if test.zero is None or test.zero.value != PRELOAD:
+            continue
+        shift = 1e3 * abs(test.zero.shift)
+        side = "after contact" if test.zero.load > 0 else "before the force of the specimen is zero"
+        yield _ZeroMeanContactOffsetPriorInMm(shift, _OFFSET_BOUNDS * shift,
+                                              f"{test.name}: the displacement was zeroed at a preload of "
+                                              f"{test.zero.load:.3g} N, about {shift:.2g} mm {side}")
+
+
+def _iterate_offset_priors_of_unclear_contacts(
+        tests: Sequence[ImportedTest]) -> Iterator[_ZeroMeanContactOffsetPriorInMm]:
+    """Yield a prior of the contact offset, mm, for each recording whose contact is too uncertain for the modulus.
+
+    The limit is `MODULUS_TOLERANCE`; only tests with motion in air before contact are examined.
+    """
+    for test in tests:
+        if not any(line.key == "contact" for line in test.lines):
+            continue
+        for part in test.parts:
+            for recording, motion in zip(part.reading.recordings, part.motions, strict=True):
+                contact = motion.contact
+                if contact is None or motion.channel != "displacement":
+                    continue
+                kept = recording if motion.kept is None else recording.select(motion.kept)
+                kind = KINDS.get(test.kind) if test.kind else None
+                displacement, load, _ = get_positive_motion_load_and_stress_flag(kept, kind)
+                time = kept.time if "time" in kept else None
+                displacement, load = contact.subtract_contact_zero_and_drift(displacement, load, time)
+                pressed = displacement >= 0
+                error = relative_modulus_error_from_contact(displacement[pressed], load[pressed],
+                                                            None if time is None else time[pressed], contact)
+                half = 0.5e3 * (contact.interval[1] - contact.interval[0])
+                if error > MODULUS_TOLERANCE:
+                    yield _ZeroMeanContactOffsetPriorInMm(half / INTERVAL_DEVIATIONS, half,
+                                                          f"{test.name}: contact is known to "
+                                                          f"{half:.2g} mm, which changes the modulus by "
+                                                          f"{100 * error:.2g} %")
+
+
+def make_prony_term_start_lines(tests: Sequence[ImportedTest]) -> list[CampaignLine]:
+    """Return the line ``start`` of ``[fit]`` (start values of one Prony term) as a list of one line.
+
+    The values are from the first test that an elastic law cannot describe; without such a test the list is empty.
+    """
+    for test in tests:
+        for part in test.parts:
+            for motion in part.motions:
+                control = motion.screening.control
+                if control is not None and motion.rate is not None and needs_viscoelasticity(control):
+                    lost = control.creep / (1 + control.creep) if control.pattern == "creep" else control.relaxation
+                    low, high = _FRACTIONS
+                    start = {"viscoelastic.terms[0].g": float(f"{min(max(1.2 * lost, low), high):.2g}"),
+                             "viscoelastic.terms[0].tau_s": float(f"{control.time_constant:.3g}")}
+                    reason = control.sentence.partition("; state")[0]
+                    return [CampaignLine("start", start, f"{test.name}: {reason}")]
+    return []
+
+
+def needs_viscoelasticity(control: ControlledQuantityFindings) -> bool:
+    """Return whether a hold shows relaxation or creep that an elastic law cannot describe.
+
+    A recording of creep needs viscoelasticity if its loading has too few samples for an elastic fit.
+    """
+    if control.time_constant is None:
+        return False
+    return not control.can_elastic_law_describe_loading or (control.pattern == "creep" and control.loading < MIN_POINTS)
+
+
+def copy_interpretations_with_common_decimal_mark(understood: Sequence[FileInterpretation]) -> list[FileInterpretation]:
+    """Copy the option ``decimal`` of some files to the options of all other files that have the same decimal mark.
+
+    A file with thousands separators states its decimal mark in the campaign. Replicates with smaller numbers have no
+    separators; with the same option, they remain replicates.
+    """
+    stated = {reading.options["decimal"] for each in understood for reading in each.readings
+              if "decimal" in reading.options}
+    if len(stated) != 1:
+        return list(understood)
+    mark, = stated
+
+    def add_decimal_option_if_same_mark(each: FileInterpretation, reading: TableGroup) -> TableGroup:
+        """Return the reading with the option ``decimal``; unchanged if the file has another mark or open questions."""
+        if "decimal" in reading.options or "columns" not in reading.options or each.decimal_mark != mark or any(
+                assumption.needs_user_decision for assumption in each.assumptions):
+            return reading
+        options = dict(reading.options)
+        columns = options.pop("columns")
+        return replace(reading, options=make_shallow_read_only_copy({**options, "decimal": mark, "columns": columns}))
+
+    return [replace(each, readings=tuple(add_decimal_option_if_same_mark(each, reading) for reading in each.readings))
+            for each in understood]
+
+
+def explain_why_campaign_states_decimal_mark(parts: Sequence[ReplicateFile]) -> str:
+    """Return the reason why a campaign states the decimal mark of its files; empty if no assumption concerns it."""
+    found = [assumption for part in parts for assumption in part.understanding.assumptions
+             if assumption.subject in ("thousands separator", "decimal mark")]
+    found.sort(key=lambda each: each.subject, reverse=True)
+    return "" if not found else f"{found[0].subject}: {found[0].value}; {'; '.join(found[0].evidence)}"
+
 
 #: Method of the fit -> laws that are fitted if the user states none.
 DEFAULT_LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1"),

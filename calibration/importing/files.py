@@ -1,26 +1,33 @@
-"""Import files of test machines: write a campaign, and a picture of the interpretation of the files."""
+"""Import files of test machines: write a campaign, and a picture of the interpretation of the files.
+
+The sidecar of a recording states kind of test, specimen and tool. Files are grouped into replicates of one test and
+into separate tests; the curves of an atomic force microscope or nanoindenter are replicates of an indentation.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import re
 import tempfile
+import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.measured import read_measured_curves
-from calibration.importing.afm import is_afm_file, read_afm_file_as_indentation_replicates
+from calibration.campaign.measured import REPLICATE_TOLERANCE, read_measured_curves
 from calibration.importing.campaign_lines import (
     DEFAULT_LAWS,
+    copy_interpretations_with_common_decimal_mark,
     get_specimen_sizes_by_priority,
     make_fit_lines,
     make_specimen_lines_and_missing,
     make_test_lines_and_missing,
 )
 from calibration.importing.campaign_text import FILL_IN, format_campaign
-from calibration.importing.decimal_marks import copy_interpretations_with_common_decimal_mark
 from calibration.importing.flags import reject_contradicting_options, reject_unused_options
-from calibration.importing.grouping import group_into_tests, have_same_speed_and_travel
 from calibration.importing.imported import (
     CampaignLine,
     ImportedTest,
@@ -32,22 +39,205 @@ from calibration.importing.imported import (
 )
 from calibration.importing.motion import analyse_recorded_motion
 from calibration.importing.picture import render_import_as_png_bytes
-from calibration.importing.sidecar import (
-    copy_interpretation_with_sidecar_data,
-    find_test_kind_in_sidecar,
-    read_matching_sidecar_or_empty,
+from calibration.importing.specimen_sizes import (
+    copy_interpretation_with_size_assumptions,
+    copy_with_question_on_contradicting_sizes,
 )
-from calibration.importing.size_assumptions import copy_interpretation_with_size_assumptions
-from calibration.importing.sizes_of_tables import copy_with_question_on_contradicting_sizes
 from calibration.importing.zero import interpret_and_correct_load_at_zero, select_laws_linear_in_parameters_or_neo_hooke
 from tissue_sim.bounded import run_in_sandbox
+from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError, located_and_converted_errors, shorten_text_in_middle
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.files import write_bytes, write_text
-from tissue_sim.recording.formats.guesses import FileInterpretation
-from tissue_sim.recording.formats.sizes import SizeOrSpeedInMillimetres
+from tissue_sim.files import ZIP_MAGIC, read_bytes, read_first_bytes_or_empty, write_bytes, write_text
+from tissue_sim.recording.file import read_recordings
+from tissue_sim.recording.formats.guesses import FileInterpretation, KindGuess, TableGroup
+from tissue_sim.recording.formats.sizes import SizeOrSpeedInMillimetres, make_size_signature
 from tissue_sim.recording.formats.understanding import interpret_file
 from tissue_sim.settings import make_shallow_read_only_copy
+
+
+def read_matching_sidecar_or_empty(path: Path) -> Mapping[str, Any]:
+    """Return the metadata in the sidecar ``NAME.json`` of a recording ``NAME.csv``.
+
+    The result is empty without a sidecar, or if the digest in the sidecar differs from that of the recording.
+    """
+    sidecar = path.with_suffix(".json")
+    if path.suffix.lower() != ".csv" or not sidecar.is_file():
+        return {}
+    with suppress(InputError):
+        said = read_json_value(sidecar, "the sidecar of a recording")
+        digest = hashlib.sha256(read_bytes(path, "a recording")).hexdigest()
+        if isinstance(said, Mapping) and said.get("sha256") == digest:
+            return said
+    return {}
+
+
+def find_test_kind_in_sidecar(said: Mapping[str, Any]) -> str | None:
+    """Return the kind of test that a sidecar states; None if the kind is absent or not registered."""
+    kind = said.get("kind")
+    return kind if isinstance(kind, str) and kind in KINDS else None
+
+
+def copy_interpretation_with_sidecar_data(found: FileInterpretation, said: Mapping[str, Any], *,
+                                          kind_stated: bool) -> FileInterpretation:
+    """Return a copy of the interpretation of a file with the kind of test, specimen sizes and tool of its sidecar.
+
+    Args:
+        found: interpretation of the file.
+        said: metadata, see `read_matching_sidecar_or_empty`.
+        kind_stated: whether the user states the kind.
+    """
+    if not said:
+        return found
+    reason, kind = f"in {found.file.with_suffix('.json').name}", find_test_kind_in_sidecar(said)
+    specimen = said.get("specimen")
+    sizes = {key: value for key, value in specimen.items() if key == "shape" or isinstance(value, int | float)} \
+        if isinstance(specimen, Mapping) else {}
+    tool = said.get("tool")
+    about = {"tool": tool.get("shape"), "tool_radius_mm": tool.get("radius_mm")} if isinstance(tool, Mapping) else \
+        {"tool": tool, "tool_radius_mm": said.get("tool_radius_mm")}
+    about = {key: value for key, value in about.items() if value is not None}
+
+    def add_sidecar_data_to_reading(reading: TableGroup) -> TableGroup:
+        """Return a copy of a reading with the kind of test, the specimen sizes and the tool that the sidecar states."""
+        guess = reading.kind if kind is None or kind_stated else KindGuess(kind, reason)
+        return replace(reading, kind=guess, specimen=make_shallow_read_only_copy(sizes),
+                       recordings=tuple(each.with_metadata(**about) for each in reading.recordings))
+
+    return replace(found, readings=tuple(map(add_sidecar_data_to_reading, found.readings)))
+
+
+_SUFFIXES = (".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series", ".ibw", ".spm")
+#: How the texts of AFM Workshop and of afmformats begin.
+_HEADS = (b"Force-Distance Curve", b"# afmformats")
+
+
+def is_afm_file(path: Path) -> bool:
+    """Return whether a file contains force curves of an AFM.
+
+    AFM files are recognised by their suffix or their first bytes; a zip archive that is no spreadsheet counts as AFM.
+    """
+    if path.suffix.lower() in _SUFFIXES:
+        return True
+    head = read_first_bytes_or_empty(path, 64)
+    if head.startswith(_HEADS):
+        return True
+    if not head.startswith(ZIP_MAGIC):
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+    # Python cannot list this archive: it is damaged, unreadable, or of a newer version of the zip format, for which
+    # zipfile raises NotImplementedError. The reader of the file then reports the reason.
+    except (zipfile.BadZipFile, OSError, NotImplementedError):
+        return False
+    return not any(name in ("[Content_Types].xml", "content.xml") or name.startswith("xl/") for name in names)
+
+
+def read_afm_file_as_indentation_replicates(path: Path) -> FileInterpretation:
+    """Read a file of force curves of an AFM, and interpret the curves as replicates of a needle indentation.
+
+    Raises:
+        InputError: as `tissue_sim.recording.formats.afm.read_afm`.
+    """
+    read_bytes(path, "force curves of an AFM")
+    recordings = read_recordings(path, format="afm")
+    kind = KindGuess("needle_indentation", "force curves of an AFM press a tip into the specimen")
+    reading = TableGroup("", (), (), make_shallow_read_only_copy({"format": "afm"}), recordings, kind, 1)
+    return FileInterpretation(path, "afm", "afm", None, None, None, (reading,))
+
+
+#: The number at the end of a name: ``EF10_A3``, ``Specimen_RawData_1``, ``gel (2)``.
+_NUMBER = re.compile(r"[ _.\-]*\(?\d+\)?$")
+
+
+def group_into_tests(parts: Sequence[ReplicateFile]) -> list[tuple[str, tuple[ReplicateFile, ...], str]]:
+    """Group files into tests, and return (name, replicates, reason) of each test.
+
+    The names of replicates differ only in the number at their end. Replicates have equal columns, an equal kind of
+    test, equal stated sizes, and equal motions within `REPLICATE_TOLERANCE`. A gripped specimen is pulled up to its
+    failure, so that only the speed of its motion is compared.
+    """
+    alike: dict[tuple, list[list[ReplicateFile]]] = {}
+    counted = _find_replicate_stem_by_file(list(dict.fromkeys(part.file for part in parts)))
+    for part in parts:
+        reading = part.reading
+        stem = counted[part.file]
+        key = (stem, reading.name, reading.kind.kind, repr(sorted(reading.options.items(), key=str)),
+               make_size_signature(reading.stated, reading.kind.kind), repr(sorted(reading.specimen.items())),
+               tuple((column.channel, column.header, column.unit) for column in reading.columns))
+        clusters = alike.setdefault(key, [])
+        cluster = next((each for each in clusters if have_same_speed_and_travel(each[0], part)), None)
+        if cluster is None:
+            clusters.append([part])
+        else:
+            cluster.append(part)
+    groups: list[tuple[str, tuple[ReplicateFile, ...], str]] = []
+    for (stem, name, *_), clusters in alike.items():
+        for cluster in clusters:
+            one = len(cluster) == 1
+            parts_of_name = [cluster[0].file.stem if one else stem, name]
+            title = _make_unique_test_name("_".join(filter(None, parts_of_name)), [each for each, *_ in groups])
+            groups.append((title, tuple(cluster), _describe_replicates(cluster, len(clusters))))
+    return groups
+
+
+def _find_replicate_stem_by_file(files: Sequence[Path]) -> dict[Path, str]:
+    """Return file -> name that replicates have in common: the name of the file without the number at its end.
+
+    Numbers that differ widely, such as in ``gel_10`` and ``gel_50``, are part of the name of the specimen.
+    """
+    bases: dict[str, list[Path]] = {}
+    for file in files:
+        bases.setdefault(_NUMBER.sub("", file.stem), []).append(file)
+    found: dict[Path, str] = {}
+    for base, alike in bases.items():
+        numbers = [int(match[1]) for file in alike if (match := re.search(r"(\d+)\)?$", file.stem))]
+        close = bool(numbers) and max(numbers) - min(numbers) <= 2 * len(numbers) + 2
+        found |= {file: base if base and close else file.stem for file in alike}
+    return found
+
+
+def have_same_speed_and_travel(first: ReplicateFile, second: ReplicateFile) -> bool:
+    """Return whether speed and largest displacement of two files agree within `REPLICATE_TOLERANCE`, relative.
+
+    The displacements of a gripped specimen are not compared, because the specimen is pulled up to its failure.
+    """
+    kind = KINDS[first.reading.kind.kind] if first.reading.kind.kind else None
+    pairs = []
+    a, b = first.motions[0], second.motions[0]
+    if a.speed and b.speed:
+        pairs.append((a.speed, b.speed))
+    if kind is None or not kind.has_gripped_ends:
+        pairs.append((max(map(abs, a.reach)), max(map(abs, b.reach))))
+    return all(max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair) for pair in pairs)
+
+
+def _describe_replicates(cluster: Sequence[ReplicateFile], clusters: int) -> str:
+    """Return one sentence that explains why the files of a cluster form one test.
+
+    Args:
+        cluster: files with equal motions.
+        clusters: number of clusters with the same name.
+    """
+    replicates = sum(len(part.motions) for part in cluster)
+    apart = "; files of the same name that move otherwise are tests of their own" if clusters > 1 else ""
+    if len(cluster) > 1:
+        return (f"replicates: {len(cluster)} files whose names differ in their number only, alike in columns and "
+                f"motion{apart}")
+    if replicates > 1:
+        return f"replicates: {replicates} tables of one file with the same columns{apart}"
+    return f"one recording{apart}"
+
+
+def _make_unique_test_name(name: str, taken: Sequence[str]) -> str:
+    """Return the name of a test; a number is appended if another test already has this name."""
+    number = 2
+    found = name
+    while found in taken:
+        found, number = f"{name}_{number}", number + 1
+    return found
+
 
 #: Sizes of a specimen without a stated shape.
 _OWN_SIZES = frozenset({"radius_mm", "area_mm2", "height_mm"})

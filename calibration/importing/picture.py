@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.importing.assumption_table import format_shortened_table_lines
+from calibration.importing.campaign_text import format_shortened_table_lines
 from calibration.importing.imported import ImportedTest, ImportResult
 from calibration.report.drawing import COLOURS, STYLE, create_figure, make_thinning_slice
 from calibration.report.png import render_png

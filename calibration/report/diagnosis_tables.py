@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from calibration.diagnosis.diagnosis import CandidateResult, Diagnosis, EffectParameter, HeldOutPrediction
-from calibration.diagnosis.words import join_as_enumeration
+from calibration.diagnosis.diagnosis import (
+    CandidateResult,
+    Diagnosis,
+    EffectParameter,
+    HeldOutPrediction,
+    join_as_enumeration,
+)
 from calibration.fit.fit import Fit
 from calibration.report.content import EMPTY, LINE_BREAK, Column, Part, Span, Table, Text, join_texts
 from calibration.report.drawing import LAYOUT, format_count

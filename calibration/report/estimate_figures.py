@@ -8,8 +8,7 @@ import numpy as np
 from scipy import special
 from scipy.interpolate import PchipInterpolator
 
-from calibration.fit.fit import Fit
-from calibration.fit.population_records import PopulationRecord
+from calibration.fit.fit import Fit, PopulationRecord
 from calibration.report.curve_figures import MISFIT
 from calibration.report.drawing import (
     COLOURS,

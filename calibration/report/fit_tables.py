@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.campaign.campaign import Test
-from calibration.fit.fit import Fit, Prediction, SuggestedTest, WeakDirection
-from calibration.fit.population_records import PopulationRecord
+from calibration.fit.fit import Fit, PopulationRecord, Prediction, SuggestedTest, WeakDirection
 from calibration.report.content import EMPTY, Column, Part, Span, Table, Text, make_text_of_page_or_terminal
 from calibration.report.estimate_figures import UNDETERMINED
 from calibration.report.figures import format_percentage_value

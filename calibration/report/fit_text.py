@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from calibration.fit.fit import Fit
-from calibration.fit.typical_material import get_shared_and_population_mean_material
+from calibration.fit.fit import Fit, get_shared_and_population_mean_material
 from calibration.report.content import Span
 from calibration.report.rounding import format_interval, format_value_and_error, format_value_rounded_by_error
 from calibration.report.units import ReportUnits

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 import tissue_sim
-from calibration.campaign.experiments import ROUND_SOLVER
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.segmented import format_notes_summary_by_test_and_subject
+from calibration.campaign.sample_selection import format_notes_summary_by_test_and_subject
+from calibration.campaign.tables import ROUND_SOLVER
 from calibration.fit.fit import Fit
 from calibration.fit.population import describe_excluded_specimens
 from calibration.fit.result import CalibrationResult

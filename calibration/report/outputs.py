@@ -13,9 +13,8 @@ from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
-from calibration.diagnosis.diagnosis import DiagnosisStage
+from calibration.diagnosis.diagnosis import DiagnosisResult, DiagnosisStage, diagnosis_to_json
 from calibration.diagnosis.evidence import FitEvidence
-from calibration.diagnosis.result import DiagnosisResult, diagnosis_to_json
 from calibration.effects.effect import Effect
 from calibration.fit.curves import TestCurves
 from calibration.fit.result import CalibrationResult, to_json_dictionary

@@ -8,8 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from haptics.devices.contracts import DeviceError
-from haptics.devices.controller_identification import probe_controller_and_get_hint
-from haptics.devices.serial_line import SerialLine
+from haptics.devices.serial_line import SerialLine, probe_controller_and_get_hint
 from haptics.protocols import grbl
 
 #: Name of the controller in messages.

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
-from haptics.devices.controller_identification import probe_controller_and_get_hint
-from haptics.devices.serial_line import SerialLine
+from haptics.devices.serial_line import SerialLine, probe_controller_and_get_hint
 from haptics.devices.settings import parse_number_settings
 from haptics.protocols import tic
 from haptics.protocols.tic import (

@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from haptics.devices.contracts import HapticDevice
-from haptics.loop.real_time import RealTimeFeature, request_real_time_features
 from haptics.loop.ring import CAPACITY, PAUSED, RingWriter
-from haptics.loop.snapshot_board import SnapshotWriter
-from haptics.loop.ticker import Ticker, TimeHistogram, TimeQuantiles
-from haptics.safety.force_release import RELEASE, ForceFader
+from haptics.loop.shared_slots import SnapshotWriter
+from haptics.loop.ticker import RealTimeFeature, Ticker, TimeHistogram, TimeQuantiles, request_real_time_features
+from haptics.safety.limits import RELEASE, ForceFader
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
@@ -38,7 +37,7 @@ class LoopSettings:
         spin: time before a deadline in which the clock is polled instead of sleeping, s. Polling uses up to 90 % of a
             core.
         seconds: duration of the loop, s; None: until it is stopped.
-        real_time: whether to request the real-time features of `haptics.loop.real_time`.
+        real_time: whether to request the real-time features of `haptics.loop.ticker`.
         snapshot_rate: rate at which the whole tissue is published for viewers, Hz; 0: never.
         capacity: number of ticks in the ring.
         patience: time without equilibrium after which the force is reduced to zero, s; see `ForceFader`.

@@ -4,6 +4,8 @@ Source: the comment in these files, "use the UserAxis elements to construct the 
 1.0 have no UserAxis rows; their matrix is built from the Axis rows, each divided by its scale, with the torques moved
 by the BasicTransform. For two published files of version 1.1 (a Gamma and a Nano17) both methods agree within the
 rounding of five decimals.
+
+The names of ATI's units occur in calibration files and in configuration pages of network sensors.
 """
 
 from __future__ import annotations
@@ -13,8 +15,22 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 
 from haptics.protocols.ati_serial import CHANNELS
-from haptics.protocols.ati_units import FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
+from tissue_sim.units import get_si_factor_and_offset
+
+#: Forces, N.
+FORCE_UNITS = {unit: get_si_factor_and_offset(unit, "force")[0]
+               for unit in ("N", "kN", "lbf", "lb", "kg", "kgf", "g", "gf")}
+FORCE_UNITS |= {"klbf": 1e3 * FORCE_UNITS["lbf"], "klb": 1e3 * FORCE_UNITS["lbf"]}
+#: Lengths, m.
+LENGTH_UNITS = {unit: get_si_factor_and_offset(unit, "length")[0] for unit in ("m", "cm", "mm", "in")}
+LENGTH_UNITS |= {"ft": 12 * LENGTH_UNITS["in"]}
+#: Torques, N m.
+TORQUE_UNITS = {f"{force}-{length}": force_SI * length_SI for force, force_SI in FORCE_UNITS.items()
+                for length, length_SI in LENGTH_UNITS.items()}
+TORQUE_UNITS |= {f"{length}-{force}": TORQUE_UNITS[f"{force}-{length}"]
+                 for force in ("lb", "lbf") for length in ("in", "ft")}
+
 
 #: Largest size of a calibration file, bytes.
 MAX_SIZE = 1_000_000

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from xml.sax.saxutils import escape
 
-from haptics.protocols.ati_units import FORCE_UNITS, TORQUE_UNITS
+from haptics.protocols.ati_calibration import FORCE_UNITS, TORQUE_UNITS
 from tissue_sim.errors import InputError
 
 

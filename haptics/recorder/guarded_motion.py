@@ -1,4 +1,7 @@
-"""Move a stage under supervision: each poll of sensor and stage passes the motion guard before the motion continues."""
+"""Move a stage under supervision: each poll of sensor and stage passes the motion guard before the motion continues.
+
+The error that ends a supervised motion states its reason.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +12,65 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
-from haptics.recorder.motion_settings import GuardedMotionTolerancesAndTimes
 from haptics.recorder.plan import POLLING
-from haptics.recorder.stopped import StoppedError, get_stop_reason
 from haptics.safety.motion_guard import CommandedMotion, MotionGuard, MotionLimits, StopReason
 from tissue_sim.errors import InputError
+
+
+@dataclass(frozen=True)
+class GuardedMotionTolerancesAndTimes:
+    """Settings of `GuardedMotion`.
+
+    Attributes:
+        force_window: time over which forces are kept for a mean, s. A longer window averages more noise and reacts
+            later.
+        position_tolerance: largest distance between the position at rest and the goal, m.
+        start_delay: longest time from a command until the stage reports a motion, s.
+        halt_margin: time that a halted stage has to come to rest in addition to `Stage.runs_on`, s.
+        longest_halt: largest time that a halted stage has to come to rest, s.
+        force_growth: increase of the force during retraction, as a fraction of the force limit, above which the
+            retraction is abandoned, 1.
+        homing_time: time that homing may take in addition to twice the travel at the largest speed, s.
+    """
+
+    force_window: float = 0.1
+    position_tolerance: float = 20e-6
+    start_delay: float = 0.5
+    halt_margin: float = 0.5
+    longest_halt: float = 5.0
+    force_growth: float = 0.1
+    homing_time: float = 60.0
+
+
+class StoppedError(RuntimeError):
+    """Error: a motion was stopped before its end.
+
+    Attributes:
+        reason: cause and message of the stop.
+    """
+
+    def __init__(self, reason: StopReason):
+        super().__init__(reason.message)
+        self.reason = reason
+
+
+def get_stop_reason(error: BaseException) -> StopReason:
+    """Convert an exception that was raised during a motion into the reason of the stop."""
+    match error:
+        case StoppedError():
+            return error.reason
+        case KeyboardInterrupt():
+            return StopReason("asked", "stopped by Ctrl-C")
+        case DeviceError() | InputError():
+            return StopReason("device", str(error))
+    return StopReason("device", f"{type(error).__name__}: {error}")
+
 
 T = TypeVar("T")
 

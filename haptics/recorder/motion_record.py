@@ -1,21 +1,252 @@
-"""Collect the samples of one motion, and convert them to a recording and a contact point."""
+"""Collect the samples of one motion, and convert them to a recording and a contact point.
+
+The sampling times of the sensor are reconstructed from sequence numbers and arrival times. The path of the stage
+between its polls is interpolated with a bound on the error of the position.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from haptics.devices.contracts import ForceSample, SampleStatus, StageSample
-from haptics.recorder.clock import SampleClock
+from haptics.recorder.guarded_motion import StoppedError
 from haptics.recorder.plan import BenchTestPlan
-from haptics.recorder.stage_path import StagePath, StagePoll, compute_position_tolerance_for_depth
-from haptics.recorder.stopped import StoppedError
 from haptics.safety.motion_guard import StopReason
 from tissue_sim import Recording
 from tissue_sim.recording.contact import find_contact
+
+
+@dataclass(frozen=True)
+class SampleClockSettings:
+    """Tolerances of the fit of a `SampleClock`, and number of intervals of a long run.
+
+    Attributes:
+        rate_tolerance: largest relative error that is assumed for the clock of a device, 1. A larger value lets late
+            arrivals at the ends of a short run change the period.
+        late_arrival: largest difference over a whole run that late arrivals explain, s. Above this value the rate that
+            the device states is rejected and the rate of the arrivals is used.
+        stretches: number of intervals that a long run is divided into; the convex hull uses the earliest sample of
+            each. A larger value costs time and changes the line little.
+    """
+
+    rate_tolerance: float = 1e-3
+    late_arrival: float = 0.1
+    stretches: int = 2000
+
+
+#: Settings of every fit.
+_CLOCK = SampleClockSettings()
+
+
+@dataclass(frozen=True)
+class SampleClock:
+    """Linear model of the sampling times: time = first + period * number, up to a latency common to all samples.
+
+    A sample arrives after its sampling time: some samples arrive at once, many arrive late. The line is therefore a
+    lower bound of the arrivals, and among the lower bounds the one with the smallest mean distance: the edge of the
+    lower convex hull over the mean sample number.
+
+    Attributes:
+        first: time of sample number 0, s.
+        period: time between two samples, s.
+        jitter: median delay of the arrivals behind the line, s.
+        fits: whether the rate stated by the device agrees with the arrivals. If not, `period` is measured from the
+            arrivals.
+    """
+
+    first: float
+    period: float
+    jitter: float
+    fits: bool
+
+    @classmethod
+    def fit_to_arrivals(cls, numbers: Sequence[int] | np.ndarray, received: Sequence[float] | np.ndarray,
+                        period: float) -> SampleClock:
+        """Fit the line to the arrivals of a run.
+
+        Args:
+            numbers: increasing sequence numbers of the samples, shape (n,).
+            received: arrival times, s, shape (n,).
+            period: sampling period that the device states, s. The fit changes this period by at most 0.1 %, unless the
+                difference adds up to more than 0.1 s over the run; then the period of the arrivals is used.
+
+        Returns:
+            The fitted line. Without samples: first = 0 and the stated period.
+        """
+        fits = True
+        number, arrival = np.asarray(numbers, dtype=float), np.asarray(received, dtype=float)
+        if number.size == 0:
+            return cls(0.0, period, 0.0, True)
+        hull: list[int] = []
+        for index in _preselect_hull_candidates(arrival - period * number):
+            while len(hull) > 1 and _is_above_chord(number, arrival, hull[-2], hull[-1], index):
+                hull.pop()
+            hull.append(index)
+        middle = number.mean()
+        edges = [(a, b) for a, b in pairwise(hull) if number[a] <= middle <= number[b]]
+        if edges:
+            a, b = edges[0]
+            slope = float((arrival[b] - arrival[a]) / (number[b] - number[a]))
+            tolerance = _CLOCK.rate_tolerance
+            nearest = min(max(slope, (1 - tolerance) * period), (1 + tolerance) * period)
+            # Late arrivals explain a bounded difference; a wrong rate gives a difference that grows with the run.
+            fits = abs(slope - nearest) * (number[-1] - number[0]) <= _CLOCK.late_arrival
+            period = nearest if fits else slope
+        first = float((arrival - period * number).min())
+        return cls(first, period, float(np.median(arrival - first - period * number)), fits)
+
+    def compute_times(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Return the sampling times, s, shape (n,), of samples by their sequence numbers.
+
+        Args:
+            numbers: sequence numbers, shape (n,).
+        """
+        return self.first + self.period * np.asarray(numbers, dtype=float)
+
+
+def _preselect_hull_candidates(delay: np.ndarray) -> list[int]:
+    """Return increasing indices of the samples from which the lower convex hull is made; thins out a long run.
+
+    Args:
+        delay: arrival time less period * number, s, shape (n,).
+
+    Returns:
+        All indices of a short run; of a long run the earliest sample of each stretch.
+    """
+    stretches = _CLOCK.stretches
+    if delay.size <= 2 * stretches:
+        return list(range(delay.size))
+    edges = np.linspace(0, delay.size, stretches + 1).astype(int)
+    return [int(start + np.argmin(delay[start:end])) for start, end in pairwise(edges)]
+
+
+def _is_above_chord(x: np.ndarray, y: np.ndarray, a: int, b: int, c: int) -> bool:
+    """Return whether point b lies on or above the chord from point a to point c."""
+    return bool((y[b] - y[a]) * (x[c] - x[a]) >= (y[c] - y[a]) * (x[b] - x[a]))
+
+
+@dataclass(frozen=True)
+class StagePositionTolerances:
+    """Tolerances of the stage position: a force sample is recorded only if the error bound of its position is smaller.
+
+    Attributes:
+        tolerance: largest bound on the position error, as a fraction of the largest depth of the motion, 1. A larger
+            value keeps samples whose position is wrong after a late answer of the stage; a smaller one leaves out
+            samples at the reversals of fast motions.
+        least_tolerance: smallest permitted bound, m: resolution and rounding of common stages.
+    """
+
+    tolerance: float = 0.01
+    least_tolerance: float = 5e-6
+
+
+#: Settings of every recording.
+SETTINGS = StagePositionTolerances()
+
+
+@dataclass(frozen=True)
+class StagePoll:
+    """Position of the stage from one poll, and the time interval in which the position was read.
+
+    Attributes:
+        earliest: earliest time at which the position can have been read, s.
+        latest: latest time at which the position can have been read, s.
+        position: m.
+    """
+
+    earliest: float
+    latest: float
+    position: float
+
+    @property
+    def middle_time(self) -> float:
+        """Mean of the earliest and the latest time, s; the best estimate of the time of reading."""
+        return 0.5 * (self.earliest + self.latest)
+
+
+class StagePath:
+    """Linear interpolation between the polls of a motion, and a bound on its error.
+
+    The stage moves at most at the commanded speed v(t). With the travel s(t) = integral of v dt, a position p that was
+    read between the times a and b bounds the position x(t) of a stage by
+
+        |x(t) - p| <= s(t) - s(a)  for t >= b,    |x(t) - p| <= s(b) - s(t)  for t <= a.
+
+    The intersection of these intervals over all polls contains x(t). The bound on the error is the larger distance of
+    the interpolated position from the ends of the intersection. It is zero in uniform motion with exact times, and it
+    is large where the stage may have rested or reversed between two polls, or where an answer was late.
+
+    Args:
+        polls: polls in the order of their times, at least one.
+        changes: times at which the commanded speed changes, s, increasing, shape (n,).
+        speeds: commanded speed before the first change and after each change, m/s, shape (n + 1,); 0 at rest.
+    """
+
+    def __init__(self, polls: Sequence[StagePoll], changes: Sequence[float], speeds: Sequence[float]):
+        self._earliest = np.array([poll.earliest for poll in polls])
+        self._latest = np.array([poll.latest for poll in polls])
+        self._times = np.array([poll.middle_time for poll in polls])
+        self._positions = np.array([poll.position for poll in polls])
+        self._changes = np.array(changes, dtype=float)
+        self._speeds = np.array(speeds, dtype=float)
+        begun, ended = self._integrate_commanded_speed(self._earliest), self._integrate_commanded_speed(self._latest)
+        position = self._positions
+        # Row i holds the bounds of the first i polls (before), and of the polls from i on (after), without s(t).
+        none = np.array([np.inf])
+        self._upper_before = np.minimum.accumulate(np.concatenate([none, position - begun]))
+        self._lower_before = np.maximum.accumulate(np.concatenate([-none, position + begun]))
+        self._upper_after = np.minimum.accumulate(np.concatenate([none, (position + ended)[::-1]]))[::-1]
+        self._lower_after = np.maximum.accumulate(np.concatenate([-none, (position - ended)[::-1]]))[::-1]
+
+    def _integrate_commanded_speed(self, times: np.ndarray) -> np.ndarray:
+        """Return the integral of the commanded speed from its first change to each time, m; negative before it."""
+        if self._changes.size == 0:
+            return self._speeds[0] * times
+        knots = np.concatenate([[0.0], np.cumsum(self._speeds[1:-1] * np.diff(self._changes))])
+        index = np.searchsorted(self._changes, times, side="right")
+        start = np.maximum(index - 1, 0)
+        return knots[start] + self._speeds[index] * (times - self._changes[start])
+
+    def interpolate_position(self, times: np.ndarray) -> np.ndarray:
+        """Return the position of the stage, m, shape (n,).
+
+        Args:
+            times: s, shape (n,); before the first and after the last poll the nearest position is returned.
+        """
+        return np.interp(times, self._times, self._positions)
+
+    def compute_position_error_bound(self, times: np.ndarray) -> np.ndarray:
+        """Return a bound on the error of `interpolate_position`, m, shape (n,); infinite before and after all polls.
+
+        Args:
+            times: s, shape (n,).
+        """
+        travel, position = self._integrate_commanded_speed(times), self.interpolate_position(times)
+        before = np.searchsorted(self._latest, times, side="right")
+        after = np.searchsorted(self._earliest, times, side="left")
+        upper = np.minimum(self._upper_before[before] + travel, self._upper_after[after] - travel)
+        lower = np.maximum(self._lower_before[before] - travel, self._lower_after[after] + travel)
+        outside = (times < self._times[0]) | (times > self._times[-1])
+        return np.where(outside, np.inf, np.maximum(np.abs(upper - position), np.abs(position - lower)))
+
+    def find_known_position_mask(self, times: np.ndarray, depth: float) -> np.ndarray:
+        """Return for each time whether the error bound of the position is within the tolerance, bool, shape (n,).
+
+        Args:
+            times: s, shape (n,).
+            depth: largest depth of the motion, m.
+        """
+        return self.compute_position_error_bound(times) <= compute_position_tolerance_for_depth(depth)
+
+
+def compute_position_tolerance_for_depth(depth: float) -> float:
+    """Return the largest permitted bound on the position error, m, for a motion with the largest depth `depth`, m."""
+    return max(SETTINGS.tolerance * abs(depth), SETTINGS.least_tolerance)
 
 
 @dataclass(frozen=True)
@@ -37,7 +268,7 @@ class ContactPointSettings:
 
 
 #: Settings of every estimate.
-_SETTINGS = ContactPointSettings()
+_CONTACT_POINT = ContactPointSettings()
 
 
 @dataclass
@@ -182,17 +413,17 @@ def estimate_contact_point_and_metadata(record: MotionRecord, plan: BenchTestPla
     sampled_at = record.fit_sample_clock(period).compute_times(record.numbers)
     path = StagePath(record.polls, [], [speed])
     inside = np.flatnonzero(path.find_known_position_mask(sampled_at, plan.largest_depth))
-    thinned = inside[:: max(1, inside.size // _SETTINGS.most_samples)]
-    if thinned.size < _SETTINGS.fewest_samples:
+    thinned = inside[:: max(1, inside.size // _CONTACT_POINT.most_samples)]
+    if thinned.size < _CONTACT_POINT.fewest_samples:
         return halted, metadata
     force = plan.sign * np.array(record.wrenches)[thinned, list(channels).index(plan.axis)]
     position = path.interpolate_position(sampled_at[thinned])
     found = find_contact(position, force, sampled_at[thinned])
     if found.status not in ("found", "unclear") or not position[0] < found.displacement < halted:
         # Without noise the change point has no likelihood to compare; a straight line needs none.
-        loaded = force > _SETTINGS.loaded * plan.contact_force
-        noise_limit = _SETTINGS.signal_to_noise * np.std(force[~loaded])
-        if np.count_nonzero(loaded) < _SETTINGS.fewest_samples or noise_limit > plan.contact_force:
+        loaded = force > _CONTACT_POINT.loaded * plan.contact_force
+        noise_limit = _CONTACT_POINT.signal_to_noise * np.std(force[~loaded])
+        if np.count_nonzero(loaded) < _CONTACT_POINT.fewest_samples or noise_limit > plan.contact_force:
             return halted, metadata
         slope, intercept = np.polyfit(position[loaded], force[loaded], 1)
         zero_crossing = float(-intercept / slope) if slope > 0 else np.nan

@@ -1,4 +1,4 @@
-"""Assign the tissue to one client, and step it to the newest request; independent of sockets and clocks."""
+"""Assign the tissue to one client, and step it to the newest valid request; independent of sockets and clocks."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from haptics.safety.coupling import is_tool_force_stiffness_stale
-from haptics.safety.force_release import ForceFader
-from haptics.server.scene_limits import ServerLimits
+from haptics.safety.limits import ForceFader
 from haptics.server.wire import (
     OtherVersionError,
     Reply,
@@ -25,8 +24,47 @@ from haptics.server.wire import (
 )
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
-from tissue_sim.public_names import OldName
-from tissue_sim.tool_force import ForceStatus, Tissue, ToolForce
+from tissue_sim.public_names import OldName, make_getattr_for_old_names
+from tissue_sim.realtime.tissue import MotionLimits
+from tissue_sim.tool_force import ForceStatus, Tissue, ToolForce, make_axial_stiffness_matrix
+
+__getattr__ = make_getattr_for_old_names(__name__, {"SceneLimits": "ServerLimits"})
+
+_NO_STIFFNESS = make_axial_stiffness_matrix(0.0)
+
+
+@dataclass(frozen=True)
+class ServerLimits(MotionLimits):
+    """Limits of the requests of a client (the fields of the base class), and of the force in a reply.
+
+    Attributes:
+        force: largest magnitude of the force in a reply, N.
+
+    Raises:
+        InputError: a limit is not positive.
+    """
+
+    force: float = 100.0
+
+    def limit_force_and_zero_stiffness(self, answer: ToolForce) -> tuple[ToolForce, bool]:
+        """Scale an answer so that its force does not exceed the limit.
+
+        Force and torque are scaled by the same factor. The stiffness of a scaled answer is zero, because a client that
+        extrapolates with the stiffness must not exceed the limit.
+
+        Args:
+            answer: answer of the tissue.
+
+        Returns:
+            The answer or its scaled copy, and whether it was scaled.
+        """
+        force = math.hypot(*answer.wrench[:3])
+        if force <= self.force:
+            return answer, False
+        scaled = answer.multiply_force_and_set_status(self.force / force, answer.status)
+        return replace(scaled, stiffness_matrix=_NO_STIFFNESS, ahead=None, step_stiffness_matrix=None,
+                       stiffness_age=0.0, force_error=None, error_age=0.0), True
+
 
 #: Address of a client as a socket returns it: host, port, and further entries for IPv6.
 Address = tuple[Any, ...]

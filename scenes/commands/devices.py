@@ -22,7 +22,7 @@ def _add_device_names(parser: InputErrorArgumentParser) -> None:
 
 def _run(arguments: Namespace) -> CommandResult:
     """Print the devices; `ExitCode.DONE` even if no device can be opened."""
-    from haptics.devices.discovery import probe_devices
+    from haptics.devices.back_ends import probe_devices
 
     found = probe_devices(arguments.names)
 

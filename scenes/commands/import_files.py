@@ -244,7 +244,7 @@ def _parse_one_or_several_sheets(names: list[str] | None) -> Any:
 
 def print_import_result(imported: ImportResult, console: Console) -> None:
     """Print the recordings, the assumptions, warnings, written files and missing information of an import."""
-    from calibration.importing.assumption_table import describe_unused_columns_of_each_file
+    from calibration.importing.campaign_text import describe_unused_columns_of_each_file
 
     files = make_table_with_headings("file", "format", "test", "samples", "Hz", "reaches", "contact", "cycles",
                                      "segments", text=3)
@@ -288,7 +288,7 @@ def _print_assumption_table(imported: ImportResult, console: Console) -> None:
     """Print the table of the assumptions, without columns that are empty in all rows."""
     from rich.markup import escape
 
-    from calibration.importing.assumption_table import HEADINGS, make_assumption_rows
+    from calibration.importing.campaign_text import HEADINGS, make_assumption_rows
 
     rows = [row.cell_texts for row in make_assumption_rows(imported.tests)]
     if not rows:

@@ -172,8 +172,8 @@ def _run(arguments: Namespace) -> CommandResult | int:
     reduced = load_reduced_model_and_set_flags(arguments)
 
     from haptics.loop.loop import LoopSettings
+    from haptics.loop.multirate import make_real_time_tissue_factory
     from haptics.loop.process import LoopError, LoopProcess
-    from haptics.loop.tissue_factory import make_real_time_tissue_factory
 
     material = load_scene_material(arguments.material, reduced)
     protocol = make_protocol_from_flags(arguments)

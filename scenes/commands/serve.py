@@ -122,11 +122,10 @@ def _run(arguments: Namespace) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
     import tissue_sim as ts
-    from haptics.loop.real_time import request_real_time_features
-    from haptics.loop.tissue_factory import make_real_time_tissue_factory
-    from haptics.server.scene_limits import ServerLimits
+    from haptics.loop.multirate import make_real_time_tissue_factory
+    from haptics.loop.ticker import request_real_time_features
     from haptics.server.server import TissueServer
-    from haptics.server.steps import ServedTissue
+    from haptics.server.steps import ServedTissue, ServerLimits
     from tissue_sim.parameters import parameter_values
 
     if arguments.largest_force_N > SETTINGS.max_force:

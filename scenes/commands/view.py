@@ -139,8 +139,7 @@ def _serve_bench_page(arguments) -> int:
     """
     from haptics.devices.back_ends import make_sensor, make_stage
     from haptics.devices.contracts import DeviceError
-    from scenes.viewer.bench.page import serve_bench_page_and_get_exit_code
-    from scenes.viewer.bench.sources import ConnectedDevicesSource, RunFolderSource
+    from scenes.viewer.bench_page import ConnectedDevicesSource, RunFolderSource, serve_bench_page_and_get_exit_code
 
     if arguments.run_folder and (arguments.sensor or arguments.stage):
         raise InputError("cannot be combined with --sensor and --stage. Give --run, or the devices", field="--run")
@@ -158,7 +157,7 @@ def _serve_bench_page(arguments) -> int:
 
 def make_page_options_dict(arguments) -> dict:
     """Return the options of the page for `scenes.viewer.run.run_viewer_page`."""
-    from scenes.viewer.page_token import make_access_token
+    from scenes.viewer.web_server import make_access_token
 
     return {"host": arguments.host, "port": arguments.port, "exposed": arguments.expose,
             "token": "" if arguments.no_token else make_access_token(), "open": arguments.open,

@@ -8,8 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import tissue_sim as ts
-from calibration.diagnosis.diagnosis import Diagnosis, EffectParameter
-from calibration.diagnosis.words import describe_effect, describe_parameter, join_as_enumeration
+from calibration.diagnosis.diagnosis import (
+    Diagnosis,
+    EffectParameter,
+    describe_effect,
+    describe_parameter,
+    join_as_enumeration,
+)
 from calibration.effects.catalogue import CATALOGUE
 from tissue_sim.experiment.contact_law import AS_TOOL
 from tissue_sim.parameters import parameters

@@ -22,8 +22,7 @@ from scenes.viewer.calibration_task import (
     read_fit_progress_or_none,
 )
 from scenes.viewer.material_files import require_unused_material_path
-from scenes.viewer.measurement import Measurement, build_measurement_from_replicates
-from scenes.viewer.recording_upload import UploadedRecordingOrSidecar
+from scenes.viewer.measurement import Measurement, UploadedRecordingOrSidecar, build_measurement_from_replicates
 from scenes.viewer.scene import Scene
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, shorten_text_in_middle
 from tissue_sim.files import write_bytes

@@ -14,15 +14,15 @@ import numpy as np
 import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice
 from haptics.loop.loop import LoopSettings
+from haptics.loop.multirate import STEP_BUDGET, make_real_time_tissue_factory
 from haptics.loop.process import PATIENCE, LoopError, LoopProcess
 from haptics.loop.ring import PAUSED, RingReader
-from haptics.loop.snapshot_board import SnapshotReader
-from haptics.loop.tissue_factory import STEP_BUDGET, make_real_time_tissue_factory
+from haptics.loop.shared_slots import SnapshotReader
 from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
+from scenes.viewer.background_simulation import ExtendableBudgetSimulator
 from scenes.viewer.frame import Phase, SimulationReadouts
 from scenes.viewer.revolution import TriangulatedSurface
-from scenes.viewer.viewed_simulator import ExtendableBudgetSimulator
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus

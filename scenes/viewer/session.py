@@ -1,7 +1,12 @@
-"""Session of the viewer: runs the simulation, executes commands and produces frames, independently of a browser."""
+"""Session of the viewer: runs the simulation, executes commands and produces frames, independently of a browser.
+
+A queue holds the requests, with rules for superseded requests and for changes of the material. The tool moves by hand,
+along a protocol, or as measured.
+"""
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
 from collections.abc import Callable
@@ -9,10 +14,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice, Motion
-from haptics.devices.motions import TargetFollowingMotion
+from haptics.devices.motions import ProtocolMotion, TargetFollowingMotion
 from haptics.loop.loop import LoopSettings
+from scenes.viewer.background_simulation import ModelCurveWorker
 from scenes.viewer.calibration_run import (
     CALIBRATION_COMMANDS,
     SessionCalibrations,
@@ -21,21 +29,128 @@ from scenes.viewer.calibration_run import (
 from scenes.viewer.frame import FRAMES, FrameViewer, Phase, PlotCurves, SessionFrame
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited_material
-from scenes.viewer.measurement import compute_force_residual_if_possible, make_first_cycle_motion_protocol
-from scenes.viewer.model_curve import ModelCurveWorker
-from scenes.viewer.reach import limit_lateral_position_to_top_and_range
-from scenes.viewer.requests import CommandQueue, differ_at_most_in_parameter_values
-from scenes.viewer.scene import Scene
-from scenes.viewer.tool_motions import (
-    HAND_SPEED,
-    make_hand_motion,
-    make_protocol_motion,
-    make_replay_motion_and_force_curve,
+from scenes.viewer.measurement import (
+    compute_force_residual_if_possible,
+    find_typical_replicate_and_branches,
+    make_first_cycle_motion_protocol,
 )
+from scenes.viewer.scene import Scene, limit_lateral_position_to_top_and_range, require_depths_within_scene
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter_values, with_values
 from tissue_sim.realtime.tissue import require_moduli_in_range
+
+
+class CommandQueue:
+    """Thread-safe queue of commands with their arguments and reply functions."""
+
+    def __init__(self) -> None:
+        self._queue: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
+
+    def append_command_thread_safely(self, command: str, reply: Callable[[str | None], None] | None,
+                                     values: dict[str, Any]) -> None:
+        """Queue a command; any thread may call this method."""
+        self._queue.put((command, reply, values))
+
+    def execute_commands_except_superseded(self, run: Callable[[str, dict[str, Any]], None]) -> None:
+        """Execute the queued commands in order, except superseded ones; call all reply functions.
+
+        A reply function receives None, or the text of the InputError of `run`.
+
+        Args:
+            run: Executes a command with its arguments. Its InputError becomes the reply.
+        """
+        requests = []
+        while not self._queue.empty():
+            requests.append(self._queue.get())
+        for number, (command, reply, values) in enumerate(requests):
+            problem = None
+            try:
+                if not is_command_superseded(command, values, requests[number + 1:]):
+                    run(command, values)
+            except InputError as error:
+                problem = str(error)
+            if reply is not None:
+                reply(problem)
+
+
+def is_command_superseded(command: str, values: dict[str, Any],
+                          later: list[tuple[str, Callable | None, dict[str, Any]]]) -> bool:
+    """Return whether a later request makes a request unnecessary.
+
+    A later ``aim`` with the same arguments replaces an ``aim``; a directly following ``set_parameters`` of the same
+    parameters replaces a ``set_parameters``.
+
+    Args:
+        command: Command of the request.
+        values: Arguments of the request.
+        later: Later requests as command, reply and arguments.
+    """
+    if command == "aim":
+        return any(other == "aim" and values.keys() <= named.keys() for other, _, named in later)
+    return (command == "set_parameters" and bool(later) and later[0][0] == command
+            and later[0][2]["values"].keys() == values["values"].keys())
+
+
+def differ_at_most_in_parameter_values(a: ts.Material, b: ts.Material) -> bool:
+    """Return whether two materials differ at most in the values of their parameters and in their name."""
+    values = parameter_values(b)
+    if parameter_values(a).keys() != values.keys():
+        return False
+    try:
+        return replace(with_values(a, values), name=b.name) == b
+    except InputError:  # the mixture of both is invalid
+        return False
+
+
+#: Largest speed of a tool that is moved with the mouse, m/s.
+HAND_SPEED = 0.1
+#: Number of points of each segment of a protocol.
+_POINTS = 21
+
+
+def make_hand_motion(scene: Scene) -> TargetFollowingMotion:
+    """Return a motion by hand that starts at the undeformed surface."""
+    return TargetFollowingMotion(0.0, HAND_SPEED, approach=scene.experiment.approach)
+
+
+def make_protocol_motion(scene: Scene, text: str, speed: float, repeat: bool) -> ProtocolMotion:
+    """Return the motion of a protocol; arguments and errors as `Session.play_protocol_on_reset_tissue`."""
+    protocol = ts.Protocol.parse(text, _POINTS, speed)
+    require_depths_within_scene(scene, protocol, "protocol")
+    return ProtocolMotion(protocol, repeat, scene.experiment.approach)
+
+
+def make_replay_motion_and_force_curve(scene: Scene,
+                                       speed: float) -> tuple[ProtocolMotion, tuple[np.ndarray, np.ndarray] | None]:
+    """Return the measured motion of a scene.
+
+    Args:
+        scene: Scene with a measurement.
+        speed: Speed relative to the measurement.
+
+    Returns:
+        The motion, and the time since its start, s, and force, N, of the recording; None for a recording without time.
+
+    Raises:
+        InputError: The scene has no measurement, or the measured motion is deeper than the scene.
+    """
+    if scene.measurement is None:
+        raise InputError("This scene has no measurement. Start the viewer with --measured FILE.")
+    measured, (recording,
+               _) = make_first_cycle_motion_protocol(scene.measurement), find_typical_replicate_and_branches(
+                   scene.measurement)
+    require_depths_within_scene(scene, measured, "recording")
+    displacement = measured.displacement
+    if scene.min_tool_displacement == 0.0:
+        # Noise around zero displacement must not lift a tool that is attached to the tissue.
+        displacement = np.maximum(displacement, 0.0)
+    replayed = None
+    if "time" in recording:
+        replayed = (recording.time - measured.time[0]) / speed, recording.force
+    protocol = ts.Protocol(measured.time / speed, displacement)
+    return ProtocolMotion(protocol, approach=scene.experiment.approach), replayed
+
 
 #: Duration of a single step of a paused motion, s.
 STEP_TIME = 1.0 / FRAMES.rate

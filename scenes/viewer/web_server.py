@@ -5,6 +5,10 @@ could open a public tunnel to this computer. This server requires that each HTTP
 names this server (`Host`, against DNS rebinding), comes from its own page (`Origin`), and contains its token if it has
 one. Sharing and printing of viser are switched off.
 
+Only browsers that know the printed address may open a page with a token, as with Jupyter. The address transmits the
+token once. Afterwards, a cookie transmits it; pages of other sites cannot send this cookie (SameSite=Strict), and
+scripts cannot read it (HttpOnly).
+
 The checks use private parts of viser, so the server starts only with the version `VISER_VERSION`.
 """
 
@@ -12,19 +16,23 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import hmac
 import ipaddress
 import logging
 import os
 import platform
+import re
+import secrets
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
 from types import SimpleNamespace
 from typing import Any
-from urllib.parse import urlencode
+from urllib.parse import parse_qs, urlencode, urlsplit
 
 import rich
 import viser
@@ -32,10 +40,95 @@ import websockets
 import websockets.asyncio.server
 from websockets.exceptions import WebSocketException
 
-from scenes.viewer.page_token import REFUSAL, has_valid_token, make_cookie_header
-from scenes.viewer.request_headers import find_refusal_reason, normalise_host_name
 from scenes.viewer.shell import LARGEST_UPLOAD, insert_page_additions
 from tissue_sim.errors import InputError, MissingBackendError
+
+#: Answer to a request without a valid token.
+REFUSAL = ("The token is missing or wrong. Open this page with the complete address that was printed when the page was "
+           "started.")
+
+
+def make_access_token() -> str:
+    """Return a random token of 192 bits."""
+    return secrets.token_urlsafe(24)
+
+
+def has_valid_token(token: str, port: int, path: str, cookies: Sequence[str]) -> bool:
+    """Return whether a request contains the token, in its query or in a cookie.
+
+    Args:
+        token: Token of the page.
+        port: Port of the server, which is part of the cookie's name because all ports of a computer share cookies.
+        path: Path of the request with its query.
+        cookies: Values of all ``Cookie`` headers.
+    """
+    try:
+        given = parse_qs(urlsplit(path).query).get("token", [])
+        for each in cookies:
+            if (morsel := SimpleCookie(each).get(_make_cookie_name(port))) is not None:
+                given.append(morsel.value)
+    except (ValueError, CookieError):
+        return False
+    return any(hmac.compare_digest(candidate.encode(), token.encode()) for candidate in given)
+
+
+def make_cookie_header(token: str, port: int) -> str:
+    """Return the ``Set-Cookie`` header that stores the token until the browser is closed."""
+    return f"{_make_cookie_name(port)}={token}; Path=/; HttpOnly; SameSite=Strict"
+
+
+def _make_cookie_name(port: int) -> str:
+    return f"tissue_sim_{port}"
+
+
+#: Port of an address without a port number.
+_HTTP_PORT = 80
+#: ``name`` or ``name:port`` in a `Host` or `Origin` header.
+_ADDRESS = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::(?P<port>[1-9][0-9]{0,4}))?",
+                      re.ASCII | re.IGNORECASE)
+
+
+def find_refusal_reason(hosts: list[str], origins: list[str], allowed: frozenset[str], port: int) -> str | None:
+    """Check the headers `Host` and `Origin` of a request.
+
+    Browsers derive `Host` from the address of the page and `Origin` from the requesting page, and no page can change
+    them. A request without `Origin` is a visit of the page, or comes from a program, which can send any headers.
+
+    Args:
+        hosts: Values of all `Host` headers.
+        origins: Values of all `Origin` headers.
+        allowed: Names of this server in lower case, without brackets and final dot.
+        port: Port of this server.
+
+    Returns:
+        Reason to refuse the request, one sentence; None if the request is allowed.
+    """
+    host = _parse_host_and_port_or_none(hosts[0]) if len(hosts) == 1 else None
+    if host is None or host[0] not in allowed or host[1] != port:
+        return f"This server answers only requests to http://localhost:{port} and its own addresses."
+    if not origins:
+        return None
+    scheme, _, address = origins[0].partition("://")
+    if len(origins) > 1 or scheme.lower() != "http" or _parse_host_and_port_or_none(address) != host:
+        return "This server answers only requests from this page, not from pages of other sites."
+    return None
+
+
+def _parse_host_and_port_or_none(text: str) -> tuple[str, int] | None:
+    """Return the normalised name and the port of ``name`` or ``name:port``; None for any other text."""
+    match = _ADDRESS.fullmatch(text)
+    return (normalise_host_name(match["name"].strip("[]")), int(match["port"] or _HTTP_PORT)) if match else None
+
+
+def normalise_host_name(name: str) -> str:
+    """Return a name in lower case without final dot, an IP address in its shortest form."""
+    name = name.lower().removesuffix(".")
+    try:
+        address = ipaddress.ip_address(name)
+    except ValueError:
+        return name
+    return str(getattr(address, "ipv4_mapped", None) or address)
+
 
 #: Version of viser whose private parts this module uses.
 VISER_VERSION = "1.1.1"

@@ -6,8 +6,7 @@ import pytest
 
 from haptics.recorder.recorder import RunProgress
 from haptics.recorder.run_folder import RunFolder
-from scenes.viewer.bench.page import BenchPage
-from scenes.viewer.bench.sources import RunFolderSource
+from scenes.viewer.bench_page import BenchPage, RunFolderSource
 
 
 @pytest.fixture
@@ -24,7 +23,7 @@ def watched(tmp_path):
 
 @pytest.mark.slow
 def test_a_running_recorder_is_displayed(watched, open_page):
-    from haptics.recorder.live import LiveProgressFile
+    from haptics.recorder.recorder import LiveProgressFile
 
     shown, path = watched
     page = open_page(shown.server)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from scenes.field_labels import LABELS
+from scenes.viewer.bands import compute_displayed_srgb
 from scenes.viewer.page.readouts import readouts_html
 from scenes.viewer.page.solid import SIZE
 from scenes.viewer.plots import make_depth_grid
-from scenes.viewer.tone import compute_displayed_srgb
 
 FAULT = "ramp 3mm; wander 2s"
 

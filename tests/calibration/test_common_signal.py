@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.statistics.common_signal import compute_f_ratio_and_freedoms, get_most_significant_common_signal
+from calibration.statistics.adequacy import compute_f_ratio_and_freedoms, get_most_significant_common_signal
 
 SEGMENTS = [slice(0, 160), slice(160, 400), slice(400, 560)]
 TIME = np.arange(560) / 4.0

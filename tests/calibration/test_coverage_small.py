@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 import tissue_sim as ts
 from calibration.campaign.campaign import Noise
-from calibration.fit.campaign_problem import build_generalised_problem
+from calibration.fit.problem import build_generalised_problem
 from calibration.fit.trust_region import minimise_from_start
 from calibration.forward.simulation_cache import SimulationCache
 

@@ -10,8 +10,7 @@ from msgspec.structs import replace
 import calibration
 import tissue_sim as ts
 from calibration.campaign_diagnosis import diagnose_campaign, read_campaign_and_curves_for_diagnosis
-from calibration.diagnosis.diagnosis import CandidateResult, EffectParameter, NextExperiment
-from calibration.diagnosis.words import summarise_diagnosis
+from calibration.diagnosis.diagnosis import CandidateResult, EffectParameter, NextExperiment, summarise_diagnosis
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.run_context import RunContext

@@ -12,21 +12,20 @@ from virtual_campaign import PLATES, diagnosed_plates
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.planned import read_or_plan_curves_of_all_tests
-from calibration.diagnosis.design import evaluate_experiment_design
+from calibration.diagnosis.design import evaluate_experiment_design, list_variations_of_existing_tests
 from calibration.diagnosis.diagnosis import (
     CandidateResult,
     EffectParameter,
     FoundEffect,
     HeldOutPrediction,
     SegmentMisfit,
+    summarise_diagnosis,
 )
 from calibration.diagnosis.effect_files import write_effect_files_and_get_diagnosis
 from calibration.diagnosis.evidence import (
     compute_upper_limit_of_estimated_jitter,
     make_one_law_whole_recording_campaign,
 )
-from calibration.diagnosis.next_experiment import list_variations_of_existing_tests
-from calibration.diagnosis.words import summarise_diagnosis
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.plate_friction import PlateFriction
 from calibration.effects.sensor_drift import SensorDrift

@@ -13,7 +13,7 @@ from calibration.diagnosis.duration import describe_expected_duration_or_empty, 
 from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
-from calibration.fit.campaign_problem import build_generalised_problem
+from calibration.fit.problem import build_generalised_problem
 from calibration.fit.run_context import RunContext
 from calibration.forward.meshes import MESHES, SolverFitResolutions
 from calibration.forward.simulation_cache import SimulationCache

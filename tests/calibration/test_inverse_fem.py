@@ -13,13 +13,11 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.campaign import Noise
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.campaign_problem import build_generalised_problem
-from calibration.fit.checks import require_fittable_start
 from calibration.fit.estimate import iterate_mesh_correction_and_jitter
-from calibration.fit.profiles import compute_profile_side
-from calibration.fit.starts import list_starts_with_varied_exponents
+from calibration.fit.generalised import list_starts_with_varied_exponents, require_fittable_start
+from calibration.fit.problem import build_generalised_problem
 from calibration.fit.trust_region import minimise_from_start
-from calibration.fit.uncertainty import compute_marginal_uncertainty
+from calibration.fit.uncertainty import compute_marginal_uncertainty, compute_profile_side
 from calibration.forward.motion import TimedMotion
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter

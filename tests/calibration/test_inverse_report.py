@@ -17,6 +17,7 @@ from calibration.fit.fit import (
     Fit,
     MeshCorrectionSummary,
     Nuisance,
+    ParameterCovariance,
     Prediction,
     ProfileLikelihood,
     RegionMisfitTest,
@@ -25,7 +26,6 @@ from calibration.fit.fit import (
     SuggestedTest,
     WeakDirection,
 )
-from calibration.fit.population_records import ParameterCovariance
 from calibration.fit.result import CalibrationResult
 from calibration.report import curve_figures, estimate_figures, figures
 from calibration.report.drawing import FigureEmbedder

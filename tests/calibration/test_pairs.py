@@ -7,13 +7,13 @@ import pytest
 from virtual_campaign import diagnosed_plates
 
 import tissue_sim as ts
-from calibration.diagnosis.decision_limits import DecisionLimits
-from calibration.diagnosis.pairs import _are_both_required_and_dissimilar
+from calibration.diagnosis.refits import _are_both_required_and_dissimilar
+from calibration.diagnosis.settings import DecisionLimits
 from calibration.effects.displacement_gain import DisplacementGain
 from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.step_loss import StepLoss
 from calibration.effects.viscoelasticity import Viscoelasticity
-from calibration.statistics.scores import EffectDirection
+from calibration.statistics.adequacy import EffectDirection
 
 
 @pytest.fixture(autouse=True)
@@ -73,7 +73,7 @@ def fitted(name, axis, strength, gain=50.0):
 def test_two_need_each_other(axis, alone, second_alone, rival, needed, monkeypatch):
     first, second = fitted("first", [1, 0, 0], 8.0), fitted("second", axis, second_alone)
     plain = fitted("second", axis, alone).proposal
-    monkeypatch.setattr("calibration.diagnosis.pairs.recompute_candidate_score_in_other_fit", lambda proposal,
+    monkeypatch.setattr("calibration.diagnosis.refits.recompute_candidate_score_in_other_fit", lambda proposal,
                         evidence: plain)
     good = [first] if rival is None else [first, fitted("second", axis, alone, gain=rival)]
     assert _are_both_required_and_dissimilar(first, second, good, SimpleNamespace(limits=DecisionLimits())) is needed

@@ -9,14 +9,13 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
-from calibration.fit.campaign_problem import build_generalised_problem
-from calibration.fit.problem import GeneralisedProblem
+from calibration.fit.problem import GeneralisedProblem, build_generalised_problem
 from calibration.fit.trust_region import minimise_from_start
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.forms import compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS
 from calibration.forward.motion import MonotonicLoading
-from calibration.forward.rig_motion import ForcePositionCurve, RigForceCurve
+from calibration.forward.readout import ForcePositionCurve, RigForceCurve
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calibration.statistics.scores import (
+from calibration.statistics.adequacy import (
     DIRECTIONS,
     EffectDirection,
     compute_familywise_p_values,

@@ -9,7 +9,7 @@ import pytest
 import calibration
 import tissue_sim as ts
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.forward.column import ColumnTest
+from calibration.forward.closed import ColumnTest
 from calibration.forward.forms import build_closed_form_or_column_test
 from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.closed_form.column import Column

@@ -10,9 +10,9 @@ from solid_meshes import write_hexahedra
 
 import calibration
 import tissue_sim as ts
-from calibration.campaign.digest import compute_input_and_version_digest
-from calibration.campaign.named_files import replace_mesh_profile_and_rig_paths, resolve_path_to_text
+from calibration.campaign.measured import compute_input_and_version_digest
 from calibration.campaign.parameter_space import ParameterSpace
+from calibration.campaign.schema import replace_mesh_profile_and_rig_paths, resolve_path_to_text
 from calibration.forward.forms import build_forward_test_of_inverse_fit, compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, SolverFitResolutions, make_exact_block_mesh_or_none
 from calibration.forward.simulation_cache import hash_content_and_source_code, simulate_force_or_record_failure

@@ -10,7 +10,7 @@ from scipy import stats
 
 import calibration
 import tissue_sim as ts
-from calibration.fit.self_weight import describe_self_weight
+from calibration.fit.result import describe_self_weight
 from calibration.report.fit_text import compute_shear_modulus_error_or_none
 from scenes.cli import main
 from tissue_sim.closed_form.column import Column

@@ -11,9 +11,13 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured_curves
-from calibration.fit.determination import assess_modulus_error_and_bound_dependence
-from calibration.fit.usability import compute_displacement_r_squared, list_findings_contradicting_fit
-from calibration.fit.usability_settings import USABILITY, UsabilitySettings
+from calibration.fit.identifiability import assess_modulus_error_and_bound_dependence
+from calibration.fit.usability import (
+    USABILITY,
+    UsabilitySettings,
+    compute_displacement_r_squared,
+    list_findings_contradicting_fit,
+)
 from calibration.report.sections.usability import CRITERIA
 from scenes.cli import main
 from tissue_sim.recording.screening import ControlledQuantityFindings, LeftOutSamples, Preload, Screening

@@ -3,8 +3,7 @@
 import pytest
 
 import tissue_sim as ts
-from haptics.loop.multirate import MultiRateTissue
-from haptics.loop.tissue_factory import make_real_time_tissue_factory
+from haptics.loop.multirate import MultiRateTissue, make_real_time_tissue_factory
 from tissue_sim.fem.condensed.model import LINEARISATIONS
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus

@@ -22,7 +22,7 @@ from scenes.viewer.page.readouts import readouts_html, status_html
 from scenes.viewer.revolution import WedgeOpening
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
-from scenes.viewer.wedge import Wedge
+from scenes.viewer.solid_body import Wedge
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.pose import Pose, compute_rigid_motion
@@ -238,8 +238,7 @@ def test_a_solver_without_fields_is_a_plain_surface(plain_scene, plugin, tmp_pat
 
 def test_empty_triangles_are_published(plain_scene, plugin, monkeypatch):
     """A solver may have no surface: the board holds a snapshot without numbers."""
-    from haptics.loop.shared_slots import find_unused_path
-    from haptics.loop.snapshot_board import SnapshotReader, SnapshotWriter
+    from haptics.loop.shared_slots import SnapshotReader, SnapshotWriter, find_unused_path
 
     monkeypatch.setattr(plugin("plain_spring").Square, "triangles", lambda surface, segments=48: ([], []))
     tissue = ts.Simulator(plain_scene.model, solver="plain_spring")

@@ -13,7 +13,7 @@ from haptics.devices.motions import SineMotion
 from haptics.loop.loop import LoopSettings
 from haptics.loop.process import LoopProcess
 from haptics.loop.ring import RingReader, RingWriter
-from haptics.loop.snapshot_board import SnapshotWriter
+from haptics.loop.shared_slots import SnapshotWriter
 from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.errors import InputError

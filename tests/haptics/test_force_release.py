@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.safety.force_release import RELEASE, ForceFader
+from haptics.safety.limits import RELEASE, ForceFader
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import (

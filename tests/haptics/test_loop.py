@@ -21,7 +21,7 @@ from haptics.devices.motions import SineMotion, TargetFollowingMotion
 from haptics.loop.loop import Loop, LoopSettings, read_peak_memory_bytes_or_none
 from haptics.loop.process import LoopError
 from haptics.loop.ring import PAUSED, RingReader, RingWriter
-from haptics.loop.snapshot_board import SnapshotReader, SnapshotWriter
+from haptics.loop.shared_slots import SnapshotReader, SnapshotWriter
 from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError

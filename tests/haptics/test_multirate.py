@@ -14,11 +14,9 @@ from waiting import wait_for_value
 
 import tissue_sim as ts
 from haptics.devices.motions import SineMotion
-from haptics.loop.bulk_process import BulkProcess
 from haptics.loop.loop import Loop, LoopSettings
-from haptics.loop.multirate import MultiRateTissue
+from haptics.loop.multirate import BulkProcess, MultiRateTissue, make_real_time_tissue_factory
 from haptics.loop.process import LoopProcess
-from haptics.loop.tissue_factory import make_real_time_tissue_factory
 from haptics.safety.limits import ForceLimiter
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.fem.solid.discretisation import make_solver

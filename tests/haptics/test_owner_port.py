@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.server.owner_port import RATE_LIMIT, ReplyLimiter
+from haptics.server.server import RATE_LIMIT, ReplyLimiter
 
 A = ("127.0.0.1", 5001)
 B = ("127.0.0.1", 5002)

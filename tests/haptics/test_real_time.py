@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from haptics.loop.real_time import request_real_time_features
+from haptics.loop.ticker import request_real_time_features
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = {"SCHED_FIFO", "locked memory", "timer slack", "no garbage collection"}
@@ -54,7 +54,7 @@ def test_what_linux_grants_is_seen_by_the_system_and_undone():
     code = """
 import os
 from pathlib import Path
-from haptics.loop.real_time import request_real_time_features
+from haptics.loop.ticker import request_real_time_features
 def state():
     locked = next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmLck" in line)
     return os.sched_getscheduler(0) == os.SCHED_FIFO, int(locked) > 0, Path("/proc/self/timerslack_ns").read_text()

@@ -14,8 +14,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from haptics.loop.ring import TICK, RingReader, RingWriter
-from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, get_or_create_runtime_folder
-from haptics.loop.snapshot_board import SnapshotReader, SnapshotWriter
+from haptics.loop.shared_slots import (
+    SLOTS,
+    SlotReader,
+    SlotWriter,
+    SnapshotReader,
+    SnapshotWriter,
+    find_unused_path,
+    get_or_create_runtime_folder,
+)
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot

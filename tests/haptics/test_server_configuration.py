@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from haptics.server.client import TissueClient
-from haptics.server.connections import CONNECTION_LIMITS, ConfigurationPort
+from haptics.server.commands import CONNECTION_LIMITS, ConfigurationPort
 from haptics.server.server import TissueServer
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce

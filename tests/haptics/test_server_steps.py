@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.safety.force_release import ForceFader
-from haptics.server.scene_limits import ServerLimits
-from haptics.server.steps import StepService
+from haptics.safety.limits import ForceFader
+from haptics.server.steps import ServerLimits, StepService
 from haptics.server.wire import VERSION, Request, RequestFlags, RequestKind, Status, decode_reply, encode_request
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.safety.watchdog import Watchdog, WatchdogState
+from haptics.safety.limits import Watchdog, WatchdogState
 from tissue_sim import InputError
 
 DT = 1e-3

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from calibration import Design, evaluate_planned_experiments
-from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
-from calibration.diagnosis.decision_limits import LIMITS
+from calibration.campaign.parameters import OFFSET_DEFAULTS
+from calibration.diagnosis.settings import LIMITS
 from calibration.effects.backlash import Backlash
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.population import Population

@@ -30,8 +30,8 @@ def test_devices_that_open_describe_themselves_and_others_give_the_reason(capsys
 
 
 def test_the_list_names_every_back_end(capsys, monkeypatch):
-    monkeypatch.setattr("haptics.devices.discovery.list_serial_port_names", lambda: [])
-    monkeypatch.setattr("haptics.devices.discovery._DEFAULT_ADDRESSES", {"virtual": ""})
+    monkeypatch.setattr("haptics.devices.back_ends.list_serial_port_names", lambda: [])
+    monkeypatch.setattr("haptics.devices.back_ends._DEFAULT_ADDRESSES", {"virtual": ""})
     assert main(["devices"]) == 0
     said = capsys.readouterr().out
     for name in ("virtual:", "rdt:", "ati-serial:", "ati-daq:", "replay:", "tic:", "grbl:", "phidget:", "haply:"):

@@ -129,7 +129,7 @@ def test_a_rig_effect_is_part_of_the_curve_of_the_session(demo, monkeypatch):
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     scene = make_found_effects_scene_with_plain_curve(result, out / "measured")
     asked = []
-    monkeypatch.setattr("scenes.viewer.model_curve.ModelCurveWorker.store_curve_request",
+    monkeypatch.setattr("scenes.viewer.background_simulation.ModelCurveWorker.store_curve_request",
                         lambda self, model: asked.append(model))
     session = Session(replace(scene, rig=ts.Rig(backlash=1e-4)))
     try:

@@ -11,7 +11,7 @@ from waiting import wait_until
 
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.named_files import replace_mesh_profile_and_rig_paths
+from calibration.campaign.schema import replace_mesh_profile_and_rig_paths
 from haptics.recorder.run_folder import RunFolder
 from scenes.cli import main
 from scenes.commands.record.protocol_file import read_protocol_file

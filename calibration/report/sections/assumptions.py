@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calibration.diagnosis.words import join_as_enumeration
-from calibration.fit.result import CalibrationResult
-from calibration.fit.self_weight import describe_self_weight
+from calibration.diagnosis.diagnosis import join_as_enumeration
+from calibration.fit.result import CalibrationResult, describe_self_weight
 from calibration.report.content import Block, Listing
 from calibration.report.drawing import format_count
 from calibration.report.section import CalibrationReport, DiagnosisReport, Section

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import partial
 
-from calibration.diagnosis.decision_limits import DecisionLimits
 from calibration.diagnosis.diagnosis import CandidateResult, Diagnosis
+from calibration.diagnosis.settings import DecisionLimits
 from calibration.effects.effect import CATEGORIES
 from calibration.report.content import EMPTY, Block, Column, Figure, Heading, Paragraph, Span, Table, Text
 from calibration.report.diagnosis_figures import draw_candidate_scores

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from calibration.diagnosis.diagnosis import VERDICTS, Diagnosis, Verdict
-from calibration.diagnosis.words import join_as_enumeration
+from calibration.diagnosis.diagnosis import VERDICTS, Diagnosis, Verdict, join_as_enumeration
 from calibration.effects.effect import Effect
 from calibration.fit.fit import Fit
 from calibration.report.content import Block, Paragraph, Span, Summary, Text

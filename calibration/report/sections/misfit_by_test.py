@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from calibration.diagnosis.words import join_as_enumeration
+from calibration.diagnosis.diagnosis import join_as_enumeration
 from calibration.output_folder import make_numbered_test_figure_name
 from calibration.report.content import Block, Figure, Heading, Paragraph, Span
 from calibration.report.diagnosis_figures import build_fitted_curves_of_test, draw_test_misfit

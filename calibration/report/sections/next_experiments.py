@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calibration.diagnosis.words import join_as_enumeration
+from calibration.diagnosis.diagnosis import join_as_enumeration
 from calibration.report.content import Block, Listing, Part, Span, Text
 from calibration.report.diagnosis_tables import capitalise_first_letter, map_candidate_names_to_labels
 from calibration.report.section import DiagnosisReport, Section

@@ -8,7 +8,7 @@ from textwrap import shorten
 from typing import TYPE_CHECKING
 
 from calibration.fit.ranking import does_any_law_predict_a_held_out_test
-from calibration.fit.self_weight import describe_self_weight
+from calibration.fit.result import describe_self_weight
 from calibration.report.curve_figures import describe_region, format_p_value_text
 from calibration.report.drawing import format_count
 from calibration.report.fit_tables import (

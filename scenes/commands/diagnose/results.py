@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from calibration.diagnosis.words import join_as_enumeration
+from calibration.diagnosis.diagnosis import join_as_enumeration
 from calibration.report.diagnosis_tables import (
     format_effect_title_with_test,
     iterate_misfit_sentences,
@@ -22,8 +22,7 @@ from scenes.commands.shared.text_table import TABLES, print_sentence
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from calibration.diagnosis.diagnosis import Diagnosis
-    from calibration.diagnosis.result import DiagnosisResult
+    from calibration.diagnosis.diagnosis import Diagnosis, DiagnosisResult
 
 
 def print_diagnoses(results: Sequence[DiagnosisResult], console: Console) -> None:

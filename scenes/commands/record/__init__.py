@@ -123,8 +123,7 @@ def _record_tests(arguments: Namespace, protocol: ProtocolFile, tests: list[Any]
     """
     from haptics.devices.contracts import DeviceError
     from haptics.recorder.guarded_motion import StoppedError
-    from haptics.recorder.live import LiveProgressFile
-    from haptics.recorder.recorder import Recorder
+    from haptics.recorder.recorder import LiveProgressFile, Recorder
     from haptics.recorder.run_folder import RunFolder
     from tissue_sim import __version__
 

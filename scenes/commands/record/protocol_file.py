@@ -12,8 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.named_files import list_mesh_profile_and_rig_paths, replace_mesh_profile_and_rig_paths
-from calibration.campaign.schema import PRISM
+from calibration.campaign.schema import PRISM, list_mesh_profile_and_rig_paths, replace_mesh_profile_and_rig_paths
 from haptics.recorder.lag import estimate_force_lag
 from haptics.recorder.plan import BenchTestPlan
 from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits

@@ -10,16 +10,14 @@ from pathlib import Path
 import viser
 
 from scenes.field_labels import LABELS
-from scenes.viewer.colours import colour_bar_html
+from scenes.viewer.bands import colour_bar_html
 from scenes.viewer.frame import CommandReceiver, Phase, SessionFrame
 from scenes.viewer.page.calibration_controls import CalibrationControls
 from scenes.viewer.page.curve_plots import CurvePlots
-from scenes.viewer.page.material_controls import MaterialControls
 from scenes.viewer.page.motion_controls import MotionControls
-from scenes.viewer.page.notices import make_browser_reply_function
-from scenes.viewer.page.readouts import readouts_html, scene_title_html, status_html
+from scenes.viewer.page.readouts import make_browser_reply_function, readouts_html, scene_title_html, status_html
 from scenes.viewer.page.saving import SaveControls
-from scenes.viewer.page.scene_controls import SceneControls
+from scenes.viewer.page.scene_controls import MaterialControls, SceneControls
 from scenes.viewer.page.solid import ScenePicture
 from scenes.viewer.page.view_controls import ViewControls
 from scenes.viewer.web_server import LOOPBACK, SERVER, open_viewer_server

@@ -12,8 +12,8 @@ from scenes.viewer.calibration_run import CalibrationState, UploadedRecording
 from scenes.viewer.calibration_task import CalibrationResult
 from scenes.viewer.frame import CommandReceiver, SessionFrame
 from scenes.viewer.material_files import SUFFIX
-from scenes.viewer.page.notices import make_browser_reply_function, send_download
-from scenes.viewer.recording_upload import read_uploaded_recordings_or_sidecar
+from scenes.viewer.measurement import read_uploaded_recordings_or_sidecar
+from scenes.viewer.page.readouts import make_browser_reply_function, send_download
 from scenes.viewer.scene import Scene
 from tissue_sim.units import get_display_unit_and_factor
 

@@ -8,10 +8,14 @@ import numpy as np
 import viser
 
 from scenes.viewer.frame import CommandReceiver, SessionFrame
-from scenes.viewer.live_gap import find_largest_live_model_difference, select_forces_of_late_ticks_on_grid
 from scenes.viewer.measurement import interpolate_loading_and_unloading
-from scenes.viewer.page.notices import make_browser_reply_function
-from scenes.viewer.page.readouts import largest_live_model_difference_html, model_rmse_html
+from scenes.viewer.page.readouts import (
+    find_largest_live_model_difference,
+    largest_live_model_difference_html,
+    make_browser_reply_function,
+    model_rmse_html,
+    select_forces_of_late_ticks_on_grid,
+)
 from scenes.viewer.plots import (
     Pair,
     keep_or_round_axis_range_with_zero,

@@ -10,7 +10,7 @@ from typing import Any
 import viser
 
 from scenes.viewer.frame import CommandReceiver, Phase, SessionFrame
-from scenes.viewer.page.notices import assign_control_value, make_browser_reply_function
+from scenes.viewer.page.readouts import assign_control_value, make_browser_reply_function
 from scenes.viewer.page.solid import DRAGS
 from scenes.viewer.scene import Scene
 

@@ -1,14 +1,140 @@
-"""HTML texts of the page: title, status, read-outs and agreement with the measurement."""
+"""HTML texts of the page: title, status, read-outs, agreement with the measurement, and notifications.
+
+The difference between the live force and the model curve is shown with its likely causes. Notifications and file
+downloads go to the browser whose user issued a command.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from html import escape
+from typing import Literal, TypeVar
+
+import numpy as np
+import viser
 
 from scenes.viewer.frame import Phase, SessionFrame
-from scenes.viewer.live_gap import LargestLiveModelDifference
 from scenes.viewer.scene import Scene
+from scenes.viewer.trace import Trace
 from tissue_sim.experiment.tools.tool import list_all_tool_sizes_by_key
 from tissue_sim.specimen.cylinder import Cylinder
+
+Pair = tuple[np.ndarray, np.ndarray]
+#: Speed below which the tool counts as standing, m/s.
+_STANDING_SPEED = 1e-5
+
+
+@dataclass(frozen=True)
+class LargestLiveModelDifference:
+    """Largest difference between the live force and the model curve.
+
+    Attributes:
+        force: Live force minus model force, N.
+        depth: Depth of the largest difference, m.
+        speed: Median speed of the moving tool in the newest loading and unloading, m/s.
+        late_fraction: Fraction of the points of these branches whose force late ticks extrapolated.
+        inertia_fraction: Fraction of these points at which the inertia of the tissue was included.
+    """
+
+    force: float
+    depth: float
+    speed: float
+    late_fraction: float
+    inertia_fraction: float
+
+
+def find_largest_live_model_difference(trace: Trace, grid: np.ndarray, live: Pair,
+                                       model: Pair) -> LargestLiveModelDifference | None:
+    """Compute the largest difference between the live force and the model curve.
+
+    Args:
+        trace: Motion and force of the run.
+        grid: Depths, m, shape (n,).
+        live: Live loading and unloading force on the grid, N, each of shape (n,), NaN where missing.
+        model: Loading and unloading force of the model on the grid, N, each of shape (n,), NaN where missing.
+
+    Returns:
+        The difference; None if the curves do not overlap.
+    """
+    gaps = np.concatenate([live_force - model_force for live_force, model_force in zip(live, model, strict=True)])
+    if not np.isfinite(gaps).any():
+        return None
+    worst = int(np.nanargmax(np.abs(gaps)))
+    branches = [each for each in trace.get_newest_loading_and_unloading() if each is not None]
+    speeds = np.concatenate([np.abs(np.diff(each.depth) / np.diff(each.time)) for each in branches]) \
+        if branches else np.zeros(1)
+    moving = speeds[speeds > _STANDING_SPEED]
+    is_late, includes_inertia = (np.concatenate([getattr(each, name) for each in branches]) if branches
+                                 else np.zeros(1) for name in ("is_late", "includes_inertia"))
+    return LargestLiveModelDifference(float(gaps[worst]), float(grid[worst % grid.size]),
+                                      float(np.median(moving)) if moving.size else 0.0,
+                                      float(is_late.mean()), float(includes_inertia.mean()))
+
+
+def select_forces_of_late_ticks_on_grid(trace: Trace, grid: np.ndarray) -> np.ndarray:
+    """Return the forces of the newest loading and unloading that late ticks extrapolated.
+
+    Args:
+        trace: Motion and force of the run.
+        grid: Equally spaced depths, m, shape (n,).
+
+    Returns:
+        Force at the grid depth nearest to each such point, N, shape (n,); NaN elsewhere.
+    """
+    forces = np.full(grid.size, np.nan)
+    for branch in trace.get_newest_loading_and_unloading():
+        if branch is not None:
+            depth, force = branch.depth[branch.is_late], branch.force[branch.is_late]
+            inside = (depth >= grid[0]) & (depth <= grid[-1])
+            nearest = np.rint((depth[inside] - grid[0]) / (grid[1] - grid[0])).astype(int)
+            forces[nearest] = force[inside]
+    return forces
+
+
+Value = TypeVar("Value")
+#: Function that receives None when a command has been executed, or a sentence with the reason for its refusal.
+Reply = Callable[[str | None], None]
+#: Title of a notification about a command that was refused.
+FAILED = "Not done"
+
+
+def assign_control_value(control: viser.GuiInputHandle[Value], value: Value) -> None:
+    """Assign a value to a control of the page."""
+    # viser defines the setter apart from the getter, so type checkers see a read-only property.
+    control.value = value  # type: ignore[misc]
+
+
+def make_browser_reply_function(event: viser.GuiEvent | viser.SceneNodeDragEvent, done: str = "") -> Reply:
+    """Return a reply function that notifies the browser of an event.
+
+    Args:
+        event: Event of the browser.
+        done: Sentence to show when the command has been executed; empty: show nothing.
+    """
+    client = event.client
+
+    def notify_of_outcome(problem: str | None) -> None:
+        if problem is not None:
+            notify_browser_unless_none(client, FAILED, problem, "red")
+        elif done:
+            notify_browser_unless_none(client, "Done", done, "teal")
+
+    return notify_of_outcome
+
+
+def notify_browser_unless_none(client: viser.ClientHandle | None, title: str, sentence: str,
+                               colour: Literal["red", "teal"]) -> None:
+    """Show a notification in a browser for 12 s; do nothing if `client` is None."""
+    if client is not None:
+        client.add_notification(title, sentence, color=colour, auto_close_seconds=12.0)
+
+
+def send_download(client: viser.ClientHandle | None, name: str, content: bytes) -> None:
+    """Make a browser download a file without asking; do nothing if `client` is None."""
+    if client is not None:
+        client.send_file_download(name, content, save_immediately=True)
+
 
 #: Colour of the dot that shows each phase.
 _DOTS = {Phase.STARTING: "#E69F00", Phase.RUNNING: "#009E73", Phase.PAUSED: "#0072B2", Phase.DIED: "#D55E00"}

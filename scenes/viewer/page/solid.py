@@ -1,32 +1,45 @@
-"""3D picture of the page: the specimen coloured by a field, the tool, the force arrow and the contact lines."""
+"""3D picture of the page: the specimen coloured by a field, the tool, the force arrow and the contact lines.
+
+A property assignment of viser costs 50 us per array, because viser rebuilds type hints, compares the array with the
+previous one and copies it twice; a position costs the same, because it is compared with tolerances. A frame has twenty
+new arrays and three new positions, so this module puts them directly into the message queue that the setters use. The
+queue is a private part of the viser version that pyproject.toml pins; the browser tests check its behaviour by
+reloading the page.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import viser
+from viser import _messages
 
 from scenes.field_labels import LABELS
-from scenes.viewer.bodies import DrawableTissue, make_drawable_body
-from scenes.viewer.colours import PALETTE, compute_field_quantile_range, keep_or_choose_band_levels
+from scenes.viewer.bands import (
+    PALETTE,
+    compute_displayed_srgb,
+    compute_field_quantile_range,
+    find_surface_srgb,
+    keep_or_choose_band_levels,
+)
 from scenes.viewer.frame import SessionFrame
-from scenes.viewer.page.notices import Reply, make_browser_reply_function
-from scenes.viewer.page.picture_settings import COLOURS, LIGHTS, RESOLUTION, PictureOptions
-from scenes.viewer.page.scene_updates import send_scene_node_arrays, send_scene_node_position
+from scenes.viewer.page.readouts import Reply, make_browser_reply_function
 from scenes.viewer.revolution import TriangulatedSurface, WedgeOpening
 from scenes.viewer.scene import Scene
-from scenes.viewer.tone import compute_displayed_srgb, find_surface_srgb
+from scenes.viewer.solid_body import Wedge
 from scenes.viewer.tool_picture import (
+    DrawableTissue,
     compute_arrow_foot_above_tool_tip,
     make_base_plate,
+    make_drawable_body,
     make_drawn_tool_surface,
     make_force_arrow_or_none,
     make_scale_bar_lines_and_length,
     rotate_force_arrow,
 )
-from scenes.viewer.wedge import Wedge
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 from tissue_sim.fem.axisymmetric.fields import build_half_section
 from tissue_sim.fem.result_views import DrawableFields, TissueGeometry
@@ -34,6 +47,122 @@ from tissue_sim.fem.solid.discretisation import build_mesh as build_solid_mesh
 from tissue_sim.fem.solid.fields import build_solid_geometry
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
+
+
+def send_scene_node_arrays(handle: viser.SceneNodeHandle, **arrays: np.ndarray) -> None:
+    """Replace arrays of a node in all browsers, including those that connect later.
+
+    Args:
+        handle: Handle of the node. Its properties do not change: they return the arrays that were assigned last.
+        arrays: Property name -> array in the type of the property. The caller must not modify the arrays afterwards.
+    """
+    handle._impl.api._queue_scene_message(_messages.SceneNodeUpdateMessage(handle.name, arrays))
+
+
+def send_scene_node_position(handle: viser.SceneNodeHandle, position: tuple[float, float, float]) -> None:
+    """Move a node in all browsers, including those that connect later; do nothing if the position is unchanged.
+
+    Args:
+        handle: Handle of the node.
+        position: Position (x, y, z) relative to the parent node, browser units.
+    """
+    known = handle._impl.position
+    if tuple(known) != position:
+        known[:] = position
+        handle._impl.api._queue_scene_message(_messages.SetPositionMessage(handle.name, position))
+
+
+@dataclass(frozen=True)
+class PictureOptions:
+    """Display options of the picture.
+
+    Attributes:
+        field: Displayed field, a key of `scenes.field_labels.LABELS`.
+        cut: Angle of the removed wedge, degrees.
+        turn: Rotation of the wedge about the tool's axis, degrees; 0 opens the wedge towards -y.
+        ahead: Distance of the edge of the wedge from the tool's axis towards the opening, for a solid in 3D, mm.
+        mesh_lines: Whether to draw the element edges.
+        outline: Whether to draw the outline of the undeformed specimen.
+        hold: Whether to keep the present colour levels.
+    """
+
+    field: str = "von_mises"
+    cut: float = 120.0
+    turn: float = 0.0
+    ahead: float = 0.0
+    mesh_lines: bool = False
+    outline: bool = True
+    hold: bool = False
+
+
+@dataclass(frozen=True)
+class PictureColours:
+    """Colours of the parts of the picture, RGB, 0 to 255.
+
+    Attributes:
+        tool: Tool.
+        base: Base plate.
+        arrow: Force arrow.
+        contact: Contact lines.
+        tissue: Tissue without fields.
+        mesh_lines: Element edges.
+        outline: Outline of the undeformed specimen.
+        scale_bar: Scale bar.
+    """
+
+    tool: tuple[int, int, int] = (176, 184, 194)
+    base: tuple[int, int, int] = (120, 126, 134)
+    arrow: tuple[int, int, int] = (213, 94, 0)
+    contact: tuple[int, int, int] = (230, 20, 110)
+    tissue: tuple[int, int, int] = (204, 150, 135)
+    mesh_lines: tuple[int, int, int] = (255, 255, 255)
+    outline: tuple[int, int, int] = (128, 128, 128)
+    scale_bar: tuple[int, int, int] = (20, 20, 20)
+
+
+@dataclass(frozen=True)
+class LightSettings:
+    """Lights of the picture: an ambient light, and a directional one that comes from the side on which the cut opens.
+
+    Attributes:
+        full: Total intensity on a section face, in which the face has exactly its own colour (pi in three.js).
+        directional: Intensity of the directional light, which shows the shape of the surfaces.
+        horizontal: Horizontal component of the direction towards the directional light.
+        vertical: Vertical component of that direction.
+    """
+
+    full: float = np.pi
+    directional: float = 1.1
+    horizontal: float = 0.8
+    vertical: float = 0.6
+
+
+@dataclass(frozen=True)
+class PictureResolutionSettings:
+    """Resolution of the surfaces and of the force arrow; larger numbers give a finer picture and more data per frame.
+
+    Attributes:
+        segments: Segments of the tissue in a full turn about the axis.
+        low_graphics_segments: The same for a browser without a graphics card.
+        static_segments: The same for parts that are sent once, such as the tool.
+        arrow_lengths: Number of different lengths of the force arrow.
+        arrow_directions: Number of different values of each lateral component of its direction.
+    """
+
+    segments: int = 48
+    low_graphics_segments: int = 32
+    static_segments: int = 96
+    arrow_lengths: int = 60
+    arrow_directions: int = 40
+
+
+#: Colours of the picture.
+COLOURS = PictureColours()
+#: Lights of the picture.
+LIGHTS = LightSettings()
+#: Resolution of the picture.
+RESOLUTION = PictureResolutionSettings()
+
 
 #: Longest side of the specimen, browser units; the browser's camera clips nearer and farther objects.
 SIZE = 2.0

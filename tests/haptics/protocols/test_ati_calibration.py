@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from haptics.protocols.ati_calibration import parse_ati_calibration
-from haptics.protocols.ati_units import FORCE_UNITS, TORQUE_UNITS
+from haptics.protocols.ati_calibration import FORCE_UNITS, TORQUE_UNITS, parse_ati_calibration
 from tissue_sim.errors import InputError
 
 CASES = settings(max_examples=int(os.environ.get("TISSUE_SIM_FUZZ_CASES", "500")), deadline=None)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.recorder.clock import SampleClock
+from haptics.recorder.motion_record import SampleClock
 
 
 @given(st.integers(0, 2**32), st.floats(2e-3, 0.05), st.floats(0.999, 1.001))

@@ -8,8 +8,8 @@ from virtual_bench import STIFFNESS, SURFACE, Spring
 
 from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.faults import Faults
+from haptics.recorder.guarded_motion import StoppedError
 from haptics.recorder.plan import PollSettings
-from haptics.recorder.stopped import StoppedError
 from haptics.safety.motion_guard import MotionGuardSettings
 from tissue_sim import Rig, read_recording
 from tissue_sim.errors import InputError

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from virtual_bench import STIFFNESS, SURFACE
 
-from haptics.recorder.stage_path import StagePath, StagePoll, compute_position_tolerance_for_depth
-from haptics.recorder.stopped import StoppedError
+from haptics.recorder.guarded_motion import StoppedError
+from haptics.recorder.motion_record import StagePath, StagePoll, compute_position_tolerance_for_depth
 from tissue_sim import read_recording
 
 

@@ -46,5 +46,5 @@ class ManualPool:
 def pool(monkeypatch) -> ManualPool:
     """Manual pool that each new `ModelCurveWorker` uses."""
     pool = ManualPool()
-    monkeypatch.setattr("scenes.viewer.model_curve.ProcessPool", lambda count: pool)
+    monkeypatch.setattr("scenes.viewer.background_simulation.ProcessPool", lambda count: pool)
     return pool

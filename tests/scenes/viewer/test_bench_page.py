@@ -7,11 +7,9 @@ import pytest
 
 from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
-from haptics.recorder.live import LIVE_FILE, LiveProgressFile, convert_progress_to_dict
-from haptics.recorder.recorder import RunProgress
+from haptics.recorder.recorder import LIVE_FILE, LiveProgressFile, RunProgress, convert_progress_to_dict
 from haptics.recorder.run_folder import RunFolder
-from scenes.viewer.bench.page import make_bench_status_html
-from scenes.viewer.bench.sources import ConnectedDevicesSource, RunFolderSource
+from scenes.viewer.bench_page import ConnectedDevicesSource, RunFolderSource, make_bench_status_html
 from tissue_sim.errors import InputError
 
 HEADER = ["time [s]", "displacement [mm]", "force [N]", "segment"]
@@ -99,7 +97,7 @@ def test_an_unknown_channel_is_refused():
 
 
 def test_texts_are_escaped_in_html():
-    from scenes.viewer.bench.sources import BenchState
+    from scenes.viewer.bench_page import BenchState
 
     page = make_bench_status_html(BenchState("<b>", "a & b", None, None, 0.5))
     assert "&lt;b&gt;" in page and "a &amp; b" in page and "width:50.0%" in page and "–" in page

@@ -28,8 +28,8 @@ from scenes.viewer.calibration_task import (
     FittedParameter,
     calibrate_uploaded_files,
 )
+from scenes.viewer.measurement import read_uploaded_recordings_or_sidecar
 from scenes.viewer.page.calibration_controls import calibration_html, recordings_html
-from scenes.viewer.recording_upload import read_uploaded_recordings_or_sidecar
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.parameters import with_values
 

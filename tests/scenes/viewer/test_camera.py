@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, compute_preset_camera_pose
+from scenes.viewer.page.view_controls import FIELD_OF_VIEW, PRESETS, compute_preset_camera_pose
 from scenes.viewer.revolution import WedgeOpening
 from scenes.viewer.tool_picture import (
     compute_height_of_tool_with_longest_arrow,

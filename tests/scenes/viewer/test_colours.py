@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from scenes.colour_scale import compute_volume_weighted_quantiles
-from scenes.viewer.colours import (
+from scenes.viewer.bands import (
     PALETTE,
     choose_band_levels,
     colour_bar_html,

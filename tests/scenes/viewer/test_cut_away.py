@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from scenes.viewer.cut_away import TriangulatedHalfSection
-from scenes.viewer.revolution import TriangulatedSurface, WedgeOpening, concatenate_surfaces, revolve_polyline_by_band
+from scenes.viewer.revolution import (
+    TriangulatedHalfSection,
+    TriangulatedSurface,
+    WedgeOpening,
+    concatenate_surfaces,
+    revolve_polyline_by_band,
+)
 from tissue_sim.fem.axisymmetric.fields import build_half_section
 from tissue_sim.mesh import cylinder_mesh, cylinder_mesh_refined_under_needle
 from tissue_sim.mesh.elements import Q4P0, Q9P1

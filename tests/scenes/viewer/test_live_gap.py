@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from haptics.loop.ring import TICK
-from scenes.viewer.live_gap import find_largest_live_model_difference, select_forces_of_late_ticks_on_grid
+from scenes.viewer.page.readouts import find_largest_live_model_difference, select_forces_of_late_ticks_on_grid
 from scenes.viewer.trace import Trace
 from tissue_sim.tool_force import ForceStatus
 

@@ -11,7 +11,7 @@ import tissue_sim as ts
 from haptics.devices.motions import TargetFollowingMotion
 from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, TICK, RingReader, RingWriter
-from haptics.loop.snapshot_board import SnapshotReader, SnapshotWriter
+from haptics.loop.shared_slots import SnapshotReader, SnapshotWriter
 from scenes.viewer.frame import Phase
 from scenes.viewer.live_simulation import LiveSimulation
 from tissue_sim.fem.axisymmetric.fields import Fields
@@ -329,7 +329,7 @@ def test_forget_skips_unread_ticks(written):
 
 def test_the_budget_is_extended_for_slow_solvers_only(needle, monkeypatch):
     """With the original budget, a slow solver would make no progress in most ticks."""
-    from scenes.viewer.viewed_simulator import ExtendableBudgetSimulator
+    from scenes.viewer.background_simulation import ExtendableBudgetSimulator
 
     quick = ExtendableBudgetSimulator(needle.model, resolution="realtime_20", budget=10.0)
     quick.warm_up()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from scenes.viewer.model_curve import ModelCurveWorker, simulate_whole_test
+from scenes.viewer.background_simulation import ModelCurveWorker, simulate_whole_test
 from tissue_sim.errors import ConvergenceError
 
 CURVE = ts.Recording({"displacement": np.linspace(0, 1e-3, 5), "force": np.linspace(0, 1, 5)})
@@ -93,7 +93,7 @@ def test_a_result_after_forget_is_dropped(pool):
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_a_killed_worker_is_replaced(monkeypatch, until):
     """Real process with a text function instead of a simulation; test_session.py simulates whole tests."""
-    monkeypatch.setattr("scenes.viewer.model_curve.simulate_whole_test", "{}{}, {}".format)
+    monkeypatch.setattr("scenes.viewer.background_simulation.simulate_whole_test", "{}{}, {}".format)
     before = set(multiprocessing.active_children())
     curve = ModelCurveWorker("fast")
     try:

@@ -8,7 +8,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 import tissue_sim as ts
-from scenes.viewer.picture_file import DrawnForceCurve, compose_picture_png
+from scenes.viewer.page.saving import DrawnForceCurve, compose_picture_png
 
 LEVELS = [0.0, 0.5, 1.0, 2.0]
 COLOURS = ["#440154", "#21918c", "#fde725"]

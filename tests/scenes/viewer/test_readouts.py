@@ -8,8 +8,8 @@ import pytest
 
 import tissue_sim as ts
 from scenes.viewer.frame import Phase, PlotCurves, SessionFrame, SimulationReadouts
-from scenes.viewer.live_gap import LargestLiveModelDifference
 from scenes.viewer.page.readouts import (
+    LargestLiveModelDifference,
     largest_live_model_difference_html,
     model_rmse_html,
     readouts_html,

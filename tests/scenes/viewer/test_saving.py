@@ -9,7 +9,7 @@ import viser
 import tissue_sim as ts
 from haptics.loop.ring import TICK
 from scenes.catalogue import SCENES
-from scenes.viewer.page.notices import FAILED
+from scenes.viewer.page.readouts import FAILED
 from scenes.viewer.page.saving import SaveControls
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace

@@ -10,8 +10,7 @@ import pytest
 import tissue_sim as ts
 from scenes.catalogue import SCENES
 from scenes.viewer.measurement import build_measurement_from_replicates
-from scenes.viewer.reach import limit_lateral_position_to_top_and_range
-from scenes.viewer.scene import Scene, read_measurements_by_kind
+from scenes.viewer.scene import Scene, limit_lateral_position_to_top_and_range, read_measurements_by_kind
 from tissue_sim.snapshot import Snapshot
 
 PUNCH = ts.Tool("flat", radius=0.006, edge_radius=0.001)

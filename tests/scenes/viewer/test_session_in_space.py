@@ -10,7 +10,7 @@ from coarse_solid import make_coarse_solid
 import tissue_sim as ts
 from haptics.loop.loop import LoopSettings
 from scenes.viewer.frame import Phase
-from scenes.viewer.reach import limit_lateral_position_to_top
+from scenes.viewer.scene import limit_lateral_position_to_top
 from scenes.viewer.session import Session
 from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.pose import Pose

@@ -5,8 +5,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes.viewer.revolution import WedgeOpening
-from scenes.viewer.solid_body import SETTINGS, ThreeDimensionalMeshBody
-from scenes.viewer.wedge import Wedge
+from scenes.viewer.solid_body import SETTINGS, ThreeDimensionalMeshBody, Wedge
 from tissue_sim.fem.solid.fields import SolidFields, build_solid_geometry
 from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
 from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from scenes.viewer.colours import PALETTE
-from scenes.viewer.tone import compute_displayed_srgb, find_surface_srgb
+from scenes.viewer.bands import PALETTE, compute_displayed_srgb, find_surface_srgb
 
 CHANNEL = st.integers(0, 255)
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from scenes.viewer.cut_away import PossibleContactBoundary, TriangulatedHalfSection
-from scenes.viewer.revolution import WedgeOpening
+from scenes.viewer.revolution import PossibleContactBoundary, TriangulatedHalfSection, WedgeOpening
 from scenes.viewer.tool_picture import (
     SETTINGS,
     compute_height_of_tool_with_longest_arrow,
