@@ -7,12 +7,12 @@ from calibration.campaign.campaign import Test as Test
 from calibration.campaign.campaign import load_campaign as load_campaign
 from calibration.campaign.measured import MeasuredCurve as MeasuredCurve
 from calibration.campaign.measured import read_measured_curves as read_measured_curves
-from calibration.diagnosis.settings import DecisionLimits as DecisionLimits
 from calibration.diagnosis.design import Design as Design
 from calibration.diagnosis.diagnosis import Diagnosis as Diagnosis
-from calibration.diagnosis.settings import RefitSettings as RefitSettings
 from calibration.diagnosis.diagnosis import DiagnosisResult as DiagnosisResult
 from calibration.diagnosis.diagnosis import diagnosis_to_json as diagnosis_to_json
+from calibration.diagnosis.settings import DecisionLimits as DecisionLimits
+from calibration.diagnosis.settings import RefitSettings as RefitSettings
 from calibration.fit.fit import Fit as Fit
 from calibration.fit.fit import Minimum as Minimum
 from calibration.fit.fit import Nuisance as Nuisance

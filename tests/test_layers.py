@@ -28,7 +28,7 @@ IMPORTERS = {  # outside package -> where it may be imported
 #: What opens a file to read it, or parses what is in one; and who may: the doors, and readers of what is our own.
 OPENING = {"read_bytes", "read_text", "loadtxt", "genfromtxt", "loads", "fromstring"}
 DOORS = {
-    "tissue_sim/decode.py", "tissue_sim/bounded.py", "tissue_sim/bounded.py",
+    "tissue_sim/decode.py", "tissue_sim/bounded.py",
     # Our sources and caches, the system's files, results of this program that it has just written.
     "tissue_sim/laws/derivation.py", "calibration/forward/simulation_cache.py", "calibration/job.py",
     "haptics/loop/loop.py", "scenes/viewer/page/scene_controls.py", "scenes/viewer/trace.py",

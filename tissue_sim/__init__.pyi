@@ -8,10 +8,10 @@ from tissue_sim.errors import ConvergenceError as ConvergenceError
 from tissue_sim.errors import InputError as InputError
 from tissue_sim.errors import MissingBackendError as MissingBackendError
 from tissue_sim.experiment.adhesion import Adhesion as Adhesion
-from tissue_sim.experiment.experiment import Approach as Approach
 from tissue_sim.experiment.contact_law import CONTACT_LAWS as CONTACT_LAWS
 from tissue_sim.experiment.contact_law import ContactLaw as ContactLaw
 from tissue_sim.experiment.contact_law import Traction as Traction
+from tissue_sim.experiment.experiment import Approach as Approach
 from tissue_sim.experiment.experiment import Experiment as Experiment
 from tissue_sim.experiment.kinds.kind import KINDS as KINDS
 from tissue_sim.experiment.kinds.kind import TestKind as TestKind
@@ -44,8 +44,8 @@ from tissue_sim.material.file import MaterialFile as MaterialFile
 from tissue_sim.material.file import load_material as load_material
 from tissue_sim.material.file import read_material_file as read_material_file
 from tissue_sim.material.file import write_material_file as write_material_file
-from tissue_sim.material.material import Layer as Layer
 from tissue_sim.material.material import Bulk as Bulk
+from tissue_sim.material.material import Layer as Layer
 from tissue_sim.material.material import Material as Material
 from tissue_sim.material.poroelasticity import Poroelasticity as Poroelasticity
 from tissue_sim.material.puncture import Puncture as Puncture
@@ -53,7 +53,6 @@ from tissue_sim.material.softening import Softening as Softening
 from tissue_sim.material.viscoelasticity import Prony as Prony
 from tissue_sim.material.viscoelasticity import PronyTerm as PronyTerm
 from tissue_sim.model import Model as Model
-from tissue_sim.realtime.tissue import MotionLimits as MotionLimits
 from tissue_sim.parameters import parameter as parameter
 from tissue_sim.parameters import with_values as with_values
 from tissue_sim.pose import Pose as Pose
@@ -61,6 +60,7 @@ from tissue_sim.realtime.inertia_limits import LightToolWarning as LightToolWarn
 from tissue_sim.realtime.inertia_limits import PathSettings as PathSettings
 from tissue_sim.realtime.simulator import Simulator as Simulator
 from tissue_sim.realtime.simulator import SimulatorState as SimulatorState
+from tissue_sim.realtime.tissue import MotionLimits as MotionLimits
 from tissue_sim.recording.contact import Contact as Contact
 from tissue_sim.recording.contact import find_contact as find_contact
 from tissue_sim.recording.failure import Failure as Failure

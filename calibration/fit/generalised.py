@@ -185,7 +185,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         return build_generalised_problem(law, self.campaign, self.measured, self.solves)
 
     def require_fittable_law(self, law: str, number: int) -> None:
-        """Simulate the first start of a law; errors are those of `calibration.fit.generalised.require_fittable_start`."""
+        """Simulate the first start of a law; errors are those of `require_fittable_start`."""
         require_fittable_start(self.build_law_problem(law), self.campaign, number)
 
     def fit_laws(self, laws: Sequence[str],

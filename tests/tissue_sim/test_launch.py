@@ -36,7 +36,7 @@ def test_a_kept_kernel_is_found_whatever_was_used_before(root):
     """Taichi knows it by the numbers of its fields, in the order in which they were made: there is one."""
     assert solver_scratch() is get_shared_scratch_field(4, 1)
     makers = [path for path in (root / "tissue_sim").rglob("*.py") if ".field(" in path.read_text(encoding="utf-8")]
-    assert [path.name for path in makers] == ["shared_fields.py"]
+    assert [path.name for path in makers] == ["runtime.py"]
     with pytest.raises(ValueError, match="got 4000 vectors of 4"):
         get_shared_scratch_field(4, 4000)
 

@@ -102,16 +102,16 @@ class Experiment:
         specimen: geometry, density and gravity.
         protocol: tool displacement against time, from the first touch of the specimen in equilibrium.
         tool: rigid tool that is moved into the specimen.
-        friction: interface of the tool's face; see `tissue_sim.experiment.contact_law`. A bonded needle holds the tissue
-            under its flat face from the start, and its rounded edge holds the tissue that it meets.
+        friction: interface of the tool's face; see `tissue_sim.experiment.contact_law`. A bonded needle holds the
+            tissue under its flat face from the start, and its rounded edge holds the tissue that it meets.
         friction_base: interface of the base plate; ``"as_tool"``: that of the upper plate. None: ``"bonded"`` under a
             needle and below a curved specimen; between two plates the interface of the tool, as ``"as_tool"`` if it is
             a coefficient of friction, so that a fit changes both together.
         friction_wall: interface of a needle's shaft; tissue meets it during the test, so that it cannot be bonded.
         adhesion: attraction of a tool that lifts off; None: no adhesion.
         tilt: height difference across the contact, m; see `tissue_sim.simulation`.
-        slip: fraction of the bonded area that slips; see `tissue_sim.simulation`. It applies to both bonded faces of plates,
-            and to the face of a needle. None if the tool's face is not bonded.
+        slip: fraction of the bonded area that slips; see `tissue_sim.simulation`. It applies to both bonded faces of
+            plates, and to the face of a needle. None if the tool's face is not bonded.
         contact_laws: additional laws by name; see `tissue_sim.experiment.contact_law`. A sequence of laws is accepted.
         approach: offset and angle of the tool; None: on the axis. Only three-dimensional solvers accept another one.
 
