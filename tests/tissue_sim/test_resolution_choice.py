@@ -132,6 +132,22 @@ def test_forces_err_by_no_more_than_they_say(name):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("tool, friction", [(ts.Tool("flat", 8e-3), "bonded"), (ts.Tool("sphere", 8e-3), 0.3)],
+                         ids=["flat", "ball"])
+def test_solid_forces_err_by_no_more_than_they_say(tool, friction):
+    """The mesh `realtime` of solids, against the accurate axisymmetric mesh from 2 to 6 mm."""
+    tissue = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
+    test = ts.Model(ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(6e-3, 7), tool=tool, friction=friction),
+                    tissue)
+    stated = ts.Simulator(test, solver="solid").force_error
+    exact, force = (ts.simulate(test, estimate_error=False, **how).force[2:]
+                    for how in ({"resolution": "accurate"}, {"solver": "solid", "resolution": "realtime"}))
+    assert np.abs(force / exact - 1.0).max() <= stated < 0.1
+    other = ts.Simulator(test, solver="solid", resolution="fast")
+    assert other.force_error is None, "errors of this mesh are not measured"
+
+
+@pytest.mark.slow
 def test_under_a_free_edge_there_is_no_other_equilibrium_on_the_way_back():
     """On 20 elements the force at 5 mm was 13 % too small after the tool had been at 8 mm."""
     tissue = ts.Material("reduced_polynomial_2", {"C10": 1400.0, "C20": 105.0}, ts.Bulk("bulk_ratio", 1e4))

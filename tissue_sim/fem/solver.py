@@ -305,6 +305,8 @@ class Solver(ToolInAirInterface, ABC):
 
     mesh: Any = None
     datum: float = 0.0
+    #: Largest known relative error of the force on the mesh of the solver, 1; None if unknown.
+    stated_force_error: float | None = None
     #: Highest order of extrapolation that `step` implements.
     highest_order: ClassVar[int] = 2
 

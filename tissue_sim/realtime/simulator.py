@@ -273,7 +273,8 @@ class Simulator(PathFollowingTissue):
         #: Levels among which `warm_up` chooses.
         self._levels = levels if resolution == "realtime" and budget is not None else ()
         self.resolution = "own mesh" if mesh is not None else resolution
-        self.force_error = {level.resolution: level.force_error for level in levels}.get(resolution)
+        self.force_error = {level.resolution: level.force_error for level in levels}.get(
+            resolution, self._solver.stated_force_error)
         self._solver.enable_stiffness_output()
         self.density = model.experiment.specimen.density or model.material.density or DENSITY
         # Whether the solver supports inertia.

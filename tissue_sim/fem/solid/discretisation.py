@@ -135,6 +135,26 @@ def solve_solid_self_weight_equilibrium(stand: Callable[[SolidMesh], SolidSolver
 _LEAST_LARGEST = 0.17
 
 
+class SolidForceErrors(NamedTuple):
+    """Largest relative errors of the force, 1, for the specimen of the study.
+
+    They are compared with the accurate axisymmetric mesh from 2 to 10 mm, under tips from 2 to 6 mm
+    (`benchmarks/realtime/resolution_levels.py`).
+
+    Attributes:
+        plate: under a plate.
+        held: under a flat face with friction or stick, or without friction before its sharp edge limits the depth.
+        tip: under a tool without a flat face.
+        slipping_edge: under a flat face without friction whose edge is rounded. A coarse edge adds the error that
+            `tissue_sim.fem.solid.coarse_surface` estimates in each step.
+    """
+
+    plate: float
+    held: float
+    tip: float
+    slipping_edge: float
+
+
 class Resolution(NamedTuple):
     """Element type and element sizes that belong to the name of a resolution, see `RESOLUTIONS`.
 
@@ -144,6 +164,7 @@ class Resolution(NamedTuple):
         growth, largest: ratio of successive sizes away from the edge; largest size over the radius of the face, 1.
         around: number of elements along a quarter of the circumference of the face.
         layer_elements: smallest number of elements through a layer of the material.
+        force_errors: largest known errors of the force; None: not measured.
     """
 
     element: Hexahedron
@@ -152,11 +173,24 @@ class Resolution(NamedTuple):
     largest: float
     around: int
     layer_elements: int = 1
+    force_errors: SolidForceErrors | None = None
+
+    def get_force_error_or_none(self, experiment: Experiment) -> float | None:
+        """Return the largest known relative error of the force of an experiment, 1; None if it is not known."""
+        errors, tool = self.force_errors, experiment.tool
+        if errors is None:
+            return None
+        if tool.is_plate:
+            return errors.plate
+        if not tool.face_radius:
+            return errors.tip
+        slips = experiment.friction in ("frictionless", 0.0) and tool.edge_radius
+        return errors.slipping_edge if slips else errors.held
 
 
 #: Name -> resolution.
 RESOLUTIONS = {
-    "realtime": Resolution(HEX8P0, 0.2, 1.8, 1.9, 4),
+    "realtime": Resolution(HEX8P0, 0.2, 1.8, 1.9, 4, force_errors=SolidForceErrors(0.03, 0.08, 0.06, 0.12)),
     "fast": Resolution(HEX27P1, 0.25, 1.8, 1.9, 2),
     "accurate": Resolution(HEX27P1, 0.12, 1.6, 1.2, 4, layer_elements=2),
 }
@@ -181,7 +215,10 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
         mesh = build_mesh(origin.experiment, resolution, origin.material.layers)
     if topology is not None:
         mesh = _adapt_mesh_to_geometry(mesh, topology, experiment)
-    return _make_solver_on_mesh(model, mesh, None, None, can_move=not own and experiment.specimen.is_flat)
+    solver = _make_solver_on_mesh(model, mesh, None, None, can_move=not own and experiment.specimen.is_flat)
+    if not own:
+        solver.stated_force_error = RESOLUTIONS[resolution].get_force_error_or_none(experiment)
+    return solver
 
 
 def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datum: float | None, *,
