@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from collections import Counter
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -40,6 +41,10 @@ VAGUE_NAMES = {"utils", "util", "helpers", "helper", "manager", "core", "misc", 
 #: Lines of a file, and of a function outside kernels.
 LONGEST_FILE = 600
 LONGEST_FUNCTION = 120
+#: Files of a folder, without `__init__.py`.
+MOST_FILES = 20
+#: Folders with one file per registered kind, which may have more.
+KIND_FOLDERS = {"tissue_sim/recording/formats", "calibration/effects", "calibration/report/sections"}
 
 
 def place(path: Path) -> str:
@@ -164,6 +169,13 @@ def test_files_and_functions_are_short():
     long = [f"{function.name} of {place(path)}" for path in SOURCES if not holds_kernels(path)
             for function in functions(path) if function.end_lineno - function.lineno >= LONGEST_FUNCTION]
     assert not long, f"split {long}"
+
+
+def test_folders_can_be_read_at_a_glance():
+    files = Counter(place(path.parent) for path in SOURCES if path.name != "__init__.py")
+    full = {folder: number for folder, number in files.items() if number > MOST_FILES}
+    assert not set(full) - KIND_FOLDERS, f"merge files of one subject, or divide {full}"
+    assert set(full) == KIND_FOLDERS, "an exception that no folder needs"
 
 
 def test_names_say_what_is_meant():
