@@ -13,15 +13,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntFlag
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.experiment import Approach
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.public_names import OldName, rename_old_members_of_subclass
 
+if TYPE_CHECKING:
+    # Imported for type checkers only: the help of commands that name devices imports no numpy.
+    from tissue_sim.experiment.experiment import Approach
+
 #: Signature of `HapticDevice.set_approach`.
-_SetApproach = Callable[[Any, Approach | None], None]
+_SetApproach = Callable[[Any, "Approach | None"], None]
 
 
 class DeviceError(RuntimeError):
