@@ -23,7 +23,8 @@ class CampaignDesign(Job):
     `calibration.campaign.planned.read_or_plan_curves_of_all_tests`.
     """
 
-    kind, result_file = "design", "design.json"
+    kind = "design"
+    result_file = "design.json"
 
     def __init__(self, campaign: Campaign, measured: Measured, folder: Path | None, context: RunContext):
         super().__init__(campaign, measured, folder, context)

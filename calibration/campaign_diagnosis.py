@@ -199,7 +199,8 @@ class CampaignDiagnosis(Job):
         figures_format: format of separate figure files; None: no figure files.
     """
 
-    kind, result_file = "diagnosis", DIAGNOSIS_FILE
+    kind = "diagnosis"
+    result_file = DIAGNOSIS_FILE
 
     def __init__(self, campaign: Campaign, measured: Measured, folder: Path, context: RunContext,
                  *, limits: DecisionLimits | None = None, refit_settings: RefitSettings | None = None,

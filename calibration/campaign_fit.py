@@ -74,7 +74,8 @@ class CampaignFit(Job):
         estimator: estimator of the method.
     """
 
-    kind, result_file = "fit", FIT_FILE
+    kind = "fit"
+    result_file = FIT_FILE
 
     def __init__(self, campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], folder: Path,
                  context: RunContext, *, limits: UsabilitySettings | None = None, figures: bool = True,

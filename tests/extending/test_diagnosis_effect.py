@@ -40,7 +40,11 @@ def test_registered_name_is_refused(cable):
 
 def test_effect_gives_reason_why_tests_cannot_show_it():
     class Nowhere(Effect):
-        name, category, title, signature, separated_by = "nowhere", "rig", "nothing", "no change", "no test"
+        name = "nowhere"
+        category = "rig"
+        title = "nothing"
+        signature = "no change"
+        separated_by = "no test"
 
         def candidates(self, situation):
             raise NotTestableError("no test has a sensor")
@@ -55,7 +59,11 @@ def test_former_names_work_and_warn(cable, tmp_path):
 
     with pytest.warns(DeprecationWarning, match=r"OldCable\.room is renamed to category; define category"):
         class OldCable(Effect):
-            name, room, title, signature, separated_by = "old_cable", "rig", "cable", "pulls", "a run in air"
+            name = "old_cable"
+            room = "rig"
+            title = "cable"
+            signature = "pulls"
+            separated_by = "a run in air"
 
             def candidates(self, situation):
                 tests = [add_cable(test) for test in situation.simulated()]

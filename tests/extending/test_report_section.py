@@ -70,7 +70,9 @@ def test_section_without_content_has_no_title(plugin, registers, make_report):
 
 def test_section_of_the_other_report_is_not_shown(registers, make_report):
     class NeverShown(Section):
-        name, title, reports = "never_shown", "Never shown", ("diagnosis",)
+        name = "never_shown"
+        title = "Never shown"
+        reports = ("diagnosis",)
 
         def iterate_blocks(self, report):
             raise AssertionError("a calibration does not have this section")
@@ -87,7 +89,8 @@ def test_name_that_is_taken_or_unknown_is_refused(plugin, registers):
         SECTIONS.register(object, "nothing")
 
     class Misplaced(Section):
-        name, before = "misplaced", "rankin"
+        name = "misplaced"
+        before = "rankin"
 
     registers(SECTIONS, Misplaced)
     with pytest.raises(ts.InputError, match="unknown report section 'rankin'; did you mean 'ranking'"):

@@ -15,7 +15,9 @@ from calibration.report.units import ReportUnits
 class Assumptions(Section):
     """Assumptions, one sentence each."""
 
-    name, title, reports = "assumptions", "Assumptions", ("calibration", "diagnosis")
+    name = "assumptions"
+    title = "Assumptions"
+    reports = ("calibration", "diagnosis")
 
     def iterate_blocks(self, report: CalibrationReport | DiagnosisReport) -> Iterator[Block]:
         """Yield the list of the assumptions."""

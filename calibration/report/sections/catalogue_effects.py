@@ -30,7 +30,9 @@ _MIN_WRONG_SIGN_SCORE = 3.0
 class CatalogueEffects(Section):
     """Scores of the effects, fitted effects, and effects that these tests can and cannot detect."""
 
-    name, title, reports = "catalogue_effects", "Effects of the catalogue in these tests", ("diagnosis",)
+    name = "catalogue_effects"
+    title = "Effects of the catalogue in these tests"
+    reports = ("diagnosis",)
 
     def iterate_blocks(self, report: DiagnosisReport) -> Iterator[Block]:
         """Yield the figure of the scores and the tables."""

@@ -17,7 +17,8 @@ from calibration.report.units import ReportUnits
 class Convergence(Section):
     """Error and parameters at every solve of every start."""
 
-    name, title = "convergence", "Convergence"
+    name = "convergence"
+    title = "Convergence"
 
     def iterate_blocks(self, report: CalibrationReport) -> Iterator[Block]:
         """Yield the figure and, as details, a table for each law; nothing without a history of solves."""

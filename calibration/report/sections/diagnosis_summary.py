@@ -31,7 +31,8 @@ _MIN_CHANGE = 0.005
 class DiagnosisSummary(Section):
     """Numbers of recordings, tests and effects; then the verdict and its evidence."""
 
-    name, reports = "diagnosis_summary", ("diagnosis",)
+    name = "diagnosis_summary"
+    reports = ("diagnosis",)
 
     def iterate_blocks(self, report: DiagnosisReport) -> Iterator[Block]:
         """Yield the line with the numbers and the summary."""

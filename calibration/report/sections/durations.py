@@ -11,7 +11,9 @@ from calibration.report.section import DiagnosisReport, Section
 class Durations(Section):
     """Duration, s, and number of simulations of each stage, and their sums."""
 
-    name, title, reports = "durations", "Time", ("diagnosis",)
+    name = "durations"
+    title = "Time"
+    reports = ("diagnosis",)
 
     def iterate_blocks(self, report: DiagnosisReport) -> Iterator[Block]:
         """Yield the table."""

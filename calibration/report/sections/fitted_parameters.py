@@ -19,7 +19,8 @@ from calibration.report.section import CalibrationReport, Section
 class FittedParameters(Section):
     """Formula, estimates and intervals of each law."""
 
-    name, title = "fitted_parameters", "Parameters"
+    name = "fitted_parameters"
+    title = "Parameters"
 
     def iterate_blocks(self, report: CalibrationReport) -> Iterator[Block]:
         """Yield a heading with the formula and a table for each law."""

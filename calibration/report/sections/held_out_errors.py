@@ -12,7 +12,9 @@ from calibration.report.section import DiagnosisReport, Section
 class HeldOutErrors(Section):
     """Prediction errors in data that were not fitted."""
 
-    name, title, reports = "held_out_errors", "Data that were not fitted", ("diagnosis",)
+    name = "held_out_errors"
+    title = "Data that were not fitted"
+    reports = ("diagnosis",)
 
     def iterate_blocks(self, report: DiagnosisReport) -> Iterator[Block]:
         """Yield the table; nothing without such data."""

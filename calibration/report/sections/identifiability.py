@@ -15,7 +15,8 @@ from calibration.report.symbols import format_plain_symbol
 class Identifiability(Section):
     """Condition number, poorly determined combinations, parameters that are not identifiable, and remedies."""
 
-    name, title = "identifiability", "Identifiability of the parameters"
+    name = "identifiability"
+    title = "Identifiability of the parameters"
 
     def iterate_blocks(self, report: CalibrationReport) -> Iterator[Block]:
         """Yield the table with one row per law; nothing for fits of closed forms."""

@@ -22,8 +22,10 @@ _NOTE = ("The models include the offset and the zero of each recording. Shaded: 
 class MisfitByTest(Section):
     """Recordings, model and residuals of each fitted test, before and after the found effects are added."""
 
-    name, title = "misfit_by_test", "Where model and measurement differ"
-    reports, needs_figures = ("diagnosis",), True
+    name = "misfit_by_test"
+    title = "Where model and measurement differ"
+    reports = ("diagnosis",)
+    needs_figures = True
 
     def iterate_blocks(self, report: DiagnosisReport) -> Iterator[Block]:
         """Yield a note, then a heading and a figure for each test."""

@@ -13,7 +13,9 @@ from calibration.report.section import DiagnosisReport, Section
 class NextExperiments(Section):
     """Proposed experiments, with the effects that each would distinguish."""
 
-    name, title, reports = "next_experiments", "What to measure next", ("diagnosis",)
+    name = "next_experiments"
+    title = "What to measure next"
+    reports = ("diagnosis",)
 
     def iterate_blocks(self, report: DiagnosisReport) -> Iterator[Block]:
         """Yield the numbered list; nothing without proposals."""

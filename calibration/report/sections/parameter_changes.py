@@ -12,7 +12,9 @@ from calibration.report.section import DiagnosisReport, Section
 class ParameterChanges(Section):
     """Estimates without and with the added effects, and the resulting bias."""
 
-    name, title, reports = "parameter_changes", "Parameters", ("diagnosis",)
+    name = "parameter_changes"
+    title = "Parameters"
+    reports = ("diagnosis",)
 
     def iterate_blocks(self, report: DiagnosisReport) -> Iterator[Block]:
         """Yield the table."""

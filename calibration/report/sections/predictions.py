@@ -14,7 +14,8 @@ from calibration.report.section import CalibrationReport, Section
 class Predictions(Section):
     """Errors of each law in tests that it was not fitted to, compared with the errors expected by chance."""
 
-    name, title = "predictions", "Predictions of tests that were not fitted"
+    name = "predictions"
+    title = "Predictions of tests that were not fitted"
 
     def iterate_blocks(self, report: CalibrationReport) -> Iterator[Block]:
         """Yield the figure, unless it would show no more than the table, and the table; nothing without predictions."""

@@ -11,7 +11,9 @@ from calibration.report.section import CalibrationReport, DiagnosisReport, Secti
 class RecordingFiles(Section):
     """File name, SHA-256 and number of points of each recording."""
 
-    name, title, reports = "recording_files", "Recordings", ("calibration", "diagnosis")
+    name = "recording_files"
+    title = "Recordings"
+    reports = ("calibration", "diagnosis")
 
     def iterate_blocks(self, report: CalibrationReport | DiagnosisReport) -> Iterator[Block]:
         """Yield the list of the recordings."""

@@ -23,7 +23,9 @@ _NOTE = ("Displacement, strain, force and stress are positive under load. Tangen
 class RecordingsAndLaws(Section):
     """Recordings, laws, tangents, prediction band and residuals of each test."""
 
-    name, title, needs_figures = "recordings_and_laws", "Recordings and laws", True
+    name = "recordings_and_laws"
+    title = "Recordings and laws"
+    needs_figures = True
 
     def iterate_blocks(self, report: CalibrationReport) -> Iterator[Block]:
         """Yield a note, then a heading and a figure for each test."""

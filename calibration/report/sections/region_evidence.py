@@ -15,7 +15,10 @@ from calibration.report.units import ReportUnits
 class RegionEvidence(Section):
     """Misfit and its significance in each region, without and with the added effects."""
 
-    name, title, reports, needs_figures = "region_evidence", "Evidence by region", ("diagnosis",), True
+    name = "region_evidence"
+    title = "Evidence by region"
+    reports = ("diagnosis",)
+    needs_figures = True
 
     def iterate_blocks(self, report: DiagnosisReport) -> Iterator[Block]:
         """Yield the figure and the table."""

@@ -15,7 +15,8 @@ from calibration.report.section import CalibrationReport, Section
 class RegionMisfits(Section):
     """Misfit of each law in each region of each test, and the statistical tests of the residuals."""
 
-    name, title = "region_misfits", "Misfit by region"
+    name = "region_misfits"
+    title = "Misfit by region"
 
     def iterate_blocks(self, report: CalibrationReport) -> Iterator[Block]:
         """Yield the figure and the table; nothing if the residuals were not tested."""

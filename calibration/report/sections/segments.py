@@ -18,7 +18,8 @@ class Segments(Section):
     The figure shows the first recording with a note, or the first recording if none has a note.
     """
 
-    name, title = "segments", "Segments"
+    name = "segments"
+    title = "Segments"
 
     def iterate_blocks(self, report: CalibrationReport) -> Iterator[Block]:
         """Yield a note, then a heading, a list and a figure for each test; nothing without segmented recordings."""

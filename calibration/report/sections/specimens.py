@@ -16,7 +16,8 @@ from calibration.report.section import CalibrationReport, Section
 class Specimens(Section):
     """Mean and scatter of the parameters of several specimens; without a population the parameters of each."""
 
-    name, needs_figures = "specimens", True
+    name = "specimens"
+    needs_figures = True
 
     def make_title(self, report: CalibrationReport) -> str:
         """Return the title."""

@@ -32,7 +32,8 @@ CRITERIA = {
 class Usability(Section):
     """Which laws are usable: criteria with reasons of failure, and alternative optima."""
 
-    name, title = "usability", "Which laws are usable"
+    name = "usability"
+    title = "Which laws are usable"
 
     def iterate_blocks(self, report: CalibrationReport) -> Iterator[Block]:
         """Yield the table of the criteria and the tables of the alternatives; nothing if no fit was judged."""

@@ -11,7 +11,9 @@ from calibration.report.section import DiagnosisReport, Section
 class WrittenFiles(Section):
     """Files that include the effects found."""
 
-    name, title, reports = "written_files", "Files", ("diagnosis",)
+    name = "written_files"
+    title = "Files"
+    reports = ("diagnosis",)
 
     def iterate_blocks(self, report: DiagnosisReport) -> Iterator[Block]:
         """Yield the list of the files; nothing if no file was written."""

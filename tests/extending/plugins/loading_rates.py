@@ -7,7 +7,9 @@ from calibration.report.section import Section
 class LoadingRates(Section):
     """Mean rate of displacement of each recording, with a mark for slow ones."""
 
-    name, title, before = "loading_rates", "Loading rates", "ranking"
+    name = "loading_rates"
+    title = "Loading rates"
+    before = "ranking"
     #: Rate below which a recording is marked, mm/s.
     SLOW = 0.1
 

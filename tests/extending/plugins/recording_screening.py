@@ -13,7 +13,8 @@ def compute_signal_to_noise_ratio(curve):
 class RecordingScreening(Job):
     """Names of the recordings whose largest force is less than `min_ratio` times the noise, and all ratios."""
 
-    kind, result_file = "screening", "screening.json"
+    kind = "screening"
+    result_file = "screening.json"
     stores_simulations = False
 
     def __init__(self, campaign, measured, folder, context, *, min_ratio=20.0):
