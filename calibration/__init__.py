@@ -9,5 +9,14 @@ from tissue_sim.public_names import make_lazy_package_members as _import_on_use
 _RENAMED = {"Wishes": "ImportOptions", "Stated": "InterpretationOverrides", "Imported": "ImportResult",
             "read_measured": "read_measured_curves", "ColumnHints": "InterpretationOverrides",
             "to_json": "to_json_dictionary", "design_experiments": "evaluate_planned_experiments"}
-_names, __getattr__, __dir__ = _import_on_use(__name__, _RENAMED)
+#: Old names of modules that programs of users import -> new names.
+_MOVED = {
+    "calibration.diagnosis.decision_limits": "calibration.diagnosis.settings",
+    "calibration.diagnosis.refit_settings": "calibration.diagnosis.settings",
+    "calibration.diagnosis.result": "calibration.diagnosis.diagnosis",
+    "calibration.effects.situation": "calibration.effects.effect",
+    "calibration.fit.hold": "calibration.fit.ordinary",
+    "calibration.fit.usability_settings": "calibration.fit.usability",
+}
+_names, __getattr__, __dir__ = _import_on_use(__name__, _RENAMED, _MOVED)
 __all__ = _names

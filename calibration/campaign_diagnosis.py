@@ -47,6 +47,7 @@ from calibration.forward.simulation_cache import SimulationCache
 from calibration.job import Job
 from calibration.output_folder import DIAGNOSIS_FILE, TABLES_OF_DIAGNOSIS, list_test_figure_file_names
 from calibration.report.outputs import write_diagnosis_and_get_result
+from calibration.report.page import require_usable_sections
 from tissue_sim.settings import get_changed_settings_by_name
 
 
@@ -225,10 +226,11 @@ class CampaignDiagnosis(Job):
             *list_test_figure_file_names(self.campaign, self.figures_format)]
 
     def check_before_writing(self) -> None:
-        """Check that the law can be simulated at its start values, and announce a long duration.
+        """Check the sections of the report and the law at its start values, and announce a long duration.
 
         See `Job.check_before_writing`.
         """
+        require_usable_sections()
         self.context.report_progress("checking the start values")
         campaign = make_campaign_with_scaled_offset_defaults(self.campaign, self.measured)
         with self._clock.measure_stage("check of the start values"):

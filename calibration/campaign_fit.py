@@ -49,6 +49,7 @@ from calibration.output_folder import (
     list_test_figure_file_names,
 )
 from calibration.report.outputs import write_calibration_files, write_failure_report, write_summary_table
+from calibration.report.page import require_usable_sections
 from calibration.statistics.uncertainty import ParameterUncertainty
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.settings import get_changed_settings_by_name
@@ -109,7 +110,8 @@ class CampaignFit(Job):
         write_summary_table(results, path)
 
     def check_before_writing(self) -> None:
-        """Check that each law can be simulated at its start values; see `Job.check_before_writing`."""
+        """Check the sections of the report, and each law at its start values; see `Job.check_before_writing`."""
+        require_usable_sections()
         if self.estimator.explores:
             check_solvers_accept_test_geometries(self.campaign)
         for number, law in enumerate(self.campaign.fit.laws):

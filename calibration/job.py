@@ -202,8 +202,8 @@ def _claim_folder_for_jobs(jobs: Sequence[Job], output: Path, *, overwrite: bool
 
 @cache
 def _hash_calibration_source_code() -> str:
-    """Return the SHA-256 digest of the source code of the package `calibration`, which affects the result."""
+    """Return the SHA-256 digest of source code and templates of the package `calibration`, which affect the result."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
+    for path in sorted(path for kind in ("*.py", "*.html", "*.css") for path in Path(__file__).parent.rglob(kind)):
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -86,13 +86,14 @@ def remove_earlier_results_and_claim_folder(
             raise InputError("the path of the folder for simulations must not be a file; move or rename this file",
                              file=folder / SOLVES)
     _require_inputs_not_replaced(planned, inputs)
-    _remove_unfinished_temporary_files(folders, planned)
+    unfinished = _list_unfinished_temporary_files(folders, planned)
     found = _read_valid_claim_or_empty(output)
-    if not overwrite and output.exists() and any(output.iterdir()):
+    if not overwrite and output.exists() and set(output.iterdir()) - {*unfinished}:
         if found.get("campaigns") != digests:
             content = _describe_other_results(output, found) if found else "other files"
             raise InputError(f"the output folder must be empty or contain results of the same campaigns; it contains "
                              f"{content}. Choose an empty folder or add --overwrite", file=output)
+        _remove_files_and_empty_folders(unfinished, output)
         return
     earlier = [output / name for name in found.get("files", ())]
     for path in planned:
@@ -100,7 +101,7 @@ def remove_earlier_results_and_claim_folder(
             raise InputError("a result would replace this file, which was not written by an earlier run in this "
                              "folder; move the file or choose another folder", file=path)
     _remove_stored_simulations({path.parent for path in earlier})
-    _remove_files_and_empty_folders(earlier, output)
+    _remove_files_and_empty_folders([*unfinished, *earlier], output)
     claimed = {"schema": CLAIM_SCHEMA, "campaigns": dict(digests),
                "files": [path.relative_to(output).as_posix() for path in planned]}
     write_text(output / CLAIM_FILE, json.dumps(claimed, indent=2) + "\n")
@@ -166,13 +167,12 @@ def _read_valid_claim_or_empty(output: Path) -> dict[str, Any]:
     return found if inside else {}
 
 
-def _remove_unfinished_temporary_files(folders: Sequence[Path], planned: Sequence[Path]) -> None:
-    """Remove the temporary files of results and simulations whose writing was ended by `kill` or a power failure."""
+def _list_unfinished_temporary_files(folders: Sequence[Path], planned: Sequence[Path]) -> list[Path]:
+    """Return the temporary files of results and simulations whose writing was ended by `kill` or a power failure."""
     names = {re.escape(path.name) for path in planned} | {r"[0-9a-f]{40}\.msgpack"}
-    for folder in {*(path.parent for path in planned), *(folder / SOLVES for folder in folders)}:
-        for file in folder.glob(".*.tmp"):
-            if re.fullmatch(rf"\.({'|'.join(names)})\.[0-9a-f]{{8}}\.tmp", file.name):
-                file.unlink(missing_ok=True)
+    return [file for folder in {*(path.parent for path in planned), *(folder / SOLVES for folder in folders)}
+            for file in folder.glob(".*.tmp")
+            if re.fullmatch(rf"\.({'|'.join(names)})\.[0-9a-f]{{8}}\.tmp", file.name)]
 
 
 def _remove_stored_simulations(folders: Iterable[Path]) -> None:

@@ -6,5 +6,5 @@ once.
 
 from tissue_sim.public_names import make_lazy_package_members as _import_on_use
 
-_names, __getattr__, __dir__ = _import_on_use(__name__)
+_names, __getattr__, __dir__ = _import_on_use(__name__, moved={"scenes.viewer.wedge": "scenes.viewer.solid_body"})
 __all__ = _names

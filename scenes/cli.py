@@ -11,7 +11,7 @@ from argparse import Namespace
 from collections.abc import Iterable, Sequence
 
 from calibration.tasks.errors import WorkerError
-from scenes.commands import COMMANDS, ExitCode
+from scenes.commands import COMMANDS, Command, ExitCode
 from scenes.commands.shared.parsing import InputErrorArgumentParser, describe_not_yet_available_feature
 from tissue_sim import __version__
 from tissue_sim.errors import (
@@ -95,8 +95,24 @@ def make_command_line_parser(names: Iterable[str] | None = None, *,
     parser.add_argument("--version", action="version", version=f"tissue-sim {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in COMMANDS if names is None else names:
-        COMMANDS[name].add_parser(commands, with_arguments=with_arguments)
+        try:
+            command = _import_command(name)
+        except InputError as error:
+            if names is not None:
+                raise
+            print(f"tissue-sim: {error}", file=sys.stderr)  # the help lists the other commands
+            continue
+        command.add_parser(commands, with_arguments=with_arguments)
     return parser
+
+
+def _import_command(name: str) -> Command:
+    """Return the command of a name; raise an `InputError` for an unknown command, or one that cannot be imported."""
+    try:
+        return COMMANDS.find(name)
+    except ImportError as error:
+        raise InputError(f"the command {name!r} cannot be imported ({error}). Reinstall or remove the package that "
+                         "adds it", field="tissue_sim.commands") from None
 
 
 def _require_known_command_and_action(words: list[str]) -> None:
@@ -107,7 +123,7 @@ def _require_known_command_and_action(words: list[str]) -> None:
     """
     if not words or words[0].startswith("-"):
         return
-    command = COMMANDS.find(words[0])
+    command = _import_command(words[0])
     actions = [action.name for action in command.actions]
     if actions and len(words) > 1 and not words[1].startswith("-"):
         named = f"command {' '.join(words[:2])!r}"

@@ -24,7 +24,7 @@ Status = Literal["ok", "warn", "fail"]
 #: Packages of this program.
 OWN_PACKAGES = ("tissue_sim", "calibration", "haptics", "scenes")
 #: Distributions that this program requires.
-REQUIRED_PACKAGES = ("taichi", "numpy", "scipy", "sympy", "viser", "msgspec", "rich", "matplotlib")
+REQUIRED_PACKAGES = ("taichi", "numpy", "scipy", "sympy", "viser", "msgspec", "rich", "matplotlib", "jinja2")
 #: Platforms with Taichi wheels: (sys.platform, machine in lower case).
 TAICHI_PLATFORMS = (("linux", "x86_64"), ("win32", "amd64"), ("darwin", "arm64"))
 #: Lowest and highest supported version of Python.

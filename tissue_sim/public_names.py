@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 _Class = TypeVar("_Class", bound=type)
 
 
-def make_lazy_package_members(package: str, renamed: Mapping[str, str] | None = None
+def make_lazy_package_members(package: str, renamed: Mapping[str, str] | None = None,
+                              moved: Mapping[str, str] | None = None
                               ) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
     """Make ``__all__``, ``__getattr__`` and ``__dir__`` of a package that imports each public name on first use.
 
@@ -24,9 +25,12 @@ def make_lazy_package_members(package: str, renamed: Mapping[str, str] | None = 
         package: ``__name__`` of the package. The folder of the package contains ``__init__.pyi``, which type checkers
             read, with one line ``from MODULE import NAME as NAME`` for each public name.
         renamed: old name -> new name. An old name gives a `DeprecationWarning` and the member with the new name.
+        moved: old name -> new name of modules, see `MovedModules`.
 
     Source: PEP 562.
     """
+    if moved:
+        sys.meta_path.append(MovedModules(moved))
     homes = {}
     spec: Any = sys.modules[package].__spec__
     # The loader of the package reads the stub, so that packages in a zip archive work too.

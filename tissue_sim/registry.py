@@ -34,12 +34,15 @@ class Registry(Mapping[str, T], Generic[T]):
         accepts: whether an added object is valid.
         expected: description of a valid object, for messages.
         named_by: attribute of an object that is its name.
+        is_used_in_tasks: whether tasks in other processes use the objects, and results depend on their source. Objects
+            that only present results or distribute tasks stay in this process.
     """
 
     def __init__(self, what: str, group: str, built_in: Mapping[str, T | str], *,
-                 accepts: Callable[[Any], bool] = lambda _: True, expected: str = "", named_by: str = "name"):
+                 accepts: Callable[[Any], bool] = lambda _: True, expected: str = "", named_by: str = "name",
+                 is_used_in_tasks: bool = True):
         self.what, self.group, self._accepts, self._expected = what, group, accepts, expected
-        self._named_by = named_by
+        self._named_by, self.is_used_in_tasks = named_by, is_used_in_tasks
         self._things: dict[str, T | str] = dict(built_in)
         self._built_in = frozenset(built_in)
         self._added: dict[str, T] = {}
@@ -139,20 +142,21 @@ class Registry(Mapping[str, T], Generic[T]):
 
 
 def list_registered_groups_names_objects() -> list[tuple[str, str, Any]]:
-    """Return (group, name, object) of all objects registered in this process.
+    """Return (group, name, object) of the registered objects of this process that tasks use.
 
     `register_objects_of_other_process` registers these objects in another process.
     """
-    return [(group, name, thing) for group, registry in _ALL.items() for name, thing in registry._added.items()]
+    return [(group, name, thing) for group, registry in _ALL.items() if registry.is_used_in_tasks
+            for name, thing in registry._added.items()]
 
 
 def get_modules_of_additions_by_name() -> dict[str, ModuleType]:
-    """Return name -> module of all objects that are not built in: registered objects, and loaded objects of packages.
+    """Return name -> module of the objects that tasks use and that are not built in: registered or of packages.
 
     Results of a program depend on the source of these modules.
     """
-    things = [thing for registry in _ALL.values() for name, thing in registry._things.items()
-              if name not in registry._built_in]
+    things = [thing for registry in _ALL.values() if registry.is_used_in_tasks
+              for name, thing in registry._things.items() if name not in registry._built_in]
     names = {getattr(thing, "__module__", None) for thing in things}
     return {name: sys.modules[name] for name in sorted(name for name in names if name in sys.modules)}
 

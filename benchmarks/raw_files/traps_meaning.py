@@ -49,7 +49,6 @@ def _measure_trap(name: str, apply: OnDraft, reasons: tuple[str, ...]) -> Trap:
 _TRUE = ("true", "cauchy", "nominal", "hencky", "logarithmic", "green", "piola")
 
 
-
 def _stretch(stretch: np.ndarray) -> np.ndarray:
     return stretch
 

@@ -41,6 +41,7 @@ from tissue_sim.specimen.specimen import add_indefinite_article
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+
 def require_closed_form_support_if_used(test: Test, material: Material, stressed: bool, closed: bool,
                                         path: Path) -> None:
     """Reject parts of the model that the closed form of a homogeneous test does not support.

@@ -1,6 +1,6 @@
 """Estimation by generalised least squares on forces, with finite elements and marginalised nuisances.
 
-Starting values, checks of the first start, and the estimator.
+The module contains the starting values, the checks of the first start, and the estimator.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from calibration.fit.lack_of_fit import compute_smooth_misfit_tests_of_regions, 
 from calibration.fit.population import PredictionParameters
 from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation, build_generalised_problem
 from calibration.fit.run_context import RunContext
-from calibration.fit.trust_region import ALTERNATIVES as ALTERNATIVES
 from calibration.fit.trust_region import (
+    ALTERNATIVES,
     DESCENT,
     DescentResult,
     Listener,

@@ -25,8 +25,8 @@ from calibration.fit.ordinary_problem import OrdinaryProblem, compute_analytical
 from calibration.fit.population import PredictionParameters
 from calibration.fit.problem import ProblemEvaluation
 from calibration.fit.run_context import RunContext
-from calibration.fit.trust_region import ALTERNATIVES as ALTERNATIVES
 from calibration.fit.trust_region import (
+    ALTERNATIVES,
     DESCENT,
     DescentResult,
     find_distinct_minima,

@@ -1,7 +1,7 @@
 """Least-squares problems over all tests of a campaign: whitened residuals, priors, and elimination of nuisances.
 
-The variables of the optimiser are transformations of the unknowns. `make_problem` constructs the problem of a law from
-a campaign and its recordings.
+The variables of the optimiser are transformations of the unknowns. `build_generalised_problem` constructs
+the problem of a law from a campaign and its recordings.
 """
 
 from __future__ import annotations

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from calibration.campaign.parameter_space import ParameterSpace
     from calibration.statistics.uncertainty import ParameterUncertainty
 
+
 @dataclass(frozen=True)
 class AlternativeMinimaSettings:
     """Limits of the search for several optima.

@@ -13,6 +13,7 @@ from calibration.report.rounding import use_minus_signs
 from calibration.report.section import CalibrationReport, DiagnosisReport, Section
 from calibration.report.sections import SECTIONS
 from calibration.report.symbols import get_symbol_letter_index_owner_and_slant
+from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -25,6 +26,20 @@ def build_report_page(report: CalibrationReport | DiagnosisReport) -> str:
                 for section in list_sections_in_page_order()
                 if report.kind in section.reports and (report.has_figures or not section.needs_figures)]
     return render_page(f"{report.kind.capitalize()} of {name}", sections, report.pictures)
+
+
+def require_usable_sections() -> None:
+    """Import all sections and the template, so that a faulty plug-in is reported before a long computation.
+
+    Raises:
+        InputError: a section cannot be imported, or it names an unknown section.
+    """
+    try:
+        list_sections_in_page_order()
+        _get_page_template()
+    except ImportError as error:
+        raise InputError(f"a section of the report cannot be imported ({error}). Install the missing package, or "
+                         "remove the package that adds the section", field="tissue_sim.report_sections") from None
 
 
 def list_sections_in_page_order() -> list[Section]:

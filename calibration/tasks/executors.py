@@ -30,7 +30,7 @@ class Workers:
         executor: name in `EXECUTORS`; None: ``"dask"`` with an address, otherwise ``"processes"``.
 
     Raises:
-        InputError: `count` is below 1, both `count` and `dask` are stated, or the executor is unknown.
+        InputError: `count` is below 1, `dask` is stated with `count` or another executor, or the executor is unknown.
     """
 
     count: int = 1
@@ -43,6 +43,9 @@ class Workers:
         if self.dask is not None and self.count > 1:
             raise InputError("dask and workers exclude each other, because a cluster has its own workers; state one of "
                              "them", field="dask")
+        if self.dask is not None and self.executor not in (None, "dask"):
+            raise InputError(f"dask requires the executor 'dask' or none; got {self.executor!r}. State one of them",
+                             field="dask")
         if self.executor is not None:
             EXECUTORS.find(self.executor, field="executor")
 
@@ -78,7 +81,7 @@ class Executor(Protocol):
 EXECUTORS: Registry[Callable[[Workers], Executor]] = Registry(
     "executor", "tissue_sim.executors", {"processes": "calibration.tasks.process_pool:open_process_pool",
                                          "dask": "calibration.tasks.dask_cluster:connect_to_dask_cluster"},
-    accepts=callable, expected="a function of calibration.Workers that returns an Executor")
+    accepts=callable, expected="a function of calibration.Workers that returns an Executor", is_used_in_tasks=False)
 
 
 class TaskExecutor:

@@ -237,8 +237,6 @@ def _compute_bin_midpoint_nanoseconds(index: int) -> float:
     return (index - doublings * _LINEAR + 0.5 * (doublings > 0)) * (1 << doublings)
 
 
-
-
 class Ticker:
     """Clock with deadlines at multiples of a period from the start, which do not drift with the duration of ticks.
 

@@ -24,6 +24,7 @@ COMMANDS: Registry[Command] = Registry("command", "tissue_sim.commands", {
     "record": "scenes.commands.record:COMMAND",
     "devices": "scenes.commands.devices:COMMAND",
     "emulate": "scenes.commands.emulate:COMMAND",
-}, accepts=lambda each: isinstance(each, Command), expected="a scenes.commands.Command")
+}, accepts=lambda each: isinstance(each, Command), expected="a scenes.commands.Command",
+    is_used_in_tasks=False)
 
 __all__ = ["COMMANDS", "Command", "CommandResult", "ExitCode"]

@@ -363,3 +363,15 @@ def test_temporary_files_of_a_killed_run_are_removed(campaign, tmp_path):
     mine.write_text("mine", encoding="utf-8")
     calibration.calibrate([campaign], out, figures=False, overwrite=True)
     assert mine.read_text(encoding="utf-8") == "mine"
+
+
+def test_a_refused_folder_keeps_its_temporary_files(campaign, tmp_path):
+    """Another program may write them."""
+    out = tmp_path / "out"
+    out.mkdir()
+    files = [out / name for name in ("notes.txt", ".fit.json.00000000.tmp")]
+    for file in files:
+        file.write_text("{", encoding="utf-8")
+    with pytest.raises(ts.InputError, match="it contains other files"):
+        calibration.calibrate([campaign], out, figures=False)
+    assert all(file.is_file() for file in files)

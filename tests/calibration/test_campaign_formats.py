@@ -90,6 +90,8 @@ def test_every_curve_of_an_afm_file_is_a_replicate(folder):
                         encoding="utf-8")
         found = read(path)
         assert [replicate.name for replicate in found] == [f"lubricated_compression/{name}" for name in names]
+
+
 DEFAULTS = """
 [defaults]
 kind = "lubricated_compression"

@@ -92,3 +92,21 @@ def test_command_of_an_installed_package(plugin, material, tmp_path):
                           capture_output=True, encoding="utf-8",
                           env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)})
     assert (done.returncode, done.stdout) == (0, f"the specimen sags by {SAG:.2f} mm\n"), done.stderr
+
+
+def test_a_command_that_cannot_be_imported_stops_no_other(tmp_path):
+    installed = tmp_path / "site" / "lost-1.0.dist-info"
+    installed.mkdir(parents=True)
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: lost\nVersion: 1.0\n", encoding="utf-8")
+    (installed / "entry_points.txt").write_text("[tissue_sim.commands]\nlost = no_such_module:COMMAND\n",
+                                                encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(installed.parent), str(ROOT)])}
+
+    def run(*words):
+        return subprocess.run([sys.executable, "-m", "scenes.cli", *words], cwd=tmp_path, text=True,
+                              capture_output=True, encoding="utf-8", env=environment)
+
+    helped, called = run("--help"), run("lost")
+    assert helped.returncode == 0 and "calibrate" in helped.stdout
+    assert helped.stderr.count("\n") == 1 and "the command 'lost' cannot be imported" in helped.stderr
+    assert called.returncode == 2 and "the command 'lost' cannot be imported" in called.stderr

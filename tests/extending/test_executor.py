@@ -32,7 +32,7 @@ def test_an_unknown_name_is_refused():
     assert caught.value.field == "executor"
 
 
-def test_one_process_on_request(monkeypatch):
+def test_one_process_on_request():
     with open_task_executor(Workers(1, executor="processes")) as tasks:
         assert tasks.parallel and tasks.run(math.sqrt, [(9.0,)]) == [3.0]
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from typing import ClassVar
 
 import numpy as np
@@ -321,3 +322,33 @@ def test_a_multirate_tissue_has_a_process_for_its_bulk_unless_a_link_is_given():
     assert issubclass(MultiRateTissue, multirate.MultiRateTissue)
     with pytest.raises(TypeError, match="link"):
         multirate.MultiRateTissue(model())
+
+
+@pytest.mark.parametrize(("module", "member"), [
+    ("calibration.diagnosis.decision_limits", "DecisionLimits"),
+    ("calibration.diagnosis.refit_settings", "RefitSettings"), ("calibration.diagnosis.result", "DiagnosisResult"),
+    ("calibration.effects.situation", "DiagnosisData"), ("calibration.effects.situation", "Situation"),
+    ("calibration.fit.hold", "HoldFit"), ("calibration.fit.usability_settings", "UsabilitySettings"),
+    ("haptics.loop.real_time", "RealTimeFeature"),
+    ("haptics.loop.snapshot_board", "SnapshotWriter"), ("haptics.loop.tissue_factory", "make_real_time_tissue_factory"),
+    ("haptics.safety.force_release", "ForceRelease"), ("haptics.safety.watchdog", "Watchdog"),
+    ("haptics.server.scene_limits", "SceneLimits"), ("scenes.viewer.wedge", "Wedge"),
+    ("tissue_sim.atomic_write", "write_text"), ("tissue_sim.experiment.approach", "Approach"),
+    ("tissue_sim.experiment.protocol_text", "parse_protocol"), ("tissue_sim.experiment.tools.sizes", "edge_radius"),
+    ("tissue_sim.fem.free_tool", "FreeTool"), ("tissue_sim.force_error", "RelativeForceErrorEstimate"),
+    ("tissue_sim.kernel_owner", "CopyError"), ("tissue_sim.material.layer", "Layer"),
+    ("tissue_sim.mesh.block", "create_block_mesh_under_plate"),
+    ("tissue_sim.mesh.element_conversion", "number_nodes_by_shared_corners"),
+    ("tissue_sim.mesh.hexahedra", "Hexahedron"), ("tissue_sim.motion_limits", "LimitError"),
+    ("tissue_sim.packing", "pack_task"), ("tissue_sim.realtime.bulk_link", "BulkLink"),
+    ("tissue_sim.realtime.path_settings", "PathSettings"), ("tissue_sim.simulator", "Simulator")])
+def test_a_moved_module_is_imported_by_its_old_name_with_a_warning(module, member):
+    moved = import_module(module)
+    with pytest.warns(DeprecationWarning, match=rf"{module}\.{member} is renamed to"):
+        assert callable(getattr(moved, member))
+
+
+def test_all_moved_modules_exist():
+    for package in ("calibration", "haptics", "tissue_sim"):
+        for old, new in import_module(package)._MOVED.items():
+            assert import_module(new) and find_spec(old) is not None

@@ -315,7 +315,6 @@ def test_every_format_refuses_a_file_of_another_kind(tmp_path):
         assert refusal(path, format=name).file == path
 
 
-
 @pytest.mark.slow
 def test_ecoflex_compression(data_folder):
     files = sorted((data_folder / "ecoflex_compression").glob("EF*.csv"))

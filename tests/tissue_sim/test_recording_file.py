@@ -161,7 +161,6 @@ def test_kind_names_what_it_needs(tmp_path):
     assert "needs columns 'displacement' and 'force'" in refusal(stretch, kind="bonded_compression").problem
 
 
-
 def value(channel):
     if channel == "temperature":
         return st.floats(200.0, 400.0)

@@ -8,7 +8,12 @@ import pytest
 from child_environment import child_environment
 
 from tissue_sim.errors import InputError
-from tissue_sim.registry import Registry, list_registered_groups_names_objects, register_objects_of_other_process
+from tissue_sim.registry import (
+    Registry,
+    get_modules_of_additions_by_name,
+    list_registered_groups_names_objects,
+    register_objects_of_other_process,
+)
 
 
 class Thing:
@@ -70,3 +75,18 @@ def test_installed_packages_add_theirs(tmp_path):
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, encoding="utf-8", check=True,
                           env=child_environment(tmp_path))
     assert "'second' of their_module:thing has the name of a built-in one" in done.stdout
+
+
+def test_objects_that_tasks_do_not_use_stay_in_this_process():
+    """They are neither sent to workers nor parts of the digest of a result."""
+    used, own = Registry("thing", "tests.used", {}), Registry("thing", "tests.own", {}, is_used_in_tasks=False)
+    for table in (used, own):
+        table.register(Thing)
+    try:
+        groups = {group for group, _, _ in list_registered_groups_names_objects()}
+        assert "tests.used" in groups and "tests.own" not in groups
+        assert Thing.__module__ in get_modules_of_additions_by_name()
+        used.unregister("third")
+        assert Thing.__module__ not in get_modules_of_additions_by_name()
+    finally:
+        own.unregister("third")

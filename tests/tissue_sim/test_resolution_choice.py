@@ -1,6 +1,7 @@
 """Meshes for real time: how the finest that fits is found, and that their forces err by no more than they say."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import tissue_sim as ts
 from scenes import doctor
 from scenes.commands.shared import experiment_flags
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_levels_finest_first
+from tissue_sim.fem.solid.discretisation import RESOLUTIONS as SOLID_RESOLUTIONS
 from tissue_sim.fem.solver import ResolutionLevel
 from tissue_sim.realtime import simulator
 
@@ -143,8 +145,32 @@ def test_solid_forces_err_by_no_more_than_they_say(tool, friction):
     exact, force = (ts.simulate(test, estimate_error=False, **how).force[2:]
                     for how in ({"resolution": "accurate"}, {"solver": "solid", "resolution": "realtime"}))
     assert np.abs(force / exact - 1.0).max() <= stated < 0.1
+    simulator = ts.Simulator(test, solver="solid", inertia="off")
+    answers = [simulator.step(depth, 1e-3) for depth in (1e-3, 2e-3)]
+    assert all(answer.force_error >= 0.999 * stated * answer.force for answer in answers)
     other = ts.Simulator(test, solver="solid", resolution="fast")
     assert other.force_error is None, "errors of this mesh are not measured"
+
+
+@pytest.mark.parametrize("changes", [
+    {"specimen": ts.Specimen(0.040, 0.020)}, {"specimen": ts.Specimen(0.030, 0.070)},
+    {"approach": ts.Approach(offset=0.020)}, {"approach": ts.Approach(angle=0.1)}],
+    ids=["thin", "narrow", "near the rim", "tilted"])
+def test_solids_that_were_not_measured_state_no_error(changes):
+    measured = ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(2e-3, 2), tool=ts.Tool("sphere", 8e-3),
+                             friction=0.3)
+    resolution = SOLID_RESOLUTIONS["realtime"]
+    assert resolution.get_force_error_or_none(measured) == resolution.force_errors.tip
+    assert resolution.get_force_error_or_none(replace(measured, **changes)) is None
+
+
+@pytest.mark.parametrize("friction, kind", [("bonded", "held"), ("stick", "held"), (0.3, "held"),
+                                            (0.01, "slipping_edge"), ("frictionless", "slipping_edge")])
+def test_an_edge_that_slips_has_another_error(friction, kind):
+    test = ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(2e-3, 2), tool=ts.Tool("flat", 8e-3, 1e-3),
+                         friction=friction)
+    resolution = SOLID_RESOLUTIONS["realtime"]
+    assert resolution.get_force_error_or_none(test) == getattr(resolution.force_errors, kind)
 
 
 @pytest.mark.slow

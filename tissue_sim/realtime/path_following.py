@@ -559,7 +559,7 @@ class PathFollowingTissue(RealTimeTissue):
         force = math.sqrt(x * x + y * y + z * z)
         if force > self._largest_force:
             self._largest_force = force
-        if step.force_error is not None:
-            self.error = left * step.force_error
-        else:
-            self.error = None if self.force_error is None else self.force_error * force
+        # A solver's estimate, such as that of coarse elements at an edge, is a part of the stated error of the mesh.
+        stated = None if self.force_error is None else self.force_error * force
+        found = None if step.force_error is None else left * step.force_error
+        self.error = max((error for error in (stated, found) if error is not None), default=None)

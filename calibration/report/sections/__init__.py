@@ -26,4 +26,4 @@ SECTIONS: Registry[type[Section]] = Registry(
         "next_experiments",
         "assumptions", "methods_text", "durations", "written_files", "recording_files")},
     accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Section),
-    expected="a class that derives from calibration.report.section.Section")
+    expected="a class that derives from calibration.report.section.Section", is_used_in_tasks=False)

@@ -17,7 +17,7 @@ from calibration.report.section import CalibrationReport, Section
 
 
 class ParameterDetermination(Section):
-    """How well the data determine the parameters: figures of the best law and of laws with profiles, else tables."""
+    """Accuracy of the parameters by law: figures of the best law and of laws with profiles, otherwise tables."""
 
     name = "parameter_determination"
 

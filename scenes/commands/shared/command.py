@@ -14,7 +14,7 @@ from scenes.commands.shared.parsing import InputErrorArgumentParser, add_json_fl
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: Function that adds the flags of one need to the parser of a command.
+#: Function that adds the flags of one input, such as material, experiment or output folder, to the parser of a command.
 Need = Callable[[InputErrorArgumentParser], None]
 
 
@@ -67,7 +67,7 @@ class Command:
         run: runs the command with its parsed arguments, and returns its result; a command that prints its output while
             it runs returns its exit code. numpy and packages that need it are imported inside `run`, so that ``--help``
             answers at once.
-        needs: functions that add the flags of the command, in the order of the help: those of
+        needs: inputs of the command, as functions that add their flags, in the order of the help: those of
             `scenes.commands.shared`, and those of this command alone.
         actions: actions of the command, which replace `run`; empty for most commands.
         planned_actions: names of actions that a later version will have.
@@ -84,7 +84,7 @@ class Command:
     resume_hint: str = "nothing was written"
 
     def add_arguments(self, parser: InputErrorArgumentParser) -> None:
-        """Add the flags of all needs and ``--json``, or the actions, to the parser of this command."""
+        """Add the flags of all inputs and ``--json``, or the actions, to the parser of this command."""
         if self.actions:
             group = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
             for action in self.actions:

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-
 def print_json(content: dict[str, Any]) -> None:
     """Print one JSON object on stdout.
 

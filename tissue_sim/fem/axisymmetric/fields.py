@@ -17,6 +17,7 @@ from tissue_sim.mesh import Mesh
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+
 @dataclass(frozen=True)
 class HalfSectionDivisionSettings:
     """Number of triangles of a half section.

@@ -50,6 +50,7 @@ from tissue_sim.tool_force import (
 if TYPE_CHECKING:
     from tissue_sim.fem.axisymmetric.sensitivity import MaterialSensitivity
 
+
 @dataclass(frozen=True)
 class PseudoTransientSettings:
     """Settings of the pseudo-transient continuation.

@@ -130,6 +130,7 @@ class SinglePrecisionFactor:
         size = np.linalg.norm(right, axis=0)
         return size * self._pattern.solve(_divide_or_zero(right, size))
 
+
 def _column_inner_products(first: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the inner product of each column of one array with the same column of another."""
     return np.asarray(np.einsum("ij,ij->j", first, other))

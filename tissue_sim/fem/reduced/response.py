@@ -1,8 +1,7 @@
 """Linear response of a reduced solid at an equilibrium: sensitivity, stiffness, and estimated force error.
 
-A-posteriori error estimate of a reduced solid by the compliance that its contact nodes lack.
-
-A reduced basis represents displacements under the contact forces of the training paths. It contains almost no motion of
+The error estimate is a-posteriori. It uses the compliance that the contact nodes of the reduced solid lack. A reduced
+basis represents displacements under the contact forces of the training paths. It contains almost no motion of
 a node that no training path loaded, so that the reduced solid is too stiff at this node. The residual on further modes
 of the same training paths cannot show the error. The difference between the nodal compliance G of the full-order solid
 and the compliance G_r = Phi (Phi' K Phi)^-1 Phi' of the reduced solid does (residual attachment modes: MacNeal,

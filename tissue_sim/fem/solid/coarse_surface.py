@@ -19,6 +19,7 @@ from tissue_sim.mesh.solid import SolidMesh
 #: Exponent of the force of a round tool as a function of its depth (Hertz).
 _HERTZ_EXPONENT = 1.5
 
+
 @dataclass(frozen=True)
 class FacetingSettings:
     """Settings of the estimate of the faceting error.

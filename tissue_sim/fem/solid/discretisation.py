@@ -27,6 +27,7 @@ from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, shift_pose_along_z
 from tissue_sim.specimen import Specimen
+from tissue_sim.specimen.cylinder import Cylinder
 from tissue_sim.specimen.specimen import add_indefinite_article
 
 
@@ -136,23 +137,35 @@ _LEAST_LARGEST = 0.17
 
 
 class SolidForceErrors(NamedTuple):
-    """Largest relative errors of the force, 1, for the specimen of the study.
+    """Largest known relative errors of the force, 1, under upright tools on thick cylinders of one material.
 
-    They are compared with the accurate axisymmetric mesh from 2 to 10 mm, under tips from 2 to 6 mm
-    (`benchmarks/realtime/resolution_levels.py`).
+    They are compared with the accurate axisymmetric mesh for the specimen of the study from 2 to 10 mm, under tips from
+    2 to 6 mm (`benchmarks/realtime/resolution_levels.py`).
 
     Attributes:
         plate: under a plate.
-        held: under a flat face with friction or stick, or without friction before its sharp edge limits the depth.
+        held: under a flat face that holds the tissue by bonding, stick or a friction coefficient of at least
+            `MEASURED_FRICTION`, or under a sharp face without friction.
         tip: under a tool without a flat face.
-        slipping_edge: under a flat face without friction whose edge is rounded. A coarse edge adds the error that
-            `tissue_sim.fem.solid.coarse_surface` estimates in each step.
+        slipping_edge: under other flat faces, whose rounded edge slips along the tissue.
     """
 
     plate: float
     held: float
     tip: float
     slipping_edge: float
+
+
+#: Smallest friction coefficient for which `SolidForceErrors.held` is measured, 1.
+MEASURED_FRICTION = 0.3
+#: Smallest height of the specimen, and smallest distance of its rim from the tool's axis, over the radius of the tool
+#: for which `SolidForceErrors` are valid, 1. The specimen of the study has 8.75 and 5 radii.
+MEASURED_THICKNESS = 4.0
+#: Smallest height over radius of a specimen between plates for which they are valid, 1. The specimen of the study has
+#: 1.75.
+LEAST_SLENDERNESS = 1.0
+#: Largest height over radius of a specimen between plates for which they are valid, 1.
+LARGEST_SLENDERNESS = 3.0
 
 
 class Resolution(NamedTuple):
@@ -177,15 +190,21 @@ class Resolution(NamedTuple):
 
     def get_force_error_or_none(self, experiment: Experiment) -> float | None:
         """Return the largest known relative error of the force of an experiment, 1; None if it is not known."""
-        errors, tool = self.force_errors, experiment.tool
-        if errors is None:
+        errors, tool, specimen, approach = self.force_errors, experiment.tool, experiment.specimen, experiment.approach
+        if errors is None or not isinstance(specimen, Cylinder):
             return None
         if tool.is_plate:
-            return errors.plate
+            slenderness = specimen.height / specimen.radius
+            return errors.plate if LEAST_SLENDERNESS <= slenderness <= LARGEST_SLENDERNESS else None
+        offset, angle = (0.0, 0.0) if approach is None else (approach.offset, approach.angle)
+        to_rim = specimen.radius - abs(offset)
+        if angle or min(specimen.height, to_rim) < MEASURED_THICKNESS * tool.require_radius():
+            return None
         if not tool.face_radius:
             return errors.tip
-        slips = experiment.friction in ("frictionless", 0.0) and tool.edge_radius
-        return errors.slipping_edge if slips else errors.held
+        friction = 0.0 if experiment.friction == "frictionless" else experiment.friction
+        slips = isinstance(friction, float) and friction < MEASURED_FRICTION
+        return errors.slipping_edge if slips and tool.edge_radius else errors.held
 
 
 #: Name -> resolution.
@@ -216,7 +235,7 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     if topology is not None:
         mesh = _adapt_mesh_to_geometry(mesh, topology, experiment)
     solver = _make_solver_on_mesh(model, mesh, None, None, can_move=not own and experiment.specimen.is_flat)
-    if not own:
+    if not own and not model.material.layers:
         solver.stated_force_error = RESOLUTIONS[resolution].get_force_error_or_none(experiment)
     return solver
 
