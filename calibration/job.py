@@ -82,7 +82,7 @@ class Job(ABC):
         """Return the paths of all files that the job may write, except stored simulations."""
         return [self.folder / self.result_file]
 
-    def check_before_writing(self) -> None:  # noqa: B027
+    def check_before_writing(self) -> None:  # noqa: B027 (optional: a job without a check keeps this method)
         """Check that the job can run; it must not write files.
 
         Stored simulations of an earlier run are available in `solves`.
@@ -130,7 +130,7 @@ class Job(ABC):
             return None
         return result if all((self.folder / name).is_file() for name in files) else None
 
-    @classmethod  # noqa: B027
+    @classmethod  # noqa: B027 (optional: a job without a common table keeps this method)
     def write_summary(cls, results: Sequence[Any], path: Path) -> None:
         """Write a table of the results of several jobs; by default no table.
 

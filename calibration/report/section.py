@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -100,7 +101,7 @@ class DiagnosisReport:
         return ReportUnits.choose_for_fit(self.diagnosis.fit_before)
 
 
-class Section:
+class Section(ABC):
     """One section of a report. A report shows it if it has content.
 
     Derived classes state the attributes and define `iterate_blocks`. A class belongs to the registry
@@ -124,6 +125,6 @@ class Section:
         """Return the title in this report (`CalibrationReport` or `DiagnosisReport`)."""
         return self.title
 
+    @abstractmethod
     def iterate_blocks(self, report) -> Iterable[Block]:
         """Yield the content in this report (`CalibrationReport` or `DiagnosisReport`); nothing: no section."""
-        raise NotImplementedError

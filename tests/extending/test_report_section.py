@@ -87,10 +87,15 @@ def test_name_that_is_taken_or_unknown_is_refused(plugin, registers):
         SECTIONS.register(rates, "ranking")
     with pytest.raises(ts.InputError, match=r"give a class that derives from calibration\.report\.section\.Section"):
         SECTIONS.register(object, "nothing")
+    with pytest.raises(ts.InputError, match="defines iterate_blocks"):
+        SECTIONS.register(Section, "without_content")
 
     class Misplaced(Section):
         name = "misplaced"
         before = "rankin"
+
+        def iterate_blocks(self, report):
+            return ()
 
     registers(SECTIONS, Misplaced)
     with pytest.raises(ts.InputError, match="unknown report section 'rankin'; did you mean 'ranking'"):

@@ -7,6 +7,8 @@ below. Another package declares an entry point of the group ``tissue_sim.report_
 
 from __future__ import annotations
 
+from inspect import isabstract
+
 from calibration.report.section import Section
 from tissue_sim.registry import Registry
 
@@ -25,5 +27,6 @@ SECTIONS: Registry[type[Section]] = Registry(
         "misfit_by_test", "region_evidence", "parameter_changes", "held_out_errors", "catalogue_effects",
         "next_experiments",
         "assumptions", "methods_text", "durations", "written_files", "recording_files")},
-    accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Section),
-    expected="a class that derives from calibration.report.section.Section", is_used_in_tasks=False)
+    accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Section) and not isabstract(kind),
+    expected="a class that derives from calibration.report.section.Section and defines iterate_blocks",
+    is_used_in_tasks=False)
