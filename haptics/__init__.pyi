@@ -30,8 +30,6 @@ from haptics.loop.ring import RingReader as RingReader
 from haptics.loop.shared_slots import SnapshotReader as SnapshotReader
 from haptics.safety.coupling import VirtualCoupling as VirtualCoupling
 from haptics.safety.limits import ForceLimiter as ForceLimiter
-from haptics.safety.limits import Watchdog as Watchdog
-from haptics.safety.limits import WatchdogState as WatchdogState
 from haptics.safety.passivity import PassivityController as PassivityController
 from haptics.safety.passivity import PassivityObserver as PassivityObserver
 from haptics.safety.rendering import ForceRendering as ForceRendering
@@ -39,6 +37,8 @@ from haptics.safety.rendering import RenderedForce as RenderedForce
 from haptics.safety.rendering import RenderFlag as RenderFlag
 from haptics.server.client import TissueClient as TissueClient
 from haptics.server.server import TissueServer as TissueServer
+from tissue_sim.realtime.force_fading import Watchdog as Watchdog
+from tissue_sim.realtime.force_fading import WatchdogState as WatchdogState
 from tissue_sim.realtime.local_model import LocalModel as LocalModel
 from tissue_sim.realtime.local_model import LocalModelBlend as LocalModelBlend
 from tissue_sim.realtime.local_model import SlowSolver as SlowSolver

@@ -105,7 +105,7 @@ class ForceStatus(IntEnum):
 
     The status does not depend on the age of the stiffness (`ToolForce.stiffness_age`). An unknown error is None, not 0.
     A tissue returns the first four statuses; the others are set between tissue and hand
-    (`haptics.safety.limits`, `haptics.server`).
+    (`tissue_sim.realtime.force_fading`, `haptics.server`).
     """
 
     CONVERGED = 0

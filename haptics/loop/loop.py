@@ -15,10 +15,10 @@ from haptics.devices.contracts import HapticDevice
 from haptics.loop.ring import CAPACITY, PAUSED, RingWriter
 from haptics.loop.shared_slots import SnapshotWriter
 from haptics.loop.ticker import RealTimeFeature, Ticker, TimeHistogram, TimeQuantiles, request_real_time_features
-from haptics.safety.limits import RELEASE, ForceFader
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
+from tissue_sim.realtime.force_fading import RELEASE, ForceFader
 from tissue_sim.snapshot import DisplayableTissue
 from tissue_sim.tool_force import ForceStatus, Tissue
 

@@ -7,10 +7,11 @@ from enum import IntFlag
 from typing import NamedTuple
 
 from haptics.safety.coupling import VirtualCoupling
-from haptics.safety.limits import ForceLimiter, Watchdog, WatchdogState
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.passivity import PassivityController, PassivityObserver, ReturnedEnergyCutoff
 from tissue_sim.pose import Pose, Screw, scale_screw
 from tissue_sim.public_names import with_old_names
+from tissue_sim.realtime.force_fading import Watchdog, WatchdogState
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 

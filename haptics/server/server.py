@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from haptics.safety.limits import ForceFader
 from haptics.server.commands import ConfigurationCommands, ConfigurationPort, Description
 from haptics.server.steps import SILENCE, Address, ServedTissue, ServerLimits, StepCounters, StepService
 from haptics.server.wire import REQUEST_SIZE
 from tissue_sim.errors import InputError
+from tissue_sim.realtime.force_fading import ForceFader
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from haptics.safety.coupling import is_tool_force_stiffness_stale
-from haptics.safety.limits import ForceFader
 from haptics.server.wire import (
     OtherVersionError,
     Reply,
@@ -25,6 +24,7 @@ from haptics.server.wire import (
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.public_names import OldName, make_getattr_for_old_names
+from tissue_sim.realtime.force_fading import ForceFader
 from tissue_sim.realtime.tissue import MotionLimits
 from tissue_sim.tool_force import ForceStatus, Tissue, ToolForce, make_axial_stiffness_matrix
 

@@ -230,7 +230,9 @@ def test_the_old_constructor_of_an_axial_force_warns(owner):
     ("haptics", "HandMotion", "TargetFollowingMotion"), ("haptics", "ForceLimits", "ForceLimiter"),
     ("haptics.devices.settings", "read_settings", "parse_number_settings"),
     ("haptics.emulators.terminal", "TerminalEmulator", "SerialDeviceEmulator"),
-    ("haptics.safety.limits", "ForceRelease", "ForceFader"),
+    ("haptics.safety.limits", "ForceRelease", "tissue_sim.realtime.force_fading:ForceFader"),
+    ("haptics.safety.limits", "ForceFader", "tissue_sim.realtime.force_fading:ForceFader"),
+    ("haptics.safety.limits", "Watchdog", "tissue_sim.realtime.force_fading:Watchdog"),
     ("haptics.recorder.plan", "IndentationPlan", "BenchTestPlan"),
     ("haptics.emulators.haply", "emulate_haply", "make_haply_emulator"),
     ("haptics.server.steps", "SceneLimits", "ServerLimits"),
@@ -241,9 +243,10 @@ def test_the_old_constructor_of_an_axial_force_warns(owner):
     ("tissue_sim.mesh.solid", "block_under_tool", "create_block_mesh_under_tool"),
     ("tissue_sim.fem.solver", "FreeTool", "ToolInAirInterface")])
 def test_old_names_of_a_module_give_the_new_members_and_warn(module, old, new):
-    members = import_module(module)
-    with pytest.warns(DeprecationWarning, match=rf"{module}\.{old} is renamed to {module}\.{new}$"):
-        assert getattr(members, old) is getattr(members, new)
+    home, _, name = new.rpartition(":")
+    home = home or module
+    with pytest.warns(DeprecationWarning, match=rf"{module}\.{old} is renamed to {home}\.{name}$"):
+        assert getattr(import_module(module), old) is getattr(import_module(home), name)
 
 
 def test_an_effect_that_defines_old_names_is_used_by_the_new_ones():

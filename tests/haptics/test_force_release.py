@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.safety.limits import RELEASE, ForceFader
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
+from tissue_sim.realtime.force_fading import RELEASE, ForceFader
 from tissue_sim.tool_force import (
     ForceStatus,
     PredictedForceOfNextStep,

@@ -5,10 +5,10 @@ import pytest
 import haptics
 from haptics.devices.contracts import HapticDevice, StageLimits, StageSample
 from haptics.loop.process import LoopProcess
-from haptics.safety.limits import Watchdog, WatchdogState
 from haptics.safety.passivity import PassivityController, PassivityObserver
 from haptics.safety.rendering import RenderedForce
 from tissue_sim.pose import Pose
+from tissue_sim.realtime.force_fading import Watchdog, WatchdogState
 from tissue_sim.realtime.local_model import LocalModel
 
 HELD = PassivityObserver(held=True)

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from haptics.safety.coupling import VirtualCoupling
-from haptics.safety.limits import ForceLimiter, Watchdog, WatchdogState
+from haptics.safety.limits import ForceLimiter
 from haptics.safety.passivity import ReturnedEnergyCutoff
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.pose import Pose
+from tissue_sim.realtime.force_fading import Watchdog, WatchdogState
 from tissue_sim.realtime.local_model import LocalModel, LocalModelBlend
 from tissue_sim.tool_force import ForceStatus, ToolForce
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.safety.limits import ForceFader
 from haptics.server.steps import ServerLimits, StepService
 from haptics.server.wire import VERSION, Request, RequestFlags, RequestKind, Status, decode_reply, encode_request
 from tissue_sim.errors import InputError
+from tissue_sim.realtime.force_fading import ForceFader
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 A = ("127.0.0.1", 5001)

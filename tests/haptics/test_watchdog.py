@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptics.safety.limits import Watchdog, WatchdogState
 from tissue_sim import InputError
+from tissue_sim.realtime.force_fading import Watchdog, WatchdogState
 
 DT = 1e-3
 
