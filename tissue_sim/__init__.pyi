@@ -56,11 +56,16 @@ from tissue_sim.model import Model as Model
 from tissue_sim.parameters import parameter as parameter
 from tissue_sim.parameters import with_values as with_values
 from tissue_sim.pose import Pose as Pose
+from tissue_sim.realtime.engines.mujoco import MujocoTissue as MujocoTissue
+from tissue_sim.realtime.engines.newton import NewtonTissue as NewtonTissue
 from tissue_sim.realtime.inertia_limits import LightToolWarning as LightToolWarning
 from tissue_sim.realtime.inertia_limits import PathSettings as PathSettings
 from tissue_sim.realtime.simulator import Simulator as Simulator
 from tissue_sim.realtime.simulator import SimulatorState as SimulatorState
 from tissue_sim.realtime.tissue import MotionLimits as MotionLimits
+from tissue_sim.realtime.tool_coupling import CouplingLimits as CouplingLimits
+from tissue_sim.realtime.tool_coupling import RigidBodyState as RigidBodyState
+from tissue_sim.realtime.tool_coupling import ToolCoupling as ToolCoupling
 from tissue_sim.recording.contact import Contact as Contact
 from tissue_sim.recording.contact import find_contact as find_contact
 from tissue_sim.recording.failure import Failure as Failure

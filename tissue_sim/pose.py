@@ -273,6 +273,28 @@ def shift_pose_along_z(pose: Pose, height: float) -> Pose:
     return Pose((x, y, z + height), pose.orientation)
 
 
+def multiply_poses(first: Pose, second: Pose) -> Pose:
+    """Return the pose `second`, which is relative to the frame `first`, in the frame in which `first` is given.
+
+    Examples:
+        >>> multiply_poses(Pose((0.0, 0.0, 1.0)), Pose((0.0, 2.0, 0.0))).position
+        (0.0, 2.0, 1.0)
+    """
+    x, y, z = first.position
+    a, b, c = second.position
+    u, v, w = (row[0] * a + row[1] * b + row[2] * c for row in first.rotation_matrix)
+    return Pose((x + u, y + v, z + w), _multiply_quaternions(first.orientation, second.orientation))
+
+
+def invert_pose(pose: Pose) -> Pose:
+    """Return the pose of the parent frame in the frame of a pose: ``multiply_poses(invert_pose(p), p)`` is identity."""
+    x, y, z = pose.position
+    w, a, b, c = pose.orientation
+    first, second, third = pose.rotation_matrix
+    u, v, n = (-(first[k] * x + second[k] * y + third[k] * z) for k in range(3))
+    return Pose((u, v, n), (w, -a, -b, -c))
+
+
 def _compute_relative_quaternion(start: Quaternion, end: Quaternion) -> Quaternion:
     """Return the quaternion of the rotation, by at most half a turn, from one orientation to another, scene frame."""
     w, x, y, z = start

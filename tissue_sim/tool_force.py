@@ -182,6 +182,8 @@ class ToolForce:
             True in three-dimensional scenes.
         least_tool_mass: smallest mass, kg, of a tool that an explicit coupling (pose in, force out) keeps stable at
             this step length; 0 if any mass is stable.
+        time_since_touch: time between a touch in this step and the end of the step, s; `ahead` and the stiffness
+            within the step belong to this time. None if the tool did not touch in this step.
     """
 
     wrench: Screw
@@ -200,6 +202,7 @@ class ToolForce:
     error_age: float = 0.0
     is_on_axis: bool = True
     least_tool_mass: float = 0.0
+    time_since_touch: float | None = None
 
     @classmethod
     def from_axial_force(cls, force: float, stiffness: float, status: ForceStatus, iterations: int = 0,

@@ -335,6 +335,10 @@ class Solver(ToolInAirInterface, ABC):
         """Whether the solver computes an accurate force at a pose; callers check this before a step."""
         return True
 
+    def describe_domain(self) -> str:
+        """Return the poses for which the solver has a force, as a part of a sentence, for people."""
+        return "poses that the solver accepts"
+
     @abstractmethod
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,

@@ -284,6 +284,12 @@ class MultiRateTissue(RealTimeTissue):
         return self._touch.has_touched
 
     @property
+    def domain(self) -> str:
+        """Poses for which the tissue has a force, as a sentence."""
+        return ("Multirate simulation has forces for any position and orientation of the tool above the top of the "
+                "specimen. Each force has an estimated error.")
+
+    @property
     def _last_pose(self) -> Pose | None:
         """Pose of the tool in the last step; None before the first step."""
         return self._tool_pose

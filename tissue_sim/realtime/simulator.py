@@ -292,6 +292,13 @@ class Simulator(PathFollowingTissue):
         return self._tool.touch.has_touched
 
     @property
+    def domain(self) -> str:
+        """Poses for which the simulator has a force, and the error of the force on this mesh, as sentences."""
+        error = "unknown" if self.force_error is None else f"at most {100.0 * self.force_error:.2g} %"
+        return (f"The solver '{self._solver_name}' has forces for {self._solver.describe_domain()}. Force error of the "
+                f"mesh: {error}.")
+
+    @property
     def mesh(self) -> Any:
         """Undeformed mesh of the specimen."""
         return self._solver.mesh
@@ -390,7 +397,9 @@ class Simulator(PathFollowingTissue):
         tool.pose, self._pose = pose, target
         self._pending.append_tick(target, dt)
         answer = self._step_along_pending_path(target, tick, began, is_behind)
-        self._answer = answer if on_axis else replace(answer, is_on_axis=False)
+        if not on_axis:
+            answer = replace(answer, is_on_axis=False)
+        self._answer = answer if dt == tick else replace(answer, time_since_touch=dt)
         return self._answer
 
     @make_single_thread_method

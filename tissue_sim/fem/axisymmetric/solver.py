@@ -283,6 +283,10 @@ class AxisymmetricSolver(KernelOwner, Solver):
         """
         return pose.depth <= self._max_depth
 
+    def describe_domain(self) -> str:
+        """See `Solver.describe_domain`."""
+        return f"an upright tool on the axis of the scene, at most {1e3 * self._max_depth:.3g} mm deep"
+
     def step(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
              own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:

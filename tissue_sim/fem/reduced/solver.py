@@ -7,6 +7,7 @@ incompressible tissue would turn into pressures several times too large. Pressur
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, cast
@@ -320,6 +321,13 @@ class ReducedSolver(ReducedSolverBase):
     def accepts_pose(self, pose: Pose) -> bool:
         """See `Solver.accepts_pose`. Accepted are poses inside the box and poses without contact."""
         return any(self._get_inside_and_clear_flags(pose, ToolFrame(pose, self.datum)))
+
+    def describe_domain(self) -> str:
+        """See `Solver.describe_domain`."""
+        box, (x, y, _) = self.reduced.box, self._start.position
+        return (f"the deepest point of the tool within {1e3 * box.sideways:.3g} mm of ({1e3 * x:.3g}, {1e3 * y:.3g}) "
+                f"mm along x and y and at most {1e3 * box.depth:.3g} mm deep, and a rotation of at most "
+                f"{math.degrees(box.turn):.3g} degrees")
 
     def _get_inside_and_clear_flags(self, pose: Pose, frame: ToolFrame) -> tuple[bool, bool]:
         """Return whether a pose counts as inside the box, and whether it is outside and without contact."""

@@ -343,6 +343,12 @@ class SolidSolver(KernelOwner, Solver):
         """Whether the contact conditions are accurate at a pose, see `SolidEquations.accepts_pose`."""
         return self.equations.accepts_pose(pose)
 
+    def describe_domain(self) -> str:
+        """See `Solver.describe_domain`."""
+        if self.placement is None:
+            return "a tool that touches the tissue near the position for which the mesh was made"
+        return "any position and orientation of the tool above the top of the specimen"
+
     def height_above_tissue(self, pose: Pose) -> float:
         """Return the distance that the tool must go down until it touches the undeformed tissue, m.
 

@@ -1,0 +1,190 @@
+"""MuJoCo: the tissue's force on a body of an `MjModel`.
+
+The wrench is written to ``MjData.xfrc_applied`` before each ``mj_step``. Verified with MuJoCo 4.0.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissue_sim.errors import InputError, MissingBackendError
+from tissue_sim.pose import Pose, invert_pose, multiply_poses
+from tissue_sim.realtime.tool_coupling import BodyWrench, CouplingLimits, CouplingState, RigidBodyState, ToolCoupling
+from tissue_sim.tool_force import Tissue
+
+if TYPE_CHECKING:
+    import mujoco
+
+#: Names and sizes of the user sensors that the adapter writes if the model has them.
+SENSORS = {"tissue_wrench": 6, "tissue_status": 1, "tissue_error": 1}
+#: Value of the sensor ``tissue_error`` for an unknown error, N.
+UNKNOWN_ERROR = -1.0
+
+
+class MujocoTissue:
+    """Tissue under a tool that is part of a MuJoCo model.
+
+    Call `step` instead of ``mj_step``, or `apply` before each ``mj_step``, and `reset` after ``mj_resetData``.
+    ``xfrc_applied`` of the body belongs to the adapter. The model may have user sensors,
+    ``<user name="tissue_wrench" dim="6"/>`` (force and torque about the tip, axes of the world), ``tissue_status``
+    (`ForceStatus`) and ``tissue_error`` (N, -1 if unknown). ``mj_step`` sets user sensors to zero, and `step` writes
+    them again.
+
+    Args:
+        model: compiled model.
+        data: its state.
+        body: name of the body that carries the tool.
+        tissue: `Simulator` or other `Tissue`.
+        scene: pose in the world of the centre of the undeformed top of the tissue, z axis out of the tissue; or the
+            name of a site, whose pose is read once.
+        tip: pose of the tool in the frame of the body, z axis from the tip to the handle; or the name of a site of the
+            body.
+        limits: see `CouplingLimits`.
+        real_time: whether the simulation keeps up with the wall clock, see `ToolCoupling`.
+
+    Attributes:
+        coupling: the coupling, with its last wrench.
+
+    Raises:
+        InputError: an unknown body or site, a site of another body, a sensor of another size, or an integrator that
+            evaluates forces several times per step.
+        MissingBackendError: MuJoCo is not installed.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, *, body: str, tissue: Tissue,
+                 scene: str | Pose = "tissue", tip: str | Pose = "tip", limits: CouplingLimits | None = None,
+                 real_time: bool = False):
+        self._mujoco = _import_mujoco()
+        self.model, self.data = model, data
+        self._body = self._find("body", body)
+        if model.opt.integrator == self._mujoco.mjtIntegrator.mjINT_RK4:
+            raise InputError("must be 'Euler', 'implicitfast', 'implicit' or 'discrete'; got 'RK4', whose four stages "
+                             "would use the force of the start of the step.", field="integrator")
+        self._update_kinematics()
+        mass = float(model.body_mass[self._body])
+        to_body = np.array(_make_pose(np.zeros(3), model.body_iquat[self._body]).rotation_matrix)
+        inertia = to_body @ np.diag(model.body_inertia[self._body]) @ to_body.T
+        self.coupling = ToolCoupling(
+            tissue, scene=self._find_site_pose(scene) if isinstance(scene, str) else scene,
+            tip=self._find_tip(tip) if isinstance(tip, str) else tip, mass=mass or None,
+            inertia=inertia if mass and model.body_inertia[self._body].min() > 0.0 else None, limits=limits,
+            real_time=real_time)
+        self._sensors = self._find_sensors()
+        self.coupling.warm_up()
+
+    def apply(self) -> BodyWrench:
+        """Compute the wrench for the present state, write it to ``xfrc_applied`` and the sensors, and return it."""
+        self._update_kinematics()
+        data, body = self.data, self._body
+        velocity = np.zeros(6)
+        # Angular velocity, then the velocity of the centre of mass, axes of the world.
+        self._mujoco.mj_objectVelocity(self.model, data, self._mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
+        wrench = self.coupling.compute_wrench(
+            RigidBodyState(data.xpos[body].tolist(), data.xquat[body].tolist(), data.xipos[body].tolist(),
+                           velocity[3:].tolist(), velocity[:3].tolist()), float(data.time))
+        data.xfrc_applied[body] = wrench.force + wrench.torque
+        self._write_sensors(wrench)
+        return wrench
+
+    def step(self) -> BodyWrench:
+        """Apply the wrench, advance MuJoCo by one step with ``mj_step``, and return the wrench of the step."""
+        wrench = self.apply()
+        self._mujoco.mj_step(self.model, self.data)
+        self._write_sensors(wrench)
+        return wrench
+
+    def reset(self) -> None:
+        """Return to the untouched tissue and remove the wrench; call it after ``mj_resetData``."""
+        self.coupling.reset()
+        self.data.xfrc_applied[self._body] = 0.0
+
+    def save(self) -> CouplingState:
+        """Return the state of the tissue and of the coupling; copy `MjData` together with it."""
+        return self.coupling.save()
+
+    def restore(self, state: CouplingState) -> None:
+        """Restore a saved state; restore `MjData` together with it."""
+        self.coupling.restore(state)
+
+    def clone(self, data: mujoco.MjData) -> MujocoTissue:
+        """Return an independent adapter at the same state for a copy of the data, for planners."""
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        other.data, other.coupling = data, self.coupling.clone()
+        return other
+
+    def _update_kinematics(self) -> None:
+        """Compute poses and velocities of the present state; ``mj_step`` leaves those of the start of its step."""
+        library, model, data = self._mujoco, self.model, self.data
+        library.mj_kinematics(model, data)
+        library.mj_comPos(model, data)
+        library.mj_comVel(model, data)
+
+    def _find(self, kind: str, name: str) -> int:
+        """Return the number of a named object of the model."""
+        library = self._mujoco
+        types = {"body": library.mjtObj.mjOBJ_BODY, "site": library.mjtObj.mjOBJ_SITE,
+                 "sensor": library.mjtObj.mjOBJ_SENSOR}
+        number = library.mj_name2id(self.model, types[kind], name)
+        if number < 0:
+            raise InputError(f"must be the name of a {kind} of the model; got {name!r}. Add it to the MJCF file.",
+                             field=kind)
+        return int(number)
+
+    def _find_site_pose(self, name: str) -> Pose:
+        """Return the pose of a site in the world."""
+        site, rotation = self._find("site", name), np.zeros(4)
+        self._mujoco.mju_mat2Quat(rotation, self.data.site_xmat[site])
+        return _make_pose(self.data.site_xpos[site], rotation)
+
+    def _find_tip(self, name: str) -> Pose:
+        """Return the pose of a site in the frame of the body."""
+        site = self._find("site", name)
+        if self.model.site_bodyid[site] != self._body:
+            raise InputError(f"must be a site of the body that carries the tool; {name!r} belongs to another body.",
+                             field="tip")
+        body = _make_pose(self.data.xpos[self._body], self.data.xquat[self._body])
+        return multiply_poses(invert_pose(body), self._find_site_pose(name))
+
+    def _find_sensors(self) -> dict[str, int]:
+        """Return the first index in ``sensordata`` of each user sensor of `SENSORS` that the model has."""
+        library, model, found = self._mujoco, self.model, {}
+        for name, size in SENSORS.items():
+            number = library.mj_name2id(model, library.mjtObj.mjOBJ_SENSOR, name)
+            if number < 0:
+                continue
+            if model.sensor_type[number] != library.mjtSensor.mjSENS_USER or model.sensor_dim[number] != size:
+                raise InputError(f"{name!r} must be a user sensor of dimension {size}.", field="sensor")
+            found[name] = int(model.sensor_adr[number])
+        return found
+
+    def _write_sensors(self, wrench: BodyWrench) -> None:
+        """Write wrench at the tip, status and error to the user sensors of the model."""
+        values: dict[str, Any] = {"tissue_status": float(wrench.status)}
+        if "tissue_wrench" in self._sensors:
+            values["tissue_wrench"] = wrench.force + wrench.torque_about_tip
+        values["tissue_error"] = UNKNOWN_ERROR if wrench.force_error is None else wrench.force_error
+        for name, start in self._sensors.items():
+            self.data.sensordata[start:start + SENSORS[name]] = values[name]
+
+
+def _import_mujoco() -> Any:
+    """Import MuJoCo.
+
+    Raises:
+        MissingBackendError: it is not installed.
+    """
+    try:
+        import mujoco
+    except ImportError:
+        raise MissingBackendError("MuJoCo is not installed. Install tissue_sim[mujoco].") from None
+    return mujoco
+
+
+def _make_pose(position: Any, quaternion: Any) -> Pose:
+    """Make a pose from arrays of three and four numbers, w first."""
+    x, y, z = (float(part) for part in position)
+    w, a, b, c = (float(part) for part in quaternion)
+    return Pose((x, y, z), (w, a, b, c))
