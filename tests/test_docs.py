@@ -15,6 +15,8 @@ from scenes.cli import main
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMANDS = ('python -m pip install -e . && tissue-sim demo', 'python -m pip install -e ".[test]" && python -m pytest')
+#: Pages of engines that an extra with the name of the page installs.
+EXTRAS = ("mujoco", "newton")
 _BLOCK = re.compile(r"^```(?P<language>\w+)[^\n]*\n(?P<text>.*?)^```\s*$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\]\((?!https?:)(?P<target>[^)#]+)(?:#[^)]*)?\)")
 
@@ -64,6 +66,8 @@ def run_page(text: str, name: str) -> int:
 def test_page_runs(page, tmp_path, monkeypatch):
     from tissue_sim import LAWS
 
+    if page.stem in EXTRAS:
+        pytest.importorskip(page.stem, reason=f"the page needs an engine: pip install tissue_sim[{page.stem}]")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     known = set(LAWS)

@@ -190,3 +190,13 @@ def test_partly_slipping_face_has_the_error_of_both_its_tests():
     errors = [one.metadata["solver"]["force_error"] for one in (held, free)]
     assert both["force_error"] == max(errors) > 0.0
     assert ts.simulate(model, estimate_error=False).metadata["solver"]["force_error"] is None
+
+
+@pytest.mark.parametrize(("friction", "error"), [("bonded", 0.011), ("frictionless", 0.046)])
+def test_the_default_mesh_of_a_simulator_states_its_error(friction, error):
+    """Without a budget `realtime` is the mesh `realtime_63`, whose largest errors are known."""
+    experiment = ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(0.010, 2),
+                               tool=ts.Tool("flat", radius=8e-3, edge_radius=1e-3), friction=friction)
+    model = ts.Model(experiment, ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e3)))
+    assert ts.Simulator(model).force_error == ts.Simulator(model, resolution="realtime_63").force_error == error
+    assert ts.Simulator(model, resolution="fast").force_error is None

@@ -128,23 +128,27 @@ class ForceFader:
     The momentum of the tissue limits this force, which is not faded. After `patience` without equilibrium,
     force and stiffness fade to zero together within `ramp` (status FADING): a client that extrapolates with the
     stiffness then stays below the force of the answer. With the next equilibrium they return within the same time
-    (status RETURNING). If the first force exceeds `ForceFadeTimesAndThresholds.largest_first_force`, the hand starts
-    inside the tissue, and the force returns from zero in the same way. The answer to a refused pose keeps the status
+    (status RETURNING). If the first force exceeds `largest_first_force`, the hand starts inside the tissue, and the
+    force returns from zero in the same way. The answer to a refused pose keeps the status
     REFUSED and is scaled by the same gain.
 
     Args:
         patience: longest time without equilibrium at full force, s; infinite for local models of a slow solver, which
             have their own age limit.
         ramp: duration of the fade, s; see `Watchdog`.
+        largest_first_force: largest first force that is given in full, N; infinite for a tool that is not held by a
+            hand.
 
     Raises:
         InputError: a time is not positive, or the ramp is infinite.
     """
 
-    def __init__(self, patience: float = RELEASE.patience, ramp: float = RELEASE.ramp):
+    def __init__(self, patience: float = RELEASE.patience, ramp: float = RELEASE.ramp,
+                 largest_first_force: float = RELEASE.largest_first_force):
         if not patience > 0.0:
             raise InputError(f"the time without equilibrium must be positive; got {patience:g} s", field="patience")
         self._watchdog = Watchdog(min(patience, RELEASE.longest_patience), ramp)
+        self._largest_first_force = largest_first_force
         self.reset()
 
     @property
@@ -167,7 +171,7 @@ class ForceFader:
             now: time, s, on a clock of this computer that always advances; the clock of a client is not used.
         """
         watchdog, last, self._last_step = self._watchdog, self._last_step, now
-        if last is None and math.hypot(*answer.wrench[:3]) > RELEASE.largest_first_force:
+        if last is None and math.hypot(*answer.wrench[:3]) > self._largest_first_force:
             watchdog.set_gain_to_zero()
         converged = answer.status is ForceStatus.CONVERGED
         has_equilibrium = converged or (answer.status is ForceStatus.LATE and answer.inertial and answer.age == 0.0)

@@ -185,6 +185,7 @@ class ToolCoupling:
         self.tissue, self.limits, self.real_time = tissue, limits or CouplingLimits(), real_time
         self.scene, self.tip = scene or Pose((0.0, 0.0, 0.0)), tip or Pose((0.0, 0.0, 0.0))
         self.mass, self.inertia = _convert_mass_and_inertia(mass, inertia)
+        self._inverse_inertia = np.zeros((3, 3)) if self.inertia is None else np.linalg.inv(self.inertia)
         if hasattr(tissue, "looks_ahead"):
             tissue.looks_ahead = True
         self._rotation = np.array(self.scene.rotation_matrix)
@@ -199,7 +200,7 @@ class ToolCoupling:
         self._twist, self._wrench = np.zeros(6), np.zeros(6)
         #: Acceleration of the tip by all other forces in the last step, m/s2 and rad/s2.
         self._others: _Array | None = None
-        self._fader = ForceFader()
+        self._fader = ForceFader(largest_first_force=math.inf)
         self._has_warned = False
 
     @property
@@ -241,8 +242,8 @@ class ToolCoupling:
         limited = limit_force_of_wrench(requested, self.limits.largest_force)
         is_limited, wrench = limited is not requested, np.array(limited)
         self._time, self._pose, self._twist, self._wrench = time, pose or self._pose, twist, wrench
-        force, torque, about_tip = (self._rotation @ np.array([
-            wrench[:3], wrench[3:] + np.cross(tip, wrench[:3]), wrench[3:]]).T).T.tolist()
+        about_center = wrench[3:] + _make_cross_matrix(tip) @ wrench[:3]
+        force, torque, about_tip = (np.array([wrench[:3], about_center, wrench[3:]]) @ self._rotation.T).tolist()
         self.last = BodyWrench(tuple(force), tuple(torque), tuple(about_tip), answer.status, answer, pose, is_limited)
         return self.last
 
@@ -302,7 +303,7 @@ class ToolCoupling:
         center = to_scene @ (np.array(body.center_of_mass, float) - np.array(self.scene.position))
         tip = np.array(pose.position) - center
         spin = to_scene @ np.array(body.angular_velocity, float)
-        twist = np.concatenate([to_scene @ np.array(body.velocity, float) + np.cross(spin, tip), spin])
+        twist = np.concatenate([to_scene @ np.array(body.velocity, float) - _make_cross_matrix(tip) @ spin, spin])
         return (twist, tip) if np.isfinite(twist).all() else (np.zeros(6), tip)
 
     def _compute_implicit_wrench(self, answer: ToolForce, twist: _Array, body: RigidBodyState, tip: _Array, dt: float,
@@ -329,7 +330,7 @@ class ToolCoupling:
         slope = others - (others if self._others is None else self._others)
         self._others = others
         free = twist + dt * (others + min(1.0, 1.0 / max(float(np.trace(implicit)), 1e-12)) * slope)
-        return np.linalg.solve(np.eye(6) + implicit, load - dt * damper @ free)
+        return np.asarray(np.linalg.solve(np.eye(6) + implicit, load - dt * damper @ free), np.float64)
 
     def _compute_mobility(self, body: RigidBodyState, tip: _Array) -> _Array:
         """Return the mobility of the free body at the tip, shape (6, 6): twist over impulse, in the scene."""
@@ -339,9 +340,8 @@ class ToolCoupling:
         inverse = np.zeros((3, 3))
         if self.inertia is not None:
             turn = self._rotation.T @ np.array(_make_body_pose(body).rotation_matrix)
-            inverse = turn @ np.linalg.inv(self.inertia) @ turn.T
-        a, b, c = tip
-        lever = np.array([[0.0, c, -b], [-c, 0.0, a], [b, -a, 0.0]])  # omega x tip = lever @ omega
+            inverse = turn @ self._inverse_inertia @ turn.T
+        lever = -_make_cross_matrix(tip)  # angular velocity x tip = lever @ angular velocity
         mobility[:3, :3] = np.eye(3) / self.mass + lever @ inverse @ lever.T
         mobility[:3, 3:], mobility[3:, :3], mobility[3:, 3:] = lever @ inverse, inverse @ lever.T, inverse
         return mobility
@@ -449,6 +449,12 @@ def _project_to_positive_semidefinite(matrix: _Array) -> _Array:
     values, vectors = np.linalg.eigh(symmetric * np.outer(scale, scale))
     projected: _Array = (vectors * np.maximum(values, 0.0)) @ vectors.T / np.outer(scale, scale)
     return projected
+
+
+def _make_cross_matrix(vector: _Array) -> _Array:
+    """Return the matrix of a cross product: ``_make_cross_matrix(a) @ b`` is a x b."""
+    a, b, c = vector.tolist()
+    return np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
 
 
 def _make_body_pose(body: RigidBodyState) -> Pose:

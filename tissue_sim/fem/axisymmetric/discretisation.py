@@ -8,7 +8,13 @@ import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, STUDY_SLENDERNESS, UNMEASURED, MeshResolution
+from tissue_sim.fem.axisymmetric.resolutions import (
+    RESOLUTIONS,
+    STUDY_SLENDERNESS,
+    UNMEASURED,
+    MeshResolution,
+    find_force_error_of_resolution_or_none,
+)
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.contact.pairs import ContactPairs, SurfaceParts, build_contact_pairs
 from tissue_sim.fem.solver import Step
@@ -163,10 +169,13 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = N
     if model.material.regions:
         raise InputError("must be empty for an axisymmetric solid. Use the solver \"solid\" "
                          "(--solid).", field="material.regions")
-    meshed = model if topology is None else topology
+    meshed, error = model if topology is None else topology, None
     if mesh is None:
         mesh = build_mesh(meshed.experiment, resolution, layers=meshed.material.layers)
-    return build_solver_on_mesh(model, move_mesh_to_geometry(mesh, meshed, model))
+        error = find_force_error_of_resolution_or_none(meshed.experiment, resolution)
+    solver = build_solver_on_mesh(model, move_mesh_to_geometry(mesh, meshed, model))
+    solver.stated_force_error = error
+    return solver
 
 
 def build_solver_on_mesh(model: Model, mesh: Mesh) -> AxisymmetricSolver:

@@ -88,3 +88,10 @@ def list_realtime_levels_finest_first(experiment: Experiment) -> tuple[Resolutio
     tool_kind = 0 if tool.is_plate else 2 if not tool.face_radius else 3 if free else 1
     return tuple(ResolutionLevel(name, one.force_errors[tool_kind]) for name, one in RESOLUTIONS.items()
                  if one.force_errors and not isnan(one.force_errors[tool_kind]))
+
+
+def find_force_error_of_resolution_or_none(experiment: Experiment, resolution: str) -> float | None:
+    """Return the largest known relative error of the force for a resolution, 1; None if it is unknown."""
+    name = UNMEASURED.get(resolution, resolution)
+    levels = list_realtime_levels_finest_first(experiment)
+    return next((level.force_error for level in levels if level.resolution == name), None)
