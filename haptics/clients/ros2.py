@@ -319,6 +319,8 @@ def run_node(arguments: list[str] | None = None) -> int:
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
         from geometry_msgs.msg import PoseStamped, Vector3, Wrench, WrenchStamped
+        from rclpy.clock import Clock, ClockType
+        from rclpy.executors import ExternalShutdownException
         from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
         from std_msgs.msg import Header
     except ImportError as error:
@@ -337,9 +339,10 @@ def run_node(arguments: list[str] | None = None) -> int:
         client = TissueClient(values["port"], values["host"], values["timeout"])
         bridge = PoseWrenchBridge(client, MessageClasses(Header, Vector3, Wrench, WrenchStamped, DiagnosticArray,
                                                          DiagnosticStatus, KeyValue), frame, values["tool_frame_id"])
-        # Only the newest pose counts.
+        # Only the newest pose counts. A best-effort subscription matches all publishers, a reliable publisher all
+        # subscriptions.
         newest = QoSProfile(depth=1, history=QoSHistoryPolicy.KEEP_LAST, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-        wrenches = node.create_publisher(WrenchStamped, "tool_wrench", newest)
+        wrenches = node.create_publisher(WrenchStamped, "tool_wrench", 1)
         diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
         def publish(wrench: Any, diagnostic: Any | None) -> None:
@@ -347,9 +350,11 @@ def run_node(arguments: list[str] | None = None) -> int:
             if diagnostic is not None:
                 diagnostics.publish(diagnostic)
 
-        # Without poses the timer expires and publishes a zero wrench; each pose restarts it.
+        # Without poses the timer expires and publishes a zero wrench; each pose restarts it. It also runs while a
+        # simulated clock is paused.
         timer = node.create_timer(values["silence"],
-                                  lambda: publish(*bridge.make_silence_messages(node.get_clock().now().to_msg())))
+                                  lambda: publish(*bridge.make_silence_messages(node.get_clock().now().to_msg())),
+                                  clock=Clock(clock_type=ClockType.STEADY_TIME))
 
         def answer_pose(message: Any) -> None:
             timer.reset()
@@ -360,7 +365,7 @@ def run_node(arguments: list[str] | None = None) -> int:
     except InputError as error:
         print(f"haptics.clients.ros2: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
         if client is not None:

@@ -2,7 +2,7 @@
 //
 // SI units. Frame: origin at the centre of the undeformed top face, z out of the tissue, right-handed; forces are those on
 // the tool. `UnityFrame` converts poses, forces and torques. docs/client_csharp.md is the guide, and docs/wire_protocol.md
-// defines the fields. A step allocates no memory and throws no exception.
+// defines the fields. A step creates no objects and throws no exception.
 //
 // Copyright: the tissue_sim authors; Apache License 2.0.
 using System;
@@ -230,8 +230,9 @@ namespace TissueSim
         /// <summary>Last error as one sentence; it has both versions after OtherVersion.</summary>
         public string Message { get; private set; }
 
-        /// <summary>Random number that identifies this client at the server.</summary>
-        public ulong Session { get { return request.Session; } }
+        /// <summary>Number that identifies this client at the server; initially random. Set it before the first step
+        /// for a server with --session.</summary>
+        public ulong Session { get { return request.Session; } set { request.Session = value; } }
 
         /// <summary>Create a client of a server; sends no packet.</summary>
         /// <param name="port">UDP port of the server.</param>
@@ -244,6 +245,9 @@ namespace TissueSim
                 throw new ArgumentException("timeout must be positive and finite; got " + timeout + " s");
             if (version != 2 && version != 3)
                 throw new ArgumentException("version must be 2 or 3; got " + version);
+            IPAddress address;
+            if (!IPAddress.TryParse(host, out address))
+                throw new ArgumentException("host must be a numeric address such as 127.0.0.1; got " + host);
             Timeout = timeout;
             Message = "";
             request.Version = version;
@@ -251,7 +255,6 @@ namespace TissueSim
             using (RandomNumberGenerator source = RandomNumberGenerator.Create())
                 source.GetBytes(random);
             request.Session = BitConverter.ToUInt64(random, 0) | 1;
-            IPAddress address = IPAddress.Parse(host);
             socket = new Socket(address.AddressFamily, SocketType.Dgram, ProtocolType.Udp);
             socket.Connect(new IPEndPoint(address, port));
             socket.Blocking = false;

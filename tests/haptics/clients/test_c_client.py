@@ -314,7 +314,7 @@ def check_loop(done):
     assert line, done.stdout
     steps, p50, p99, largest, _, _, starts = map(float, line.groups())
     assert steps >= 1 and 0 < p50 <= p99 and starts >= 1
-    assert 0.0 <= largest <= 2.0  # the gel has at most 1.8 N at 2 mm
+    assert 0.0 <= largest <= 2.5  # 800 (1 + 40 d) d + 300 d + damping is 2.4 N at 2 mm
 
 
 @pytest.fixture(scope="module")

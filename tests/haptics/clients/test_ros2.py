@@ -287,7 +287,7 @@ class ReplacementNode:
     def create_subscription(self, kind, topic, callback, qos):
         self.callbacks[topic] = callback
 
-    def create_timer(self, period, callback):
+    def create_timer(self, period, callback, clock):
         self.expire = callback
         return SimpleNamespace(reset=lambda: setattr(self, "resets", self.resets + 1))
 
@@ -300,14 +300,17 @@ class ReplacementNode:
 
 def install_replacement(monkeypatch, node, spin):
     """Install modules with the names that `run_node` imports."""
-    modules = {name: ModuleType(name) for name in ("rclpy", "rclpy.qos", "diagnostic_msgs", "diagnostic_msgs.msg",
-                                                   "geometry_msgs", "geometry_msgs.msg", "std_msgs", "std_msgs.msg")}
+    modules = {name: ModuleType(name) for name in (
+        "rclpy", "rclpy.clock", "rclpy.executors", "rclpy.qos", "diagnostic_msgs", "diagnostic_msgs.msg",
+        "geometry_msgs", "geometry_msgs.msg", "std_msgs", "std_msgs.msg")}
     for name in ("init", "try_shutdown"):
         setattr(modules["rclpy"], name, lambda **_: None)
     modules["rclpy"].create_node, modules["rclpy"].spin = lambda name: node, spin
     for name in ("QoSProfile", "QoSHistoryPolicy", "QoSReliabilityPolicy"):
         setattr(modules["rclpy.qos"], name, SimpleNamespace(KEEP_LAST=1, BEST_EFFORT=2))
-    modules["rclpy.qos"].QoSProfile = SimpleNamespace
+    modules["rclpy.qos"].QoSProfile = modules["rclpy.clock"].Clock = SimpleNamespace
+    modules["rclpy.clock"].ClockType = SimpleNamespace(STEADY_TIME=3)
+    modules["rclpy.executors"].ExternalShutdownException = type("ExternalShutdownException", (Exception,), {})
     for kind, found in STORE.types.items():
         package, _, name = kind.partition("/msg/")
         if f"{package}.msg" in modules:

@@ -115,13 +115,14 @@ typedef struct {
     uint32_t flags;         /* all flags of the reply */
     /* Set by tissue_sim_step. */
     int is_first;           /* whether the server made no time step although time advanced: first step at this server,
-                               also after its restart, or the tissue was reset or restored since the previous answer */
+                               also after its restart, or the tissue was reset or restored since the previous answer,
+                               or an unanswered request was repeated with the same time */
 } tissue_sim_answer;
 
 typedef struct {
     intptr_t socket;
     uint64_t sequence;
-    uint64_t session; /* random number that identifies this client, set by tissue_sim_open */
+    uint64_t session; /* identifies this client; random after tissue_sim_open. Set it for a server with --session */
     long polls;       /* number of polls for a reply, about 1 us each, before sleeping until it arrives; initially 0 */
     unsigned version; /* protocol version, 3 or 2; initially TISSUE_SIM_VERSION */
     double timeout;   /* longest wait for a reply, s */
