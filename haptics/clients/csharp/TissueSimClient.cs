@@ -219,7 +219,8 @@ namespace TissueSim
         readonly double[] origin = new double[3];
         readonly double[] upright = { 1, 0, 0, 0 };
         readonly Reply ownReply = new Reply();
-        double lastTime = double.NegativeInfinity;
+        double lastTime = double.NegativeInfinity;  // of the last answered step, also of a late reply
+        bool hasFirst;                              // whether a late reply was the first of a server
 
         /// <summary>Longest wait for a reply, s.</summary>
         public double Timeout;
@@ -272,6 +273,7 @@ namespace TissueSim
                 if (outcome == Outcome.Ok)
                 {
                     lastTime = double.NegativeInfinity;
+                    hasFirst = false;
                     return ownReply.Status == (int)Status.Busy
                         ? Fail(Outcome.Busy, Wire.GetText((int)Status.Busy)) : Outcome.Ok;
                 }
@@ -312,11 +314,8 @@ namespace TissueSim
             if (!(f[0] * f[0] + f[1] * f[1] + f[2] * f[2] <= LargestForce * LargestForce)
                 || !IsFinite(t[0]) || !IsFinite(t[1]) || !IsFinite(t[2]))
                 return Fail(Outcome.BadReply, "the force of the reply is not finite, or above the largest force of the client");
-            if (reply.Status != (int)Status.Refused)
-            {
-                reply.IsFirst = !(reply.Dt > 0.0) && time > lastTime;
-                lastTime = time;
-            }
+            reply.IsFirst = IsFirstStep(reply) || hasFirst;
+            hasFirst = false;
             return Outcome.Ok;
         }
 
@@ -354,8 +353,13 @@ namespace TissueSim
                     if (outcome != Outcome.NotAReply && reply.Version != request.Version)
                         return Fail(Outcome.OtherVersion, "the server uses protocol version " + reply.Version
                             + ", this client version " + request.Version + "; install the same tissue_sim on both sides");
-                    if (outcome == Outcome.Ok && reply.Sequence == sequence && reply.Session == request.Session)
-                        return Outcome.Ok;
+                    if (outcome == Outcome.Ok && reply.Session == request.Session)
+                    {
+                        if (reply.Sequence == sequence)
+                            return Outcome.Ok;
+                        if (reply.Sequence < sequence && reply.Time > lastTime && IsFirstStep(reply))
+                            hasFirst = true;
+                    }
                 }
                 double rest = (double)(end - Stopwatch.GetTimestamp()) / Stopwatch.Frequency;
                 if (rest <= 0.0)
@@ -363,6 +367,16 @@ namespace TissueSim
                 if (error != SocketError.Success)
                     socket.Poll((int)Math.Min(1e6, 1e6 * rest + 1.0), SelectMode.SelectRead);
             }
+        }
+
+        // Return whether the server made no time step although time advanced, and store the time of the reply.
+        bool IsFirstStep(Reply reply)
+        {
+            if (!reply.HasForce || reply.Status == (int)Status.Refused)
+                return false;
+            bool isFirst = !(reply.Dt > 0.0) && reply.Time > lastTime;
+            lastTime = reply.Time;
+            return isFirst;
         }
 
         const string NoServerText = "nothing listens on that port; start tissue-sim serve";

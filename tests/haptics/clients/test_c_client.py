@@ -333,33 +333,17 @@ def test_example_loop_prints_round_trips_and_force(haptic_loop):
 
 
 def test_example_loop_uses_a_restarted_server(haptic_loop):
-    """Stopped and started on the same port while the loop runs: the new server makes a hundred steps."""
+    """Stopped and started on the same port while the loop runs: the loop prints a line for each server."""
     with serving(Gel()) as port:
-        loop = subprocess.Popen([str(haptic_loop), str(port), "600", "0.002"], stdout=subprocess.PIPE, text=True,
-                                stderr=subprocess.PIPE, encoding="utf-8")
-        first = loop.stdout.readline()
+        loop = subprocess.Popen([str(haptic_loop), str(port), "600", "0.002"], stdout=subprocess.PIPE,
+                                stderr=subprocess.PIPE, text=True, encoding="utf-8")
+        assert any("first step at this server" in line for line in loop.stdout)
     try:
-        assert "depth" in first
-        counted = Counted()
-        with serving(counted, port):
-            assert counted.enough.wait(600.0)
+        with serving(Gel(), port):
+            assert any("first step at this server" in line for line in loop.stdout)
     finally:
         loop.kill()
         loop.communicate()
-
-
-class Counted(Gel):
-    """Sets an event at its hundredth step."""
-
-    def __init__(self):
-        super().__init__()
-        self.steps, self.enough = 0, threading.Event()
-
-    def step(self, pose, dt):
-        self.steps += 1
-        if self.steps == 100:
-            self.enough.set()
-        return super().step(pose, dt)
 
 
 @pytest.mark.skipif(CPLUSPLUS is None, reason="compiles the C client's header as C++ and finds no C++ compiler on this "

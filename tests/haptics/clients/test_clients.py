@@ -94,6 +94,26 @@ def test_client_reaches_the_server_with_its_first_step_after_a_restart(driver):
         driver.ask("close")
 
 
+def test_restart_is_stated_when_the_first_reply_is_late(driver):
+    """The reply to step 1 arrives after its time-out, during step 2; a server that starts makes no time step."""
+    late = []
+
+    def replies(request):
+        if request.time == 1.0:
+            late.append(reply_to(request, 1.0, dt=0.0))
+            return []
+        return [*late, reply_to(request, 7.0, dt=0.5)]
+
+    with answering(replies) as port:
+        driver.open(port, timeout=0.05)
+        assert driver.step(1.0, 0.001)[0] == "no_reply"
+        # A busy machine may need longer than the time-out for an answer.
+        answers = [words for words in (driver.step(2.0 + 0.5 * k, 0.001) for k in range(100)) if words[0] == "ok"]
+        assert [force(words)[1] for words in answers] == [True] + [False] * (len(answers) - 1)
+        assert len(answers) > 1
+        driver.ask("close")
+
+
 def test_connect_waits_until_the_server_starts(driver):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))

@@ -24,7 +24,7 @@ using Clock = std::chrono::steady_clock;
 
 const double period = 1e-3;           // s
 const double longest_hold = 20e-3;    // time for which the last force is extrapolated, s
-const double longest_outage = 10.0;   // time without a server after which the program ends, s
+const double longest_outage = 60.0;   // time without a server after which the program ends, s
 
 double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
@@ -63,7 +63,7 @@ int main(int argc, char **argv)
     std::vector<double> round_trips;
     double last_time = -1.0, last_depth = 0.0, force = 0.0, largest = 0.0;
     long late = 0, outages = 0, starts = 0;
-    unsigned status = TISSUE_SIM_CONVERGED;
+    const char *text = "";
     uint32_t flags = TISSUE_SIM_RESET;
     const Clock::time_point start = Clock::now();
     int result = 0;
@@ -80,14 +80,19 @@ int main(int argc, char **argv)
         if (code == TISSUE_SIM_OK && answer.status < 100) {
             round_trips.push_back(1e6 * seconds_since(sent));
             starts += answer.is_first;
+            if (answer.is_first) {
+                std::printf("%6.2f s  first step at this server\n", time);
+                std::fflush(stdout);
+            }
             force = answer.force[2];
-            status = answer.status;
+            text = tissue_sim_text(static_cast<int>(answer.status));
             last = answer;
             last_time = time;
             last_depth = depth;
             flags = 0;
         } else if (code == TISSUE_SIM_NO_REPLY || code == TISSUE_SIM_NO_SERVER) {
             (code == TISSUE_SIM_NO_REPLY ? late : outages)++;
+            text = tissue_sim_message(&client);
             force = last_time < 0.0 ? 0.0 : held_force(last, last_depth, depth, time - last_time);
             if (time - std::max(last_time, 0.0) > longest_outage) {
                 std::fprintf(stderr, "haptic_loop: %s\n", tissue_sim_message(&client));
@@ -102,8 +107,7 @@ int main(int argc, char **argv)
         }
         largest = std::max(largest, force); // a device gets `force` here
         if (k % 1000 == 0) {
-            std::printf("%6.2f s  depth %5.2f mm  force %7.3f N  %s\n", time, 1e3 * depth, force,
-                        tissue_sim_text(static_cast<int>(status)));
+            std::printf("%6.2f s  depth %5.2f mm  force %7.3f N  %s\n", time, 1e3 * depth, force, text);
             std::fflush(stdout);
         }
     }

@@ -127,7 +127,8 @@ typedef struct {
     unsigned version; /* protocol version, 3 or 2; initially TISSUE_SIM_VERSION */
     double timeout;   /* longest wait for a reply, s */
     double largest_force; /* replies with a larger force are refused, N; initially 1000, above the limit of any server */
-    double last_time; /* time of the last answered step, s; initially minus infinity */
+    double last_time; /* time of the last answered step, also of a late reply, s; initially the smallest double */
+    int has_first;    /* whether a late reply was the first of a server; the next answer states it */
     unsigned server_version; /* version of the last reply; 0: no reply yet */
     char message[TISSUE_SIM_MESSAGE_SIZE]; /* last error as one sentence */
 } tissue_sim_client;
@@ -396,7 +397,18 @@ static int tissue_sim_fail_(tissue_sim_client *client, int code)
     return code;
 }
 
-/* Send one request and wait for its own reply; replies to requests that were given up are passed over. */
+/* Return whether the server made no time step although time advanced, and store the time of the reply. */
+static int tissue_sim_is_first_(tissue_sim_client *client, const tissue_sim_answer *answer)
+{
+    int is_first;
+    if (answer->status >= 100 || answer->status == TISSUE_SIM_REFUSED)
+        return 0;
+    is_first = !(answer->dt > 0.0) && answer->time > client->last_time;
+    client->last_time = answer->time;
+    return is_first;
+}
+
+/* Send one request and wait for its own reply; of late replies to earlier requests only is_first is used. */
 static int tissue_sim_ask_(tissue_sim_client *client, unsigned kind, double time, const tissue_sim_pose *pose,
                            uint32_t flags, double timeout, tissue_sim_answer *answer)
 {
@@ -429,9 +441,13 @@ static int tissue_sim_ask_(tissue_sim_client *client, unsigned kind, double time
                      "both sides", answer->version, client->version);
             return TISSUE_SIM_OTHER_VERSION;
         }
-        if (code == TISSUE_SIM_OK && answer->sequence == request.sequence && answer->session == client->session) {
+        if (code == TISSUE_SIM_OK && answer->session == client->session) {
             client->server_version = answer->version;
-            return TISSUE_SIM_OK;
+            if (answer->sequence == request.sequence)
+                return TISSUE_SIM_OK;
+            if (answer->sequence < request.sequence && answer->time > client->last_time &&
+                tissue_sim_is_first_(client, answer))
+                client->has_first = 1;
         }
         if (tissue_sim_now_() > end)
             return tissue_sim_fail_(client, TISSUE_SIM_NO_REPLY);
@@ -504,6 +520,7 @@ int tissue_sim_connect(tissue_sim_client *client, double longest_wait_s)
                                &answer);
         if (code == TISSUE_SIM_OK) {
             client->last_time = -DBL_MAX;
+            client->has_first = 0;
             return answer.status == TISSUE_SIM_BUSY ? tissue_sim_fail_(client, TISSUE_SIM_BUSY) : TISSUE_SIM_OK;
         }
         if ((code != TISSUE_SIM_NO_SERVER && code != TISSUE_SIM_NO_REPLY) || tissue_sim_now_() >= end)
@@ -534,10 +551,8 @@ int tissue_sim_step(tissue_sim_client *client, double time, const tissue_sim_pos
         answer->force[0] * answer->force[0] + answer->force[1] * answer->force[1] +
                 answer->force[2] * answer->force[2] > client->largest_force * client->largest_force)
         return tissue_sim_fail_(client, TISSUE_SIM_BAD_REPLY);
-    if (answer->status != TISSUE_SIM_REFUSED) {
-        answer->is_first = !(answer->dt > 0.0) && time > client->last_time;
-        client->last_time = time;
-    }
+    answer->is_first = tissue_sim_is_first_(client, answer) || client->has_first;
+    client->has_first = 0;
     return TISSUE_SIM_OK;
 }
 
