@@ -230,7 +230,7 @@ def interpolate_pose(start: Pose, end: Pose, share: float) -> Pose:
     half = share * math.atan2(sine, w)
     factor = share if sine < QUATERNION.small_sine else math.sin(half) / sine
     turn = (math.cos(half), factor * x, factor * y, factor * z)
-    return Pose(position, _multiply_quaternions(turn, start.orientation))
+    return Pose(position, multiply_quaternions(turn, start.orientation))
 
 
 def rotate_pose_about_its_position(pose: Pose, rotation: Vector) -> Pose:
@@ -239,7 +239,7 @@ def rotate_pose_about_its_position(pose: Pose, rotation: Vector) -> Pose:
     if angle == 0.0:
         return pose
     x, y, z = (math.sin(0.5 * angle) * part / angle for part in rotation)
-    return Pose(pose.position, _multiply_quaternions((math.cos(0.5 * angle), x, y, z), pose.orientation))
+    return Pose(pose.position, multiply_quaternions((math.cos(0.5 * angle), x, y, z), pose.orientation))
 
 
 def find_axis_twist_quaternion_or_none(orientation: Quaternion) -> Quaternion | None:
@@ -259,12 +259,12 @@ def remove_twist(pose: Pose, twist: Quaternion | None) -> Pose:
     if twist is None:
         return pose
     w, _, _, z = twist
-    return Pose(pose.position, _multiply_quaternions(pose.orientation, (w, 0.0, 0.0, -z)))
+    return Pose(pose.position, multiply_quaternions(pose.orientation, (w, 0.0, 0.0, -z)))
 
 
 def add_twist(pose: Pose, twist: Quaternion | None) -> Pose:
     """Return a pose with an additional rotation about the tool's axis; inverse of `remove_twist`."""
-    return pose if twist is None else Pose(pose.position, _multiply_quaternions(pose.orientation, twist))
+    return pose if twist is None else Pose(pose.position, multiply_quaternions(pose.orientation, twist))
 
 
 def shift_pose_along_z(pose: Pose, height: float) -> Pose:
@@ -298,14 +298,14 @@ def invert_pose(pose: Pose) -> Pose:
 def _compute_relative_quaternion(start: Quaternion, end: Quaternion) -> Quaternion:
     """Return the quaternion of the rotation, by at most half a turn, from one orientation to another, scene frame."""
     w, x, y, z = start
-    relative = _multiply_quaternions(end, (w, -x, -y, -z))
+    relative = multiply_quaternions(end, (w, -x, -y, -z))
     if relative[0] >= 0.0:
         return relative
     w, x, y, z = relative
     return (-w, -x, -y, -z)
 
 
-def _multiply_quaternions(left: Quaternion, right: Quaternion) -> Quaternion:
+def multiply_quaternions(left: Quaternion, right: Quaternion) -> Quaternion:
     """Return the Hamilton product of two quaternions: the rotation `right`, then the rotation `left`."""
     a, b, c, d = left
     e, f, g, h = right

@@ -80,7 +80,8 @@ class TissueClient:
 
     def close(self) -> None:
         """Send a goodbye, so that another client can own the tissue at once, and close the socket."""
-        with self._socket, suppress(OSError):  # the server may have ended already
+        # The server may have ended already, or use another version.
+        with self._socket, suppress(OSError, InputError):
             self._exchange_request(Request(self._sequence, 0.0, session=self.session, kind=RequestKind.GOODBYE,
                                            version=self._version))
 

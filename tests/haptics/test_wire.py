@@ -185,9 +185,9 @@ def test_the_documentation_has_the_layout_of_the_packets(root):
 
 
 def test_the_c_header_has_the_same_numbers(root):
-    header = (root / "docs" / "client" / "tissue_sim_client.h").read_text(encoding="utf-8")
+    header = (root / "haptics" / "clients" / "c" / "include" / "tissue_sim_client.h").read_text(encoding="utf-8")
     defined = {name: int(value) for name, value in re.findall(r"TISSUE_SIM_(\w+)(?: =)? (\d+)", header)}
     assert (defined["VERSION"], defined["REQUEST_SIZE"], defined["REPLY_SIZE"]) == (VERSION, REQUEST_SIZE, REPLY_SIZE)
     assert defined["RESET"] == RequestFlags.RESET
-    for status in (*ForceStatus, Status.BUSY):
+    for status in (*ForceStatus, Status.BUSY, Status.RELEASED):
         assert defined[status.name] == status

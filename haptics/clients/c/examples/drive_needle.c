@@ -1,10 +1,12 @@
 /* Drive a needle along a path against `tissue-sim serve`, and print depth, force and status of every step.
  *
- *     cc -std=c99 -O2 -o drive_needle drive_needle.c
+ *     cc -std=c99 -O2 -I../include -o drive_needle drive_needle.c
  *     ./drive_needle 47700 path.txt       lines of: time in s, depth in m
  *     ./drive_needle 47700 0.005 100      to 5 mm in 100 steps of 1 ms
  */
-#define TISSUE_SIM_CLIENT_IMPLEMENTATION
+#ifndef TISSUE_SIM_CLIENT_LIBRARY
+#define TISSUE_SIM_CLIENT_IMPLEMENTATION /* without the library, the header is the implementation */
+#endif
 #include "tissue_sim_client.h"
 
 #include <stdio.h>
@@ -22,7 +24,7 @@ static int go(tissue_sim_client *client, double time, double depth, uint32_t fla
         printf("%.17g %.17g %u\n", depth, answer.force[2], answer.status);
         return 0;
     }
-    fprintf(stderr, "drive_needle: %s\n", tissue_sim_text(code == TISSUE_SIM_OK ? (int)answer.status : code));
+    fprintf(stderr, "drive_needle: %s\n", tissue_sim_message(client));
     return 1;
 }
 

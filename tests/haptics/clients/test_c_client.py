@@ -1,24 +1,32 @@
-"""The C client of docs/client: compiled without a warning, and the same forces as stepping in Python."""
+"""The C client of haptics/clients/c: compiled without a warning, and the same forces as stepping in Python."""
 
 import math
+import re
 import shutil
 import socket
 import subprocess
 import threading
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from client_drivers import C_COMPILER as COMPILER
+from client_drivers import CPP_COMPILER as CPLUSPLUS
+from client_drivers import WARNINGS, compile_or_fail
 
 import tissue_sim as ts
+from haptics.clients import get_source_folder
 from haptics.server.server import TissueServer
 from haptics.server.wire import Reply, Request, decode_request_without_pose_check, encode_reply, encode_request
 from tissue_sim.pose import Pose
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
-COMPILER = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
-CPLUSPLUS = shutil.which("g++") or shutil.which("clang++")
-WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+CMAKE = shutil.which("cmake")
+#: Text of the status BUSY.
+BUSY = "another client owns the tissue; try again after its goodbye or its silence"
+#: Folder of the client in the repository.
+CLIENT = Path("haptics") / "clients" / "c"
 #: Time, s, and depth, m: in at 50 mm/s, a pause, irregular motion with uneven time steps, out.
 PATH = [(0.001 * k + 0.0003 * math.sin(k), 0.004 * math.sin(0.03 * k) ** 2 + 1e-4 * math.sin(0.7 * k))
         for k in range(200)]
@@ -45,8 +53,8 @@ class Gel:
 
 
 @contextmanager
-def serving(tissue):
-    with TissueServer(tissue) as server:
+def serving(tissue, port=0):
+    with TissueServer(tissue, port=port) as server:
         thread = threading.Thread(target=server.run)
         thread.start()
         try:
@@ -59,10 +67,8 @@ def serving(tissue):
 def compiled(root, folder, *options):
     """The example, compiled as the strictest user would."""
     program = folder / "drive_needle"
-    done = subprocess.run([COMPILER, "-std=c99", "-O2", *WARNINGS, *options, "-o", str(program),
-                           str(root / "docs" / "client" / "drive_needle.c")], capture_output=True, text=True,
-                          encoding="utf-8")
-    assert done.returncode == 0 and done.stderr == "", done.stderr
+    compile_or_fail(COMPILER, "-std=c99", "-O2", *WARNINGS, *options, f"-I{root / CLIENT / 'include'}", "-o", program,
+                    root / CLIENT / "examples" / "drive_needle.c")
     return program
 
 
@@ -138,7 +144,7 @@ def test_what_goes_wrong_is_one_sentence(drive_needle, path_file, tmp_path):
         owner.sendto(encode_request(Request(0, 0.0)), ("127.0.0.1", port))
         owner.recv(500)
         done = drive(drive_needle, port, path_file)
-        assert done.returncode == 1 and done.stderr == "drive_needle: another client has the tissue\n"
+        assert done.returncode == 1 and done.stderr == f"drive_needle: {BUSY}\n"
     done = drive(drive_needle, port, path_file)
     assert done.returncode == 1 and done.stdout == ""
     assert done.stderr == "drive_needle: nothing listens on that port; start tissue-sim serve\n"
@@ -193,7 +199,7 @@ def test_every_part_of_an_answer_has_its_age(root, tmp_path, version, tissue, ex
     source, program = tmp_path / "fields.c", tmp_path / "fields"
     source.write_text(FIELDS, encoding="utf-8")
     done = subprocess.run([COMPILER, "-std=c99", *WARNINGS, f"-DTISSUE_SIM_VERSION={version}",
-                           f"-I{root / 'docs' / 'client'}", "-o", str(program), str(source)], capture_output=True,
+                           f"-I{root / CLIENT / 'include'}", "-o", str(program), str(source)], capture_output=True,
                           text=True, encoding="utf-8")
     assert done.returncode == 0, done.stderr
     with serving(tissue()) as port:
@@ -229,23 +235,123 @@ def test_only_the_reply_of_this_version_to_this_request_counts(drive_needle, ver
         assert [force for _, force, _ in forces(done)] == [7.0, 7.0]
     else:
         assert done.returncode == 1
-        assert done.stderr == "drive_needle: the server speaks another version of the protocol\n"
+        assert done.stderr == ("drive_needle: the server uses protocol version 4, this client version 3; install "
+                               "the same tissue_sim on both sides\n")
 
 
 def test_refused_pose_reaches_the_program(drive_needle, tmp_path):
     path = tmp_path / "path.txt"
-    path.write_text("0.0 0.00005\n0.1 nan\n-5.0 0.00005\n0.15 1e300\n0.2 0.002\n", encoding="utf-8")
+    path.write_text("0.0 0.00005\n-5.0 0.00005\n0.15 1e300\n0.1 20.0\n0.2 0.002\n", encoding="utf-8")
     with serving(Gel()) as port:
         answered = forces(drive(drive_needle, port, path))
     assert [status for _, _, status in answered] == [0, 3, 3, 3, 0]
     assert answered[1][1] == answered[2][1] == answered[3][1] == answered[0][1]
 
 
+def test_number_that_is_not_finite_is_refused_before_it_is_sent(drive_needle, tmp_path):
+    path = tmp_path / "path.txt"
+    path.write_text("0.0 0.00005\n0.1 nan\n", encoding="utf-8")
+    with serving(Gel()) as port:
+        done = drive(drive_needle, port, path)
+    assert done.returncode == 1 and len(done.stdout.splitlines()) == 1
+    assert done.stderr == "drive_needle: time and pose must be finite, and the orientation a unit quaternion\n"
+
+
+def test_former_folder_has_the_same_client(root, tmp_path):
+    """docs/client contains no second implementation, only an #include."""
+    stub = root / "docs" / "client" / "tissue_sim_client.h"
+    assert len(stub.read_text(encoding="utf-8").splitlines()) == 2
+    source = root / CLIENT / "src" / "tissue_sim_client.c"
+    done = subprocess.run([COMPILER, "-std=c99", *WARNINGS, f"-I{stub.parent}", "-c", "-o", str(tmp_path / "client.o"),
+                           str(source)], capture_output=True, text=True, encoding="utf-8")
+    assert done.returncode == 0, done.stderr
+
+
+CONSUMER = """cmake_minimum_required(VERSION 3.13)
+project(consumer C CXX)
+find_package(tissue_sim_client 3 REQUIRED)
+add_executable(consumer consumer.cpp)
+target_link_libraries(consumer tissue_sim::tissue_sim_client)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CMAKE is None or CPLUSPLUS is None, reason="builds the C library with CMake and finds no cmake or "
+                    "C++ compiler on this machine (Debian: apt-get install cmake make g++)")
+@pytest.mark.parametrize("shared", [False, True], ids=["static", "shared"])
+def test_library_is_built_installed_and_found(root, tmp_path, path_file, shared):
+    """The library and its examples from a copy of the sources, and another project that uses the installation."""
+    def cmake(*words):
+        done = subprocess.run([CMAKE, *map(str, words)], capture_output=True, text=True, encoding="utf-8")
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    shutil.copytree(get_source_folder() / "c", tmp_path / "source")
+    prefix = tmp_path / "prefix"
+    cmake("-S", tmp_path / "source", "-B", tmp_path / "build", f"-DBUILD_SHARED_LIBS={'ON' if shared else 'OFF'}")
+    cmake("--build", tmp_path / "build")
+    cmake("--install", tmp_path / "build", "--prefix", prefix)
+    names = {path.name for path in prefix.rglob("*tissue_sim_*")}
+    assert {"tissue_sim_client.h", "tissue_sim_unreal.h", "tissue_sim_clientConfig.cmake"} <= names
+    assert any(name.startswith("libtissue_sim_client.") and name.endswith(".a") != shared for name in names)
+    (tmp_path / "consumer").mkdir()
+    (tmp_path / "consumer" / "CMakeLists.txt").write_text(CONSUMER, encoding="utf-8")
+    (tmp_path / "consumer" / "consumer.cpp").write_text(
+        (root / CLIENT / "examples" / "haptic_loop.cpp").read_text(encoding="utf-8").replace(
+            "#ifndef TISSUE_SIM_CLIENT_LIBRARY", "#if 0"), encoding="utf-8")
+    cmake("-S", tmp_path / "consumer", "-B", tmp_path / "consumer" / "build", f"-DCMAKE_PREFIX_PATH={prefix}")
+    cmake("--build", tmp_path / "consumer" / "build")
+    with serving(Gel()) as port:
+        answered = forces(drive(tmp_path / "build" / "examples" / "drive_needle", port, path_file))
+        check_loop(drive(tmp_path / "consumer" / "build" / "consumer", port, 0.1, 0.002))
+    assert [force for _, force, _ in answered] == pytest.approx([one.force for one in stepped(Gel())], rel=1e-12)
+
+
+def check_loop(done):
+    """Check the last line of the 1 kHz example."""
+    assert done.returncode == 0, done.stderr
+    line = re.fullmatch(r"steps (\d+), round trip p50 (\d+) us, p99 (\d+) us, largest force ([\d.]+) N, late (\d+), "
+                        r"without server (\d+), starts (\d+)", done.stdout.splitlines()[-1])
+    assert line, done.stdout
+    steps, p50, p99, largest, _, _, starts = map(float, line.groups())
+    assert steps >= 1 and 0 < p50 <= p99 and starts >= 1
+    assert 0.0 <= largest <= 2.5  # 800 (1 + 40 d) d + 300 d + damping is 2.4 N at 2 mm
+
+
+@pytest.fixture(scope="module")
+def haptic_loop(root, tmp_path_factory):
+    if CPLUSPLUS is None:
+        pytest.skip("compiles the C++ example and finds no C++ compiler on this machine (Debian: apt-get install g++)")
+    program = tmp_path_factory.mktemp("cpp") / "haptic_loop"
+    compile_or_fail(CPLUSPLUS, "-std=c++11", "-O2", *WARNINGS, f"-I{root / CLIENT / 'include'}", "-o", program,
+                    root / CLIENT / "examples" / "haptic_loop.cpp")
+    return program
+
+
+def test_example_loop_prints_round_trips_and_force(haptic_loop):
+    with serving(Gel()) as port:
+        check_loop(drive(haptic_loop, port, 0.5, 0.002))
+
+
+def test_example_loop_uses_a_restarted_server(haptic_loop):
+    """Stopped and started on the same port while the loop runs: the loop prints a line for each server."""
+    with serving(Gel()) as port:
+        loop = subprocess.Popen([str(haptic_loop), str(port), "600", "0.002"], stdout=subprocess.PIPE,
+                                stderr=subprocess.PIPE, text=True, encoding="utf-8")
+        assert any("first step at this server" in line for line in loop.stdout)
+    try:
+        with serving(Gel(), port):
+            assert any("first step at this server" in line for line in loop.stdout)
+    finally:
+        loop.kill()
+        loop.communicate()
+
+
 @pytest.mark.skipif(CPLUSPLUS is None, reason="compiles the C client's header as C++ and finds no C++ compiler on this "
                     "machine (Debian: apt-get install g++)")
 def test_header_is_also_cplusplus(root, tmp_path):
     done = subprocess.run([CPLUSPLUS, "-x", "c++", "-std=c++11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-c",
-                           "-o", str(tmp_path / "client.o"), str(root / "docs" / "client" / "drive_needle.c")],
+                           f"-I{root / CLIENT / 'include'}", "-o", str(tmp_path / "client.o"),
+                           str(root / CLIENT / "examples" / "drive_needle.c")],
                           capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 0, done.stderr
 
@@ -260,8 +366,8 @@ def test_header_alone_needs_nothing_else(root, tmp_path):
                                     "const char *busy(void);\nint main(void) { puts(busy()); return 0; }\n",
                                     encoding="utf-8")
     program = tmp_path / "program"
-    done = subprocess.run([COMPILER, "-std=c99", *WARNINGS, f"-I{root / 'docs' / 'client'}", "-o", str(program),
+    done = subprocess.run([COMPILER, "-std=c99", *WARNINGS, f"-I{root / CLIENT / 'include'}", "-o", str(program),
                            str(tmp_path / "one.c"), str(tmp_path / "two.c")], capture_output=True, text=True,
                           encoding="utf-8")
     assert done.returncode == 0, done.stderr
-    assert drive(program).stdout == "another client has the tissue\n"
+    assert drive(program).stdout == BUSY + "\n"
