@@ -283,7 +283,7 @@ def multiply_poses(first: Pose, second: Pose) -> Pose:
     x, y, z = first.position
     a, b, c = second.position
     u, v, w = (row[0] * a + row[1] * b + row[2] * c for row in first.rotation_matrix)
-    return Pose((x + u, y + v, z + w), _multiply_quaternions(first.orientation, second.orientation))
+    return Pose((x + u, y + v, z + w), multiply_quaternions(first.orientation, second.orientation))
 
 
 def invert_pose(pose: Pose) -> Pose:
