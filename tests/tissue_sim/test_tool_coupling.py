@@ -193,6 +193,22 @@ def test_mass_and_inertia_are_checked(options, message):
         ToolCoupling(LinearTissue(100.0), **options)
 
 
+def test_a_time_that_is_not_finite_is_refused_and_changes_nothing():
+    tissue = LinearTissue(100.0)
+    coupling = ToolCoupling(tissue, mass=0.1)
+    coupling.compute_wrench(moved(0.0), 0.0)
+    for time in (math.nan, math.inf):
+        with pytest.raises(ts.InputError, match="time: must be finite"):
+            coupling.compute_wrench(moved(-1e-3), time)
+    assert len(tissue.steps) == 1 and coupling.compute_wrench(moved(-1e-3), 1e-3).status is ForceStatus.CONVERGED
+
+
+def test_a_tissue_without_saved_states_names_the_missing_method():
+    coupling = ToolCoupling(LinearTissue(100.0))
+    with pytest.raises(ts.InputError, match=r"tissue: must have the method save\(\); a LinearTissue does not"):
+        coupling.save()
+
+
 def test_a_lost_pose_fades_the_force_and_keeps_the_tissue():
     coupling = ToolCoupling(LinearTissue(100.0), mass=0.1)
     for tick in range(200):

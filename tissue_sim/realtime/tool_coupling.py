@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -223,8 +223,10 @@ class ToolCoupling:
                 last wrench is returned.
 
         Raises:
-            InputError: the tool frame has the wrong direction in the first step.
+            InputError: the tool frame has the wrong direction in the first step, or the time is not finite.
         """
+        if not math.isfinite(time):
+            raise InputError(f"must be finite; got {time} s.", field="time")
         if self._time is not None and self.last is not None:
             if time == self._time:
                 return self.last
@@ -348,16 +350,28 @@ class ToolCoupling:
 
     def reset(self) -> None:
         """Return to the untouched tissue; call it when the engine is reset. The next step has no past."""
-        self.tissue.reset()  # type: ignore[attr-defined]
+        self._get_tissue_method("reset")()
         self._clear()
+
+    def _get_tissue_method(self, name: str) -> Callable[..., Any]:
+        """Return a method of the tissue.
+
+        Raises:
+            InputError: the tissue does not have this method, as a multirate tissue has no `save`.
+        """
+        method: Callable[..., Any] | None = getattr(self.tissue, name, None)
+        if method is None:
+            raise InputError(f"must have the method {name}(); a {type(self.tissue).__name__} does not. Use a "
+                             "Simulator.", field="tissue")
+        return method
 
     def save(self) -> CouplingState:
         """Return the state of tissue and coupling, for planners.
 
         Raises:
-            CopyError: the tissue cannot save its state, as a multirate tissue.
+            InputError: the tissue cannot save its state, as a multirate tissue.
         """
-        return self._make_state(self.tissue.save())  # type: ignore[attr-defined]
+        return self._make_state(self._get_tissue_method("save")())
 
     def _make_state(self, tissue: Any) -> CouplingState:
         """Make the state of the coupling with a state of the tissue."""
@@ -372,7 +386,7 @@ class ToolCoupling:
         """
         if not isinstance(state, CouplingState):
             raise InputError(f"must be a state that save() returned; got {type(state).__name__}.", field="state")
-        self.tissue.restore(state.tissue)  # type: ignore[attr-defined]
+        self._get_tissue_method("restore")(state.tissue)
         self._restore_motion(state)
 
     def _restore_motion(self, state: CouplingState) -> None:
@@ -387,8 +401,8 @@ class ToolCoupling:
         Raises:
             CopyError: the tissue has no clone, as a multirate tissue.
         """
-        other = ToolCoupling(self.tissue.clone(), scene=self.scene, tip=self.tip,  # type: ignore[attr-defined]
-                             mass=self.mass, inertia=self.inertia, limits=self.limits, real_time=self.real_time)
+        other = ToolCoupling(self._get_tissue_method("clone")(), scene=self.scene, tip=self.tip, mass=self.mass,
+                             inertia=self.inertia, limits=self.limits, real_time=self.real_time)
         other._restore_motion(self._make_state(None))
         return other
 
