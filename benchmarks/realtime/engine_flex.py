@@ -1,0 +1,83 @@
+"""Force over depth of a punch in MuJoCo: the coupled tissue and MuJoCo's own soft body."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import tempfile
+
+import numpy as np
+
+import tissue_sim as ts
+from benchmarks.peers.solid_peers import RATIOS, STUDY, truth
+from benchmarks.realtime.engine_tools import NEEDLE, RESOLUTION, run_mujoco
+from benchmarks.realtime.multirate import mesh_of
+from tissue_sim.mesh.sections import subdivide_into_tetrahedra
+
+#: Depths of the flex, m.
+DEPTHS = np.arange(1, 21) * 0.5e-3
+#: Depth at which Young's modulus of the flex is fitted, m.
+FIT_DEPTH = 2e-3
+#: Mesh of the flex, a key of `multirate.MESHES`.
+MESH = 3300
+#: Longest wall time of the flex for a depth, s.
+LONGEST = 60.0
+#: Target of the coupled tool at the end, m.
+LAST_TARGET = 11.5e-3
+#: Time of the motion of the coupled tool, s.
+PRESS_TIME = 3.0
+
+
+def compute_flex_curve(poisson: float, young: float) -> dict:
+    """Return depths, m, forces, N, and the reason for which the flex ended."""
+    from benchmarks.peers.solid_peers_mujoco import pressed
+
+    mesh = mesh_of(MESH)
+    corners = mesh.connectivity[:, mesh.element.local_corner_indices]
+    # MuJoCo writes its log into the current folder.
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        found = pressed({"nodes": mesh.nodes, "tetrahedra":
+                         corners[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4), "depths": DEPTHS,
+                         "base": mesh.sets["base"], "face": mesh.sets["face"], "young": young, "poisson": poisson,
+                         "seconds": LONGEST})
+    return {"young": young, "poisson": poisson, "ended": found["ended"],
+            "depths": [row["depth"] for row in found["rows"]], "forces": [row["force"] for row in found["rows"]]}
+
+
+def compute_coupled_curve() -> dict:
+    """Return depths, m, and forces, N, of a tool of 200 g in MuJoCo that is pressed slowly by a servo."""
+    simulator = ts.Simulator(NEEDLE, resolution=RESOLUTION)
+    simulator.warm_up()
+    motion = run_mujoco(simulator, 0.2, 2000.0, 2e-3, PRESS_TIME,
+                        lambda time: (0.0, -LAST_TARGET * (0.5 - 0.5 * math.cos(math.pi * time / PRESS_TIME))))
+    return {"depths": [-position[1] for position in motion.positions[:-1]],
+            "forces": [force[1] for force in motion.applied], "ended": ""}
+
+
+def measure_flex() -> list[dict]:
+    """Return the curves with a name each; the first is the reference.
+
+    The forces of the flex at rest are proportional to Young's modulus, so that its best modulus at one depth follows
+    from the force at this depth. The flex is run again with this modulus.
+    """
+    reference = truth()
+    curves = [{"name": "axisymmetric, accurate", **reference, "ended": ""},
+              {"name": "coupled tissue in MuJoCo", **compute_coupled_curve()}]
+    for poisson in RATIOS:
+        young = 2.0 * STUDY.mu0 * (1.0 + poisson)
+        same = compute_flex_curve(poisson, young)
+        curves.append({"name": f"flex, nu {poisson:g}, same E", **same})
+        if same["depths"] and same["depths"][-1] > 0.99 * FIT_DEPTH:
+            ratio = get_force(reference, FIT_DEPTH) / get_force(same, FIT_DEPTH)
+            curves.append({"name": f"flex, nu {poisson:g}, best E at {1e3 * FIT_DEPTH:g} mm",
+                           **compute_flex_curve(poisson, young * ratio)})
+    return curves
+
+
+def get_force(curve: dict, depth: float) -> float:
+    """Return the force of a curve at a depth, N; NaN if the curve is shorter."""
+    if not curve["depths"] or max(curve["depths"]) < 0.99 * depth:
+        return math.nan
+    order = np.argsort(curve["depths"])
+    depths, forces = np.array(curve["depths"])[order], np.array(curve["forces"])[order]
+    return float(np.interp(depth, [0.0, *depths], [0.0, *forces]))
