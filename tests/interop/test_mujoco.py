@@ -166,8 +166,8 @@ def test_two_tissues_act_on_two_bodies_of_one_model(simulator):
 
 
 @pytest.mark.parametrize(("change", "options", "message"), [
-    ({}, {"body": "needel"}, "body: must be the name of a body of the model; got 'needel'"),
-    ({}, {"scene": "table"}, "site: must be the name of a site of the model; got 'table'"),
+    ({}, {"body": "needel"}, "body: must be the name of a body of the model; got 'needel'; did you mean 'needle'"),
+    ({}, {"scene": "table"}, "site: must be the name of a site of the model; got 'table'; known: tissue, tip"),
     ({}, {"tip": "tissue"}, "tip: must be a site of the body that carries the tool"),
     ({"integrator": "RK4"}, {}, "integrator: must be 'Euler'"),
     ({"sensors": '<sensor><user name="tissue_wrench" dim="3"/></sensor>'}, {}, "must be a user sensor of dimension 6")])

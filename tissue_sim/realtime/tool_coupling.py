@@ -293,8 +293,11 @@ class ToolCoupling:
             answer = replace(answer, status=ForceStatus.REFUSED)
         if answer.status in (ForceStatus.REFUSED, ForceStatus.STOPPED) and not self._has_warned:
             self._has_warned = True
+            reason = (answer.status.message if answer.is_on_axis else
+                      'the tool is off the axis of an axisymmetric tissue. Use Simulator(..., solver="solid"), a reduced '
+                      "solid or a multirate tissue")
             warnings.warn(OutsideDomainWarning(
-                f"no force at {pose}: {answer.status.message}. {self.domain}"), stacklevel=3)
+                f"The force fades to zero from {pose} on: {reason}. {self.domain}"), stacklevel=3)
         return answer, parts
 
     def _compute_tip_twist_and_offset(self, body: RigidBodyState, pose: Pose | None) -> tuple[_Array, _Array]:

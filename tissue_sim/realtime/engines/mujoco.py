@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, MissingBackendError
+from tissue_sim.errors import InputError, MissingBackendError, make_hint_with_similar_or_known_words
 from tissue_sim.pose import Pose, invert_pose, multiply_poses
 from tissue_sim.realtime.tool_coupling import BodyWrench, CouplingLimits, CouplingState, RigidBodyState, ToolCoupling
 from tissue_sim.tool_force import Tissue
@@ -125,12 +125,14 @@ class MujocoTissue:
     def _find(self, kind: str, name: str) -> int:
         """Return the number of a named object of the model."""
         library = self._mujoco
-        types = {"body": library.mjtObj.mjOBJ_BODY, "site": library.mjtObj.mjOBJ_SITE,
-                 "sensor": library.mjtObj.mjOBJ_SENSOR}
+        types = {"body": library.mjtObj.mjOBJ_BODY, "site": library.mjtObj.mjOBJ_SITE}
         number = library.mj_name2id(self.model, types[kind], name)
         if number < 0:
-            raise InputError(f"must be the name of a {kind} of the model; got {name!r}. Add it to the MJCF file.",
-                             field=kind)
+            known = {"body": self.model.nbody, "site": self.model.nsite}[kind]
+            names = [library.mj_id2name(self.model, types[kind], index) for index in range(known)]
+            raise InputError(f"must be the name of a {kind} of the model; got {name!r}"
+                             f"{make_hint_with_similar_or_known_words(name, filter(None, names))}. Add the {kind} to "
+                             "the MJCF file, or pass the name of another one.", field=kind)
         return int(number)
 
     def _find_site_pose(self, name: str) -> Pose:
