@@ -93,7 +93,12 @@ def draw_examples() -> None:
     """Run each example and save its picture in the size of the gallery."""
     for path in sorted((Path(__file__).parents[1] / "examples").glob("*.py")):
         example = runpy.run_path(str(path))
-        example["run"]().savefig(PICTURES / "examples" / f"{path.stem}.png", dpi=90)
+        try:
+            figure = example["run"]()
+        except ModuleNotFoundError as error:
+            print(f"{path.stem} is left out: {error}", file=sys.stderr)
+            continue
+        figure.savefig(PICTURES / "examples" / f"{path.stem}.png", dpi=90)
 
 
 def draw_needle_movie(material: ts.Material) -> None:
