@@ -17,6 +17,8 @@ def test_example(path, tmp_path):
     source = path.read_text(encoding="utf-8")
     assert len(source.splitlines()) <= LONGEST
     assert "    assert " in source
+    if "\nimport jax\n" in source:
+        pytest.importorskip("jax", reason="JAX is an optional package: pip install 'tissue-sim[jax]'")
     spec = importlib.util.spec_from_file_location(f"example_{path.stem}", path)
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)
