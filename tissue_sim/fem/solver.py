@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -266,7 +266,7 @@ class ErrorEstimationRule:
 
 
 class ForceDerivatives(Protocol):
-    """Derivatives of the force along z with respect to material parameters, updated by each step of a solver.
+    """Derivatives of the force along z with respect to parameters, updated by each step of a solver.
 
     Attributes:
         force: dF/dtheta at the last committed step, N per unit of the parameter, shape (parameters,).
@@ -294,6 +294,20 @@ class ForceVectorDerivatives(ForceDerivatives, Protocol):
 Neighbours = Sequence[tuple[Material, Material, float]]
 
 
+class FrictionDerivatives(NamedTuple):
+    """Derivatives of the coefficients of friction with respect to a parameter, 1 per unit of the parameter.
+
+    Attributes:
+        face: of the face of the tool.
+        shaft: of the shaft of the tool.
+        base: of the base.
+    """
+
+    face: float = 0.0
+    shaft: float = 0.0
+    base: float = 0.0
+
+
 @with_old_names(**_OLD_MEMBERS)
 class Solver(ToolInAirInterface, ABC):
     """Solver of one boundary-value problem; it holds the state of the tissue.
@@ -309,6 +323,8 @@ class Solver(ToolInAirInterface, ABC):
     stated_force_error: float | None = None
     #: Highest order of extrapolation that `step` implements.
     highest_order: ClassVar[int] = 2
+    #: Whether `enable_force_derivatives` has the argument `frictions`.
+    differentiates_friction: ClassVar[bool] = False
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
@@ -438,8 +454,15 @@ class Solver(ToolInAirInterface, ABC):
         """
         return None
 
-    def enable_force_derivatives(self, neighbours: Neighbours) -> ForceDerivatives | None:
-        """Make every step compute exact derivatives of the force; None if not supported. Call before the first step."""
+    def enable_force_derivatives(self, neighbours: Neighbours,
+                                 frictions: Sequence[FrictionDerivatives] | None = None) -> ForceDerivatives | None:
+        """Make every step compute exact derivatives of the force; None if not supported. Call before the first step.
+
+        Args:
+            neighbours: materials around each parameter.
+            frictions: derivatives of the coefficients of friction with respect to each parameter; None: zero. Given
+                only if `differentiates_friction` is true.
+        """
         return None
 
     @abstractmethod
