@@ -294,18 +294,26 @@ class ForceVectorDerivatives(ForceDerivatives, Protocol):
 Neighbours = Sequence[tuple[Material, Material, float]]
 
 
-class FrictionDerivatives(NamedTuple):
-    """Derivatives of the coefficients of friction with respect to a parameter, 1 per unit of the parameter.
+class ExperimentDerivatives(NamedTuple):
+    """Derivatives of inputs from the experiment with respect to a parameter, 1 per unit of the parameter.
 
     Attributes:
-        face: of the face of the tool.
-        shaft: of the shaft of the tool.
-        base: of the base.
+        face: of the coefficient of friction of the tool's face.
+        shaft: of the coefficient of friction of the tool's shaft.
+        base: of the coefficient of friction of the base.
+        log_height: of the logarithm of the height of the specimen, whose mesh is stretched uniformly.
     """
 
     face: float = 0.0
     shaft: float = 0.0
     base: float = 0.0
+    log_height: float = 0.0
+
+
+#: Paths of the coefficients of friction.
+FRICTION_PATHS = frozenset(f"experiment.{name}" for name in ("friction", "friction_base", "friction_wall"))
+#: Path of the height of the specimen.
+HEIGHT_PATH = "experiment.specimen.height"
 
 
 @with_old_names(**_OLD_MEMBERS)
@@ -323,8 +331,9 @@ class Solver(ToolInAirInterface, ABC):
     stated_force_error: float | None = None
     #: Highest order of extrapolation that `step` implements.
     highest_order: ClassVar[int] = 2
-    #: Whether `enable_force_derivatives` has the argument `frictions`.
-    differentiates_friction: ClassVar[bool] = False
+    #: Paths of the parameters of the experiment with exact derivatives, for which `enable_force_derivatives` has the
+    #: argument `experiments`.
+    exact_experiment_parameters: ClassVar[frozenset[str]] = frozenset()
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
@@ -455,13 +464,13 @@ class Solver(ToolInAirInterface, ABC):
         return None
 
     def enable_force_derivatives(self, neighbours: Neighbours,
-                                 frictions: Sequence[FrictionDerivatives] | None = None) -> ForceDerivatives | None:
+                                 experiments: Sequence[ExperimentDerivatives] | None = None) -> ForceDerivatives | None:
         """Make every step compute exact derivatives of the force; None if not supported. Call before the first step.
 
         Args:
             neighbours: materials around each parameter.
-            frictions: derivatives of the coefficients of friction with respect to each parameter; None: zero. Given
-                only if `differentiates_friction` is true.
+            experiments: derivatives of the inputs from the experiment with respect to each parameter; None: zero. Given
+                only for parameters of `exact_experiment_parameters`.
         """
         return None
 

@@ -14,7 +14,7 @@ from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
 from tissue_sim.fem.axisymmetric.sensitivity_kernel import make_force_and_state_sensitivity_kernels
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
-from tissue_sim.fem.solver import FrictionDerivatives, Neighbours
+from tissue_sim.fem.solver import ExperimentDerivatives, Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LANES
@@ -51,14 +51,14 @@ class MaterialSensitivity:
         neighbours: pairs of materials around each parameter and their difference. The derivatives of coefficients,
             bulk modulus, relaxation, softening and layers are central differences of these formulas, exact to about
             ten digits.
-        frictions: derivatives of the coefficients of friction with respect to each parameter; None: zero.
+        experiments: derivatives of the inputs from the experiment with respect to each parameter; None: zero.
 
     Attributes:
         force: dF/dtheta at the last committed step, N per unit of the parameter, shape (parameters,).
     """
 
     def __init__(self, equations: EquilibriumEquations, neighbours: Neighbours,
-                 frictions: Sequence[FrictionDerivatives] | None = None):
+                 experiments: Sequence[ExperimentDerivatives] | None = None):
         self._equations = equations
         m, memory, surface = len(neighbours), equations.memory, equations.surface
         terms = len(memory.internal)
@@ -73,7 +73,8 @@ class MaterialSensitivity:
         shape = (m, *surface.springs.shape, 2)
         self._multiplier_rates, self._anchor_rates, self._point_rates = (allocate_array(shape) for _ in range(3))
         self._friction_force_rates = allocate_array((m, surface.springs.size))
-        face, shaft, base = np.array(frictions or [FrictionDerivatives()] * m).reshape(m, 3, 1).swapaxes(0, 1)
+        frictions = np.array([each[:3] for each in experiments or [ExperimentDerivatives()] * m])
+        face, shaft, base = frictions.reshape(m, 3, 1).swapaxes(0, 1)
         #: Derivatives of the friction of each point on the face and on the shaft of its body, shape (m, points).
         self._face_friction_rates, self._shaft_friction_rates = (np.where(surface.moves, at_tool, base)
                                                                  for at_tool in (face, shaft))

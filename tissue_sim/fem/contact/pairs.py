@@ -16,7 +16,7 @@ from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS, Plate
-from tissue_sim.fem.solver import FrictionDerivatives
+from tissue_sim.fem.solver import ExperimentDerivatives
 
 #: Coefficient of friction that stands for an interface without slip, 1.
 STICK = -1.0
@@ -192,7 +192,7 @@ def friction_coefficient_or_stick_marker(interface: str | float) -> float:
     return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
 
 
-def differentiate_friction_coefficients(more: Experiment, less: Experiment, width: float) -> FrictionDerivatives:
+def differentiate_friction_coefficients(more: Experiment, less: Experiment, width: float) -> ExperimentDerivatives:
     """Return the derivatives of the coefficients of friction by a difference of two experiments.
 
     Args:
@@ -206,7 +206,7 @@ def differentiate_friction_coefficients(more: Experiment, less: Experiment, widt
         return [friction_coefficient_or_stick_marker(interface)
                 for interface in (experiment.friction, shaft, experiment.resolved_base_interface)]
 
-    return FrictionDerivatives(*((above - below) / width for above, below in zip(
+    return ExperimentDerivatives(*((above - below) / width for above, below in zip(
         list_coefficients(more), list_coefficients(less), strict=True)))
 
 

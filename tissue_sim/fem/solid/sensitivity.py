@@ -22,7 +22,7 @@ from tissue_sim.fem.history import MaterialMemory, RelaxationSofteningCoefficien
 from tissue_sim.fem.linear.sparse import SparseSolver
 from tissue_sim.fem.solid.contact import ContactNodes, ToolFrame
 from tissue_sim.fem.solid.equations import SolidEquations
-from tissue_sim.fem.solver import FrictionDerivatives, Neighbours
+from tissue_sim.fem.solver import ExperimentDerivatives, Neighbours
 from tissue_sim.material.material import Material
 from tissue_sim.material.viscoelasticity import Prony
 
@@ -292,7 +292,7 @@ class SolidSensitivity:
         input_rates: derivatives of each region's inputs, in their order, shape (m, ...).
         memories: derivatives of the history of each region.
         widths: distance of each parameter's neighbours, shape (m,).
-        frictions: derivatives of the coefficients of friction; None: zero.
+        experiments: derivatives of the inputs from the experiment; None: zero.
 
     Attributes:
         force: derivatives of the force on the tool along z, N per unit of the parameter, shape (m,).
@@ -301,12 +301,12 @@ class SolidSensitivity:
 
     def __init__(self, equations: SolidEquations, input_rates: Sequence[Sequence[np.ndarray]],
                  memories: Sequence[HistoryDerivatives], widths: np.ndarray,
-                 frictions: Sequence[FrictionDerivatives] | None = None):
+                 experiments: Sequence[ExperimentDerivatives] | None = None):
         self._equations, self._memories, self._half = equations, memories, _WIDTH * widths
         self._regions = range(len(memories))
         m, n = widths.size, equations.contact.nodes.size
         #: Derivatives of the friction of face, shaft and base, shape (3, m).
-        self._frictions = np.array(frictions or [FrictionDerivatives()] * m).reshape(m, 3).T
+        self._frictions = np.array([each[:3] for each in experiments or [ExperimentDerivatives()] * m]).reshape(m, 3).T
         #: For each parameter and region: input arrays and their derivatives.
         self._inputs = [[[(array, rate[k]) for array, rate in zip(region.inputs, rates, strict=True) if rate[k].any()]
                          for region, rates in zip(equations.tissue.region_material_arrays, input_rates, strict=True)]
@@ -326,7 +326,7 @@ class SolidSensitivity:
 
     @classmethod
     def from_perturbed_materials(cls, equations: SolidEquations, neighbours: Neighbours,
-                                 frictions: Sequence[FrictionDerivatives] | None = None) -> SolidSensitivity:
+                                 experiments: Sequence[ExperimentDerivatives] | None = None) -> SolidSensitivity:
         """Make the derivatives from materials with increased and decreased parameters, set one after the other.
 
         The material of the solver is restored.
@@ -334,7 +334,7 @@ class SolidSensitivity:
         Args:
             equations: equations of a solver before its first step.
             neighbours: see `tissue_sim.fem.solver.Neighbours`.
-            frictions: derivatives of the coefficients of friction; None: zero.
+            experiments: derivatives of the inputs from the experiment; None: zero.
         """
         def set_material_and_copy_inputs(material: Material) -> list[list[np.ndarray]]:
             """Set a material, and return copies of the arrays that it sets, for each region."""
@@ -358,7 +358,7 @@ class SolidSensitivity:
             rates.append(found[:-1])
             relaxations = [(region.relaxation(more), region.relaxation(less)) for more, less, _ in neighbours]
             memories.append(HistoryDerivatives(region.memory, found[-1], relaxations, widths))
-        return cls(equations, rates, memories, widths, frictions)
+        return cls(equations, rates, memories, widths, experiments)
 
     def set_first_touch_derivatives(self, start: FirstTouchDerivatives) -> None:
         """Set the derivatives of the state of the first touch, before the first step."""

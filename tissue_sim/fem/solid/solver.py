@@ -21,7 +21,9 @@ from tissue_sim.fem.solid.state import FieldSample, SavedState
 from tissue_sim.fem.solid.touch import FirstTouchHeightAndSolverMaker
 from tissue_sim.fem.solver import (
     AT_REST,
-    FrictionDerivatives,
+    FRICTION_PATHS,
+    HEIGHT_PATH,
+    ExperimentDerivatives,
     Neighbours,
     Solver,
     StaticStiffnessRequest,
@@ -36,7 +38,7 @@ from tissue_sim.tool_force import Matrix, PredictedForceOfNextStep
 
 #: Differentiates the state of the first touch; None if no derivatives are available. The arguments are those of
 #: `Solver.enable_force_derivatives`.
-StartDifferentiation = Callable[[Neighbours, Sequence[FrictionDerivatives] | None], FirstTouchDerivatives | None]
+StartDifferentiation = Callable[[Neighbours, Sequence[ExperimentDerivatives] | None], FirstTouchDerivatives | None]
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ class SolidSolver(KernelOwner, Solver):
 
     highest_order = 0
     ignores_twist = True
-    differentiates_friction = True
+    exact_experiment_parameters = FRICTION_PATHS | {HEIGHT_PATH}
 
     def __init__(self, mesh: SolidMesh, material: Material, fixed: dict[str, str], bonded: np.ndarray, *,
                  start_rates: StartDifferentiation | None = None, **others: Any):
@@ -326,14 +328,17 @@ class SolidSolver(KernelOwner, Solver):
         return PredictedForceOfNextStep(wrench, _to_matrix_tuples(np.array(last.step_stiffness_matrix) + stiffer))
 
     def enable_force_derivatives(self, neighbours: Neighbours,
-                                 frictions: Sequence[FrictionDerivatives] | None = None) -> SolidSensitivity | None:
-        """See `Solver.enable_force_derivatives`; None with point effects."""
+                                 experiments: Sequence[ExperimentDerivatives] | None = None) -> SolidSensitivity | None:
+        """See `Solver.enable_force_derivatives`; None with point effects, and for the height with self-weight."""
+        stretch = np.array([each.log_height for each in experiments or ()])
         begins = self._start_rates if neighbours else None
-        start = None if begins is None else begins(neighbours, frictions)
-        if self.tissue.effects or (begins is not None and start is None):
+        start = None if begins is None else begins(neighbours, experiments)
+        if self.tissue.effects or (begins is not None and (start is None or stretch.any())):
             return None
+        if stretch.any():
+            start = FirstTouchDerivatives.from_undeformed_specimen(stretch)
         saved = self.save()
-        self._derivatives = SolidSensitivity.from_perturbed_materials(self.equations, neighbours, frictions)
+        self._derivatives = SolidSensitivity.from_perturbed_materials(self.equations, neighbours, experiments)
         self.restore(saved)
         self.equations.restore_committed_state()
         if start is not None:

@@ -1,4 +1,4 @@
-"""Exact derivatives of the force with respect to coefficients of friction, in both solvers.
+"""Exact derivatives of the force with respect to coefficients of friction, in both solvers, and the height of solids.
 
 They are compared with central differences of whole simulations, and for one element with a solution in complex numbers.
 """
@@ -16,11 +16,12 @@ from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.contact import pairs
 from tissue_sim.fem.contact.pairs import RelativeContactTolerances
 from tissue_sim.fem.solid import discretisation
+from tissue_sim.fem.solver import HEIGHT_PATH
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.mesh.solid_element import HEX8P0
-from tissue_sim.parameters import get_parameter_value, with_values
+from tissue_sim.parameters import get_parameter_value, parameters, with_values
 
 PRONY = ts.Prony((ts.PronyTerm(0.3, 2.0),), "long_term")
 #: Widths of the central differences, relative to the coefficient.
@@ -35,8 +36,9 @@ def close_contact(monkeypatch):
     monkeypatch.setattr(discretisation, "TOLERANCES", RelativeContactTolerances(needle=1e-9, plate=1e-10))
 
 
-def material(**options):
-    return ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4), **options)
+def material(bulk=None, **options):
+    bulk = bulk or ts.Bulk("bulk_ratio", 1e4)
+    return ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, bulk, **options)
 
 
 def experiment(text="ramp 5mm", points=6, **options):
@@ -68,7 +70,7 @@ def extrapolated_difference(model, path, **options):
         for factor in (1.0 + width, 1.0 - width):
             flags = ContactFlags()
             changed = with_values(model, {path: value * factor})
-            forces.append(ts.simulate(changed, watch=flags, estimate_error=False, **options).force)
+            forces.append(ts.simulate(changed, watch=flags, estimate_error=False, topology=model, **options).force)
             runs.append(flags.seen)
         slopes.append((forces[0] - forces[1]) / (2.0 * width * value))
     shared = np.cumprod([len(set(seen)) == 1 for seen in zip(*runs, strict=True)]).sum()
@@ -136,6 +138,40 @@ HEAVY = ts.Specimen(0.04, 0.05, density=1040.0, gravity=9.81, height_is="moulded
 def test_solid(shape, options, paths):
     model, mesh = solid_model(shape, **options)
     assert assert_exact(model, paths, solver="solid", mesh=mesh) == 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("shape", "options"), [
+    ("flat", {}), ("flat", {"way": (0.0, 1.0, 2.0, 2.0, 1.5), "of_material": {"viscoelastic": PRONY}}),
+    ("plate", {"friction": 0.3, "friction_base": 0.2}), ("round", {"friction": 0.3, "approach": OBLIQUE})],
+    ids=["bonded", "bonded with a Prony term", "plates", "oblique"])
+def test_height_of_a_solid(shape, options):
+    model, mesh = solid_model(shape, **options)
+    assert assert_exact(model, [HEIGHT_PATH], solver="solid", mesh=mesh) == 1.0
+
+
+@pytest.mark.slow
+def test_height_together_with_other_parameters():
+    """The derivatives do not depend on the parameters that are requested with them."""
+    model, mesh = solid_model("plate", friction=0.3, friction_base=0.2)
+    names = ["C10", HEIGHT_PATH, FACES[1]]
+    answer = ts.sensitivities(model, names, solver="solid", mesh=mesh)
+    assert answer.exact.all()
+    for k, name in enumerate(names):
+        alone = ts.sensitivities(model, [name], solver="solid", mesh=mesh).values[:, 0]
+        np.testing.assert_allclose(answer.values[:, k], alone, rtol=0, atol=1e-9 * abs(alone).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("shape", "options"), [
+    ("flat", {"specimen": HEAVY}), ("flat", {"of_material": {"layers": (ts.Layer(5e-3, 2.0),)}}),
+    ("sphere", {"friction": 0.3, "adhesion": ts.Adhesion(0.02, 0.5e-3)}),
+    ("flat", {"of_material": {"bulk": ts.Bulk("incompressible")}})],
+    ids=["weight", "layers", "adhesion", "incompressible"])
+def test_height_without_exact_derivative(shape, options):
+    """Other terms than the stretched mesh depend on the height."""
+    model, _ = solid_model(shape, way=(0.0, 0.5), **options)
+    assert not differentiation._may_have_exact_derivative(model, parameters(model)[HEIGHT_PATH])
 
 
 #: Radius and height of the single element, m, C10 and bulk modulus, Pa.
@@ -240,7 +276,7 @@ def test_no_exact_derivative_without_friction_or_with_another_solver(monkeypatch
     assert not ts.sensitivities(smooth, FACES[:1]).exact.any()
     rough = ts.Model(experiment("ramp 1mm", 2, friction=0.1, friction_base=0.1), material())
     exact = ts.sensitivities(rough, ["C10", *FACES])
-    monkeypatch.setattr(AxisymmetricSolver, "differentiates_friction", False)
+    monkeypatch.setattr(AxisymmetricSolver, "exact_experiment_parameters", frozenset())
     answer = ts.sensitivities(rough, ["C10", *FACES])
     assert exact.exact.all() and answer.exact.tolist() == [True, False, False]
     np.testing.assert_allclose(answer.values, exact.values, rtol=1e-3, atol=1e-6 * abs(exact.values).max())
