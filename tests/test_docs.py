@@ -3,6 +3,7 @@
 Blocks marked ``text``, ``sh``, ``powershell``, ``toml`` and so on are not run.
 """
 
+import importlib.util
 import re
 import shlex
 from dataclasses import dataclass
@@ -12,6 +13,10 @@ import pytest
 
 from scenes.cli import main
 
+#: Optional packages of pages, and why they may be missing.
+OPTIONAL_PACKAGES = {
+    "jax": "JAX is an optional package: pip install 'tissue-sim[jax]'",
+    "torch": "PyPI has no wheel of PyTorch for Linux without 3 GB of NVIDIA's libraries"}
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMANDS = ('python -m pip install -e . && tissue-sim demo', 'python -m pip install -e ".[test]" && python -m pytest')
@@ -50,6 +55,8 @@ def run_page(text: str, name: str) -> int:
     namespace, ran = {"__name__": "__main__"}, 0
     for block in blocks(text):
         if block.language == "python":
+            if missing_package(block):
+                continue
             # The empty lines make a traceback point at the line of the page.
             exec(compile("\n" * (block.line - 1) + block.text, name, "exec"), namespace)
             ran += 1
@@ -59,6 +66,12 @@ def run_page(text: str, name: str) -> int:
                 assert code == 0, f"{name}, block at line {block.line}: {line!r} ended with {code}"
                 ran += 1
     return ran
+
+
+def missing_package(block: Block) -> str | None:
+    """Name of an optional package that a block imports and that is not installed."""
+    return next((name for name in OPTIONAL_PACKAGES
+                 if f"import {name}\n" in block.text and importlib.util.find_spec(name) is None), None)
 
 
 @pytest.mark.slow
@@ -71,13 +84,17 @@ def test_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     known = set(LAWS)
-    before = listing(ROOT)
+    before, text = listing(ROOT), page.read_text(encoding="utf-8")
     try:
-        run_page(page.read_text(encoding="utf-8"), page.name)
+        run_page(text, page.name)
     finally:
         for name in set(LAWS) - known:
             LAWS.unregister(name)
     assert listing(ROOT) == before, "a page must write into the current folder only"
+    for block in blocks(text):
+        if block.language == "python" and (name := missing_package(block)):
+            pytest.skip(f"the other blocks of {page.name} ran; that of line {block.line} imports {name}: "
+                        f"{OPTIONAL_PACKAGES[name]}")
 
 
 def listing(folder: Path) -> set[Path]:

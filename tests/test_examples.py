@@ -1,14 +1,15 @@
 """Each example runs, its assertion on a physical number holds, and it draws a picture."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
-#: Packages of physics engines that an example needs; the test extra does not install them.
-ENGINES = {"mujoco_arm": "mujoco", "newton_needle": "newton"}
+#: Packages of extras that examples need; the extra `test` does not install them.
+EXTRAS = ("mujoco", "newton", "jax")
 #: Longest example, lines.
 LONGEST = 60
 
@@ -19,9 +20,9 @@ def test_example(path, tmp_path):
     source = path.read_text(encoding="utf-8")
     assert len(source.splitlines()) <= LONGEST
     assert "    assert " in source
-    engine = ENGINES.get(path.stem)
-    if engine and importlib.util.find_spec(engine) is None:
-        pytest.skip(f"needs the physics engine of tissue_sim[{engine}], which the extra `test` does not install")
+    for package in EXTRAS:
+        if re.search(rf"^ *import {package}$", source, re.MULTILINE):
+            pytest.importorskip(package, reason=f"the example needs an optional package: tissue_sim[{package}]")
     spec = importlib.util.spec_from_file_location(f"example_{path.stem}", path)
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)
@@ -31,4 +32,4 @@ def test_example(path, tmp_path):
 
 
 def test_there_are_examples():
-    assert len(EXAMPLES) >= 14 and set(ENGINES) <= {path.stem for path in EXAMPLES}
+    assert len(EXAMPLES) >= 14

@@ -10,13 +10,23 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Approach
-from tissue_sim.fem.solver import ForceDerivatives, ForceVectorDerivatives, Solver
+from tissue_sim.fem.contact.pairs import differentiate_friction_coefficients
+from tissue_sim.fem.solver import (
+    FRICTION_PATHS,
+    HEIGHT_PATH,
+    ExperimentDerivatives,
+    ForceDerivatives,
+    ForceVectorDerivatives,
+    Solver,
+)
 from tissue_sim.material.effect import ForceScalingEffect, TissueEffect
+from tissue_sim.material.material import Material
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.model import Model
 from tissue_sim.parameters import Parameter, get_parameter_value, get_parameters_at_paths, parameters, with_values
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
+from tissue_sim.specimen.cylinder import Cylinder
 
 
 @dataclass(frozen=True)
@@ -25,11 +35,14 @@ class FiniteDifferenceSettings:
 
     Attributes:
         formula_width: width of differences of formulas within the exact method, 1.
+        height_width: the same for the height of the specimen. In nearly incompressible tissue the error of a difference
+            increases with K/mu times the square of its width.
         simulation_width: width of differences of whole simulations, 1. A larger width is less sensitive to the
             tolerance of the solver, and less accurate where the force is nonlinear in the parameter.
     """
 
     formula_width: float = 1e-6
+    height_width: float = 2e-7
     simulation_width: float = 1e-3
 
 
@@ -64,15 +77,16 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
                   one_sided: bool = False) -> Sensitivities:
     """Simulate a test and compute the derivatives of its force.
 
-    Derivatives with respect to parameters of the material are exact: the equations of every converged step are
-    differentiated implicitly, with history, slip and stick anchors. The bulk response is held as the material states
-    it: `bulk.bulk_ratio` if it is a ratio, `bulk.K_Pa` if it is a modulus.
+    Derivatives with respect to parameters of the material, to coefficients of friction and, in space, to the height of
+    a cylinder are exact: the equations of every converged step are differentiated implicitly, with history, slip and
+    stick anchors. The bulk response is held as the material states it: `bulk.bulk_ratio` if it is a ratio, `bulk.K_Pa`
+    if it is a modulus.
 
     Derivatives are central differences of two simulations at the relative distance
-    `FiniteDifferenceSettings.simulation_width`, one-sided at the end of a range, in these cases: parameters of
-    experiment, rig or mesh; a compliant rig; a tilted tool or partial slip; additional effects of the material; a
-    solver without derivatives (the axisymmetric solver with self-weight, adhesion or another contact law). Changes of
-    geometry move the nodes of one mesh, so that the differences contain no jumps by remeshing.
+    `FiniteDifferenceSettings.simulation_width`, one-sided at the end of a range, in these cases: other parameters of
+    experiment, rig or mesh; a friction of zero; a compliant rig; a tilted tool or partial slip; additional effects of
+    the material; a solver without derivatives (the axisymmetric solver with self-weight, adhesion or another contact
+    law). Changes of geometry move the nodes of one mesh, so that the differences contain no jumps by remeshing.
 
     Args:
         model: experiment, material, rig; forces are those on the tool, before the sensor reads them.
@@ -95,18 +109,17 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     asked = get_parameters_at_paths(model, names)
     model = replace(model, rig=model.rig.with_motion_effects_only)
     own = {f"material.{path}" for path in of_material}
-    exact = np.array([parameter.path in own and _may_have_exact_derivative(model, parameter) for parameter in asked],
-                     dtype=bool)
+    exact = np.array([(parameter.path in own or parameter.path in FRICTION_PATHS or parameter.path == HEIGHT_PATH)
+                      and _may_have_exact_derivative(model, parameter) for parameter in asked], dtype=bool)
     options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": topology or model,
                "estimate_error": False}
-    neighbours = [_make_perturbed_materials_and_width(model, parameter)
+    directions = [_make_parameter_direction(model, parameter)
                   for parameter, one in zip(asked, exact, strict=True) if one]
-    watch = _DerivativeObserver(neighbours, model.experiment.approach)
+    watch = _DerivativeObserver(directions, model.experiment.approach)
     recording = simulate(model, watch=watch, **options)
-    exact &= watch.exact
+    exact[exact] = watch.exact
     values = np.zeros((len(watch.rates), len(names)))
-    if watch.exact:
-        values[:, exact] = watch.rates
+    values[:, exact] = watch.rates
     if not np.isfinite(values).all():
         raise ConvergenceError("the tangent of a converged step is singular, so that the force has no derivative there",
                                recording=recording, depth=float(recording.displacement[-1]))
@@ -116,23 +129,61 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     return Sensitivities(recording, names, values, exact, np.array(watch.kinks, dtype=bool))
 
 
-class _DerivativeObserver:
-    """Observer of a simulation that collects derivatives."""
+@dataclass(frozen=True, eq=False)
+class _ParameterDirection:
+    """Inputs of a solver around a parameter.
 
-    def __init__(self, pairs: list, approach: Approach | None):
-        self._pairs, self._approach = pairs, approach
+    Attributes:
+        path: path of the parameter.
+        materials: material with the parameter increased, material with it decreased, and the difference.
+        experiment: derivatives of the inputs from the experiment; None: zero.
+    """
+
+    path: str
+    materials: tuple[Material, Material, float]
+    experiment: ExperimentDerivatives | None
+
+
+class _DerivativeObserver:
+    """Observer of a simulation that collects derivatives.
+
+    Attributes:
+        rates: derivatives of the force with respect to the parameters with an exact derivative, one for each sample.
+        kinks: whether the contact changed before each sample.
+        exact: whether the solver has an exact derivative with respect to each parameter, shape (directions,).
+    """
+
+    def __init__(self, directions: list[_ParameterDirection], approach: Approach | None):
+        self._directions, self._approach = directions, approach
         self._derivatives: ForceDerivatives | None = None
         self.rates: list[np.ndarray] = []
         self.kinks: list[bool] = []
-        self.exact = False
+        self.exact = np.zeros(len(directions), dtype=bool)
 
     def before_first_step(self, solver: Solver) -> None:
         """Request derivatives before the first step."""
-        derivatives = solver.enable_force_derivatives(self._pairs)
-        along_z = self._approach is None
-        self.exact = along_z or isinstance(derivatives, ForceVectorDerivatives) if derivatives else False
-        # Derivatives without parameters still report the kinks of the force.
-        self._derivatives = derivatives if self.exact or not self._pairs else solver.enable_force_derivatives([])
+        exact = np.array([each.experiment is None or each.path in solver.exact_experiment_parameters
+                          for each in self._directions], dtype=bool)
+        chosen = [each for each, one in zip(self._directions, exact, strict=True) if one]
+        derivatives = self._request_derivatives(solver, chosen)
+        if derivatives is not None and self._approach is not None and not isinstance(derivatives,
+                                                                                     ForceVectorDerivatives):
+            derivatives = None
+        if derivatives is not None:
+            self.exact = exact
+        elif chosen:
+            # Derivatives without parameters still report the kinks of the force.
+            derivatives = self._request_derivatives(solver, [])
+        self._derivatives = derivatives
+
+    @staticmethod
+    def _request_derivatives(solver: Solver, chosen: list[_ParameterDirection]) -> ForceDerivatives | None:
+        """Request the derivatives with respect to some parameters; None if the solver has none."""
+        neighbours = [each.materials for each in chosen]
+        if all(each.experiment is None for each in chosen):
+            return solver.enable_force_derivatives(neighbours)
+        return solver.enable_force_derivatives(neighbours,
+                                               [each.experiment or ExperimentDerivatives() for each in chosen])
 
     def after_sample(self, solver: Solver, factor: float) -> None:
         """Append the derivatives of the present sample to `rates`, and to `kinks` whether the contact changed.
@@ -148,25 +199,43 @@ class _DerivativeObserver:
 
 
 def _may_have_exact_derivative(model: Model, parameter: Parameter) -> bool:
-    """Return whether a solver may differentiate its equations with respect to a parameter of the material.
+    """Return whether a solver may differentiate its equations with respect to a parameter of material or friction.
 
     Otherwise, the derivative is a difference of two simulations.
     """
     if model.experiment.tilt or model.experiment.slip or model.rig.compliance:
         return False
     added = [effect for effect in model.material.effects.values() if not isinstance(effect, ForceScalingEffect)]
-    if issubclass(parameter.part, TissueEffect) or added or parameter.declaration.shapes_mesh:
+    if issubclass(parameter.part, TissueEffect) or added:
         return False
+    if parameter.path == HEIGHT_PATH:
+        # The undeformed mesh is stretched uniformly. Weight, layers, areas of contact laws and the finite K/mu0 of
+        # incompressible tissue would add other terms.
+        specimen, tissues = model.experiment.specimen, (model.material, *model.material.regions.values())
+        return (isinstance(specimen, Cylinder) and not specimen.specific_weight and not model.material.layers
+                and not model.experiment.acting_laws and all(np.isfinite(each.bulk_modulus) for each in tissues))
+    if parameter.declaration.shapes_mesh:
+        return False
+    if parameter.path in FRICTION_PATHS:
+        # Without friction the contact has no slipping points, which appear with a change of the coefficient.
+        return parameter.value > 0.0
     # With phi = 0 the drainage term is absent, and would appear with a change of phi.
     phi = f"{parameter.path.rpartition('.')[0]}.phi"
     return not (issubclass(parameter.part, Poroelasticity) and get_parameter_value(model, phi) == 0.0)
 
 
-def _make_perturbed_materials_and_width(model: Model, parameter: Parameter):
-    """Return the materials with a parameter increased and decreased, and the difference of the two parameter values."""
-    half = 0.5 * DIFFERENCES.formula_width * (abs(parameter.value) or 1.0)
-    return _evaluate_at_both_perturbed_values(lambda new: with_values(model, {parameter.path: new}).material,
-                                              parameter.value, half)
+def _make_parameter_direction(model: Model, parameter: Parameter) -> _ParameterDirection:
+    """Return material and inputs from the experiment around a parameter."""
+    width = DIFFERENCES.height_width if parameter.path == HEIGHT_PATH else DIFFERENCES.formula_width
+    half = 0.5 * width * (abs(parameter.value) or 1.0)
+    more, less, width = _evaluate_at_both_perturbed_values(lambda new: with_values(model, {parameter.path: new}),
+                                                           parameter.value, half)
+    experiment = None
+    if parameter.path in FRICTION_PATHS:
+        experiment = differentiate_friction_coefficients(more.experiment, less.experiment, width)
+    elif parameter.path == HEIGHT_PATH:
+        experiment = ExperimentDerivatives(log_height=1.0 / parameter.value)
+    return _ParameterDirection(parameter.path, (more.material, less.material, width), experiment)
 
 
 def _evaluate_at_both_perturbed_values(change: Callable, value: float, half: float):

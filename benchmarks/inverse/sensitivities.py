@@ -1,4 +1,4 @@
-"""Cost of derivatives with respect to the material: CPU time of a simulated test with over without derivatives.
+"""Cost of derivatives by material and friction: CPU time of a simulated test with over without derivatives.
 
 The two run in turns on the same mesh. Printed are the whole extra cost per parameter, and what one parameter more costs
 (from the difference between all and one). ``--solid``: of the solid in space, of several materials, that weighs, and
@@ -26,6 +26,7 @@ TARGET = 0.25
 STUDY = {"C10": 1404.9, "C20": 699.4}
 SPECIMEN = ts.Specimen(0.040, 0.070)
 ELASTIC = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4))
+FRICTION = ["experiment.friction", "experiment.friction_base"]
 RELAXING = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4),
                        viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0), ts.PronyTerm(0.1, 10.0))))
 
@@ -38,6 +39,10 @@ def cases():
     time = [*law, *(f"viscoelastic.terms[{i}].{name}" for i in range(2) for name in ("g", "tau"))]
     yield "bonded ramp", ts.Experiment(SPECIMEN, ramp), ELASTIC, law
     yield "friction 0.1, ramp", ts.Experiment(SPECIMEN, ramp, friction=0.1, friction_base=0.1), ELASTIC, law
+    yield ("coefficients of friction 0.1, ramp", ts.Experiment(SPECIMEN, ramp, friction=0.1, friction_base=0.1),
+           ELASTIC, FRICTION)
+    yield ("coefficients of friction 0.3, ramp, hold, unload",
+           ts.Experiment(SPECIMEN, cycle, friction=0.3, friction_base=0.3), RELAXING, FRICTION)
     yield "needle, ramp", ts.Experiment(SPECIMEN, ramp, ts.Tool("flat", 8e-3)), ELASTIC, law
     yield "bonded, ramp, hold, unload", ts.Experiment(SPECIMEN, cycle), RELAXING, time
     yield ("friction 0.3, ramp, hold, unload", ts.Experiment(SPECIMEN, cycle, friction=0.3, friction_base=0.3),
@@ -56,6 +61,8 @@ def cases_in_space():
     lumpy = replace(ELASTIC, regions={"lump": lump})
     yield ("two materials", ts.Experiment(ts.Specimen(0.04, 0.05), ramp, flat), lumpy,
            [*law, "regions.lump.C10", "regions.lump.C20"])
+    yield ("coefficients of friction", ts.Experiment(ts.Specimen(0.04, 0.05), ramp, friction=0.3, friction_base=0.2),
+           ELASTIC, FRICTION)
     yield "weight", ts.Experiment(heavy, ramp, flat), ELASTIC, law
     yield "weight, height as placed", ts.Experiment(placed, ramp, flat), ELASTIC, law
     yield ("weight, a Prony term", ts.Experiment(heavy, ramp, flat), replace(ELASTIC, viscoelastic=prony),

@@ -147,12 +147,13 @@ def test_bulk_modulus_held_or_its_ratio():
 
 def test_by_difference_where_it_must_be():
     model = ts.Model(experiment(friction=0.1, friction_base=0.1), elastic(), ts.Rig(force_noise=0.1, seed=1))
-    answer = ts.sensitivities(model, ["experiment.friction", "C10", "experiment.specimen.radius"])
+    answer = ts.sensitivities(model, ["rig.displacement_gain", "C10", "experiment.specimen.radius"])
     assert answer.exact.tolist() == [False, True, False]
-    # Between mu = 0.05 and 0.15 the force is nearly linear in mu.
-    up, down = (ts.simulate(ts.Model(experiment(friction=mu, friction_base=0.1), elastic())).force[-1]
-                for mu in (0.15, 0.05))
-    assert answer.values[-1, 0] == pytest.approx((up - down) / 0.1, rel=0.02)
+    # Displacement of the tool (1 + gain) times as large: F(5.05 mm) - F(4.95 mm) for gains of 1 and -1 %.
+    runs = [ts.simulate(ts.Model(experiment(f"ramp {depth}mm", friction=0.1, friction_base=0.1), elastic()))
+            for depth in (5.05, 4.95)]
+    up, down = (run.force[-1] for run in runs)
+    assert answer.values[-1, 0] == pytest.approx((up - down) / 0.02, rel=1e-3)
     assert answer.values[-1, 2] == pytest.approx(2 * 3.467 / 0.040, rel=0.1)
 
 

@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -266,7 +266,7 @@ class ErrorEstimationRule:
 
 
 class ForceDerivatives(Protocol):
-    """Derivatives of the force along z with respect to material parameters, updated by each step of a solver.
+    """Derivatives of the force along z with respect to parameters, updated by each step of a solver.
 
     Attributes:
         force: dF/dtheta at the last committed step, N per unit of the parameter, shape (parameters,).
@@ -294,6 +294,28 @@ class ForceVectorDerivatives(ForceDerivatives, Protocol):
 Neighbours = Sequence[tuple[Material, Material, float]]
 
 
+class ExperimentDerivatives(NamedTuple):
+    """Derivatives of inputs from the experiment with respect to a parameter, 1 per unit of the parameter.
+
+    Attributes:
+        face: of the coefficient of friction of the tool's face.
+        shaft: of the coefficient of friction of the tool's shaft.
+        base: of the coefficient of friction of the base.
+        log_height: of the logarithm of the height of the specimen, whose mesh is stretched uniformly.
+    """
+
+    face: float = 0.0
+    shaft: float = 0.0
+    base: float = 0.0
+    log_height: float = 0.0
+
+
+#: Paths of the coefficients of friction.
+FRICTION_PATHS = frozenset(f"experiment.{name}" for name in ("friction", "friction_base", "friction_wall"))
+#: Path of the height of the specimen.
+HEIGHT_PATH = "experiment.specimen.height"
+
+
 @with_old_names(**_OLD_MEMBERS)
 class Solver(ToolInAirInterface, ABC):
     """Solver of one boundary-value problem; it holds the state of the tissue.
@@ -309,6 +331,9 @@ class Solver(ToolInAirInterface, ABC):
     stated_force_error: float | None = None
     #: Highest order of extrapolation that `step` implements.
     highest_order: ClassVar[int] = 2
+    #: Paths of the parameters of the experiment with exact derivatives, for which `enable_force_derivatives` has the
+    #: argument `experiments`.
+    exact_experiment_parameters: ClassVar[frozenset[str]] = frozenset()
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
@@ -442,8 +467,15 @@ class Solver(ToolInAirInterface, ABC):
         """
         return None
 
-    def enable_force_derivatives(self, neighbours: Neighbours) -> ForceDerivatives | None:
-        """Make every step compute exact derivatives of the force; None if not supported. Call before the first step."""
+    def enable_force_derivatives(self, neighbours: Neighbours,
+                                 experiments: Sequence[ExperimentDerivatives] | None = None) -> ForceDerivatives | None:
+        """Make every step compute exact derivatives of the force; None if not supported. Call before the first step.
+
+        Args:
+            neighbours: materials around each parameter.
+            experiments: derivatives of the inputs from the experiment with respect to each parameter; None: zero. Given
+                only for parameters of `exact_experiment_parameters`.
+        """
         return None
 
     @abstractmethod

@@ -294,8 +294,8 @@ class ToolCoupling:
         if answer.status in (ForceStatus.REFUSED, ForceStatus.STOPPED) and not self._has_warned:
             self._has_warned = True
             reason = (answer.status.message if answer.is_on_axis else
-                      'the tool is off the axis of an axisymmetric tissue. Use Simulator(..., solver="solid"), a reduced '
-                      "solid or a multirate tissue")
+                      'the tool is off the axis of an axisymmetric tissue. Use Simulator(..., solver="solid"), a '
+                      "reduced solid or a multirate tissue")
             warnings.warn(OutsideDomainWarning(
                 f"The force fades to zero from {pose} on: {reason}. {self.domain}"), stacklevel=3)
         return answer, parts

@@ -287,5 +287,5 @@ RATE_ARRAYS = ArrayLayout(
     stress_rates=LANE_REALS, before_rates=LANE_REALS, internal_rates=LANE_REALS, recent=LANE_REALS, law=LANE_REALS,
     centre_r=LANE_REALS, centre_z=LANE_REALS, way_r=LANE_REALS, way_z=LANE_REALS, pressure_rates=LANE_REALS,
     swelling=LANE_REALS, multiplier_rates=real_array_type(3), anchor_rates=real_array_type(3),
-    point_rates=real_array_type(3),
+    point_rates=real_array_type(3), friction_force_rates=real_array_type(2),
     motion=real_array_type(), forces=real_array_type(2), dx=real_array_type(2), force_rates=real_array_type())

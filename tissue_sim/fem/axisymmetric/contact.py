@@ -48,6 +48,7 @@ class ContactLinearisationColumn(IntEnum):
         FRICTION: coefficient of the active friction; 0 if no friction acts.
         MISSED_R, MISSED_Z: residual of the contact constraint, m.
         LAW_RR, LAW_RZ, LAW_ZZ: the part of the derivative that results from contact laws (adhesion), N/m.
+        ON_SHAFT: 1 if the point has the friction of the shaft, 0 if it has that of the face.
     """
 
     RR = 0
@@ -62,6 +63,7 @@ class ContactLinearisationColumn(IntEnum):
     LAW_RR = 9
     LAW_RZ = 10
     LAW_ZZ = 11
+    ON_SHAFT = 12
 
 
 class FactorisedRateColumn(IntEnum):

@@ -383,6 +383,7 @@ def make_contact_force_functions(laws: tuple[FormulaClassAndConstants, ...] = ()
             surface.rates[i, ContactLinearisationColumn.NORMAL_R] = nr
             surface.rates[i, ContactLinearisationColumn.NORMAL_Z] = nz
             surface.rates[i, ContactLinearisationColumn.FRICTION] = acting
+            surface.rates[i, ContactLinearisationColumn.ON_SHAFT] = 0.0 if on_face else 1.0
             surface.rates[i, ContactLinearisationColumn.MISSED_R] = missed_r
             surface.rates[i, ContactLinearisationColumn.MISSED_Z] = missed_z
             (surface.rates[i, ContactLinearisationColumn.LAW_RR], surface.rates[i, ContactLinearisationColumn.LAW_RZ],

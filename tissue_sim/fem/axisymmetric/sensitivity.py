@@ -1,7 +1,8 @@
-"""Exact derivatives of the force with respect to material parameters (direct differentiation), step by step."""
+"""Exact derivatives of the force with respect to material and friction (direct differentiation), step by step."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
 from tissue_sim.fem.axisymmetric.sensitivity_kernel import make_force_and_state_sensitivity_kernels
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
-from tissue_sim.fem.solver import Neighbours
+from tissue_sim.fem.solver import ExperimentDerivatives, Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LANES
@@ -41,7 +42,7 @@ SETTINGS = SensitivityReuseSettings()
 
 
 class MaterialSensitivity:
-    """Derivatives of a solver's state and force with respect to parameters of its material.
+    """Derivatives of a solver's state and force with respect to parameters of its material and its friction.
 
     In each step, R_y dy = -(R_theta + R_h dh) is solved with the exact tangent R_y; see `sensitivity_kernel`.
 
@@ -50,12 +51,14 @@ class MaterialSensitivity:
         neighbours: pairs of materials around each parameter and their difference. The derivatives of coefficients,
             bulk modulus, relaxation, softening and layers are central differences of these formulas, exact to about
             ten digits.
+        experiments: derivatives of the inputs from the experiment with respect to each parameter; None: zero.
 
     Attributes:
         force: dF/dtheta at the last committed step, N per unit of the parameter, shape (parameters,).
     """
 
-    def __init__(self, equations: EquilibriumEquations, neighbours: Neighbours):
+    def __init__(self, equations: EquilibriumEquations, neighbours: Neighbours,
+                 experiments: Sequence[ExperimentDerivatives] | None = None):
         self._equations = equations
         m, memory, surface = len(neighbours), equations.memory, equations.surface
         terms = len(memory.internal)
@@ -69,6 +72,12 @@ class MaterialSensitivity:
         self._decay_rates, self._gain_rates = (allocate_array((m, terms)) for _ in range(2))
         shape = (m, *surface.springs.shape, 2)
         self._multiplier_rates, self._anchor_rates, self._point_rates = (allocate_array(shape) for _ in range(3))
+        self._friction_force_rates = allocate_array((m, surface.springs.size))
+        frictions = np.array([each[:3] for each in experiments or [ExperimentDerivatives()] * m])
+        face, shaft, base = frictions.reshape(m, 3, 1).swapaxes(0, 1)
+        #: Derivatives of the friction of each point on the face and on the shaft of its body, shape (m, points).
+        self._face_friction_rates, self._shaft_friction_rates = (np.where(surface.moves, at_tool, base)
+                                                                 for at_tool in (face, shaft))
         self.force, self._changed = allocate_array((m,)), False
         self._contact = np.zeros((3, *surface.springs.shape))
         self._which = np.zeros(len(SensitivityControlIndex), np.int32)
@@ -81,6 +90,7 @@ class MaterialSensitivity:
             "decay_rates": self._decay_rates, "gain_rates": self._gain_rates,
             "multiplier_rates": self._multiplier_rates, "anchor_rates": self._anchor_rates,
             "point_rates": self._point_rates, "force_rates": self.force,
+            "friction_force_rates": self._friction_force_rates,
             "motion": allocate_array((equations.equation.size + equations.residual.size,)),
             "forces": allocate_array((m, equations.residual.size)), "dx": allocate_array((m, equations.equation.size))}
         arguments = {"which": self._which, "rate_table": RATE_ARRAYS.make_offset_table(arrays),
@@ -142,6 +152,7 @@ class MaterialSensitivity:
     def update_at_equilibrium(self) -> None:
         """Compute the derivatives of a step that has converged and is not yet committed; updates `force`."""
         memory = self._equations.memory
+        self._differentiate_friction_forces_by_coefficients()
         if self._decay.size:
             self._decay[:], self._gain[:] = memory.step
             (self._past_rates[:, RelaxationSofteningCoefficient.INSTANT], self._decay_rates[:],
@@ -155,6 +166,18 @@ class MaterialSensitivity:
             self._pause = 4**self._failures
             self._equations.launch_on_exact_equilibrium_tangent(self._differentiate_with_factorisation)
         self._update_contact_derivatives()
+
+    def _differentiate_friction_forces_by_coefficients(self) -> None:
+        """Set the derivatives of the friction forces along the surface at fixed displacements and normal forces, N.
+
+        The friction force of a slipping point is the coefficient times the normal force, in the direction of the slip.
+        """
+        surface = self._equations.surface
+        column = ContactLinearisationColumn
+        normals = surface.rates[:, [column.NORMAL_R, column.NORMAL_Z]]
+        limit_per_friction = np.maximum(-np.einsum("ni,ni->n", surface.forces, normals), 0.0) * surface.slip_signs
+        rates = np.where(surface.rates[:, column.ON_SHAFT] > 0.0, self._shaft_friction_rates, self._face_friction_rates)
+        self._friction_force_rates[:] = rates * limit_per_friction
 
     def _can_refine_iteratively(self) -> bool:
         """Whether iterative refinement with the step's factorisation is possible and cheaper than a new one."""

@@ -148,12 +148,15 @@ class DerivativeIterationSettings:
         contact_tolerance: relative error of the derivatives of the contact forces at which the iteration stops.
         residual_tolerance: relative residual that the iteration with the factorisation of the step must reach;
             `contact_tolerance` where rounding prevents this.
+        friction_tolerance: the same for coefficients of friction. Only surface forces depend on them, whose rounding
+            errors are larger relative to their sum.
         stall_ratio: the iteration with the factorisation of the step has stalled if two rounds reduce the residual to
             no less than this fraction.
     """
 
     max_rounds: int = 9
     contact_tolerance: float = 1e-10
+    friction_tolerance: float = 1e-9
     residual_tolerance: float = 1e-11
     stall_ratio: float = 1e-2
 
@@ -211,7 +214,8 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
             apart, slip = dr * nr + dz * nz, 0.0
             if mu > 0.0 and surface.held[i, 0] == TOUCHED:
                 sticks = lr * tr + lz * tz - stiff * (hr * tr + hz * tz)
-                along = sticks if surface.slip_signs[i] == 0.0 else -surface.slip_signs[i] * mu * pressed
+                slides = rates.friction_force_rates[k, i] - surface.slip_signs[i] * mu * pressed
+                along = sticks if surface.slip_signs[i] == 0.0 else slides
                 slip = (dr - hr) * tr + (dz - hz) * tz if surface.slip_signs[i] == 0.0 else 0.0
             missed_r, missed_z = apart * nr + slip * tr, apart * nz + slip * tz
             fr += pressed * nr + along * tr
@@ -266,6 +270,10 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
             for i in range(state.residual.shape[0]):
                 state.residual[i] = rates.forces[k, i]
                 pushing += ti.abs(rates.forces[k, i])
+            rubbing = 0.0
+            for c in range(counts[StepIntegerIndex.CONTACTS]):
+                rubbing += ti.abs(rates.friction_force_rates[k, c])
+            pushing += rubbing
             if ti.static(not remembers):
                 if refines == 1 and round > 0:
                     for b in range(batches):
@@ -277,6 +285,9 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
             for c in range(counts[StepIntegerIndex.CONTACTS]):
                 fr, fz = compute_contact_force_derivative(c, k, goes_on * rates.point_rates[k, c, 0],
                                                           goes_on * rates.point_rates[k, c, 1], surface, rates)
+                if rubbing > 0.0:
+                    # The forces that balance those of friction are larger, and so are their rounding errors.
+                    pushing += ti.abs(fr) + ti.abs(fz)
                 for a in range(surface.shapes.shape[1]):
                     ir, iz = state.equation[2 * surface.nodes[c, a]], state.equation[2 * surface.nodes[c, a] + 1]
                     state.residual[ir] = state.residual[ir] + surface.shapes[c, a] * fr
@@ -284,8 +295,9 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
             for i in range(free):
                 missing += ti.abs(state.residual[i])
             slow = refines == 1 and round > 1 and not missing <= DIFFERENTIATION.stall_ratio * before_last
+            stalled = DIFFERENTIATION.friction_tolerance if rubbing > 0.0 else DIFFERENTIATION.contact_tolerance
             if refines == 1 and (missing <= DIFFERENTIATION.residual_tolerance * pushing
-                                 or (slow and missing <= DIFFERENTIATION.contact_tolerance * pushing)):
+                                 or (slow and missing <= stalled * pushing)):
                 for dof in range(state.equation.shape[0]):
                     rates.motion[dof] = 0.0
                 which[SensitivityControlIndex.SETTLED] = 1

@@ -27,7 +27,9 @@ from tissue_sim.fem.contact.pairs import ContactPairs
 from tissue_sim.fem.inertia import InertiaTimeIntegrator
 from tissue_sim.fem.solver import (
     AT_REST,
+    FRICTION_PATHS,
     ErrorEstimationRule,
+    ExperimentDerivatives,
     Neighbours,
     ResolutionLevel,
     Solver,
@@ -236,6 +238,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
         MissingBackendError: Taichi is not installed.
     """
 
+    exact_experiment_parameters = FRICTION_PATHS
+
     def __init__(self, mesh: Mesh, material: Material, supports: dict[str, str], tool: dict[str, str], *,
                  contact: ContactPairs | None = None, specific_weight: float = 0.0,
                  element_layers: np.ndarray | None = None, contact_radius: float = 1.0,
@@ -392,10 +396,12 @@ class AxisymmetricSolver(KernelOwner, Solver):
         """See `Solver.error_estimation_rule`."""
         return RESOLUTIONS[resolution].error_estimation_rule if resolution in RESOLUTIONS else None
 
-    def enable_force_derivatives(self, neighbours: Neighbours) -> MaterialSensitivity | None:
-        """Make every step compute exact derivatives of the force with respect to material parameters.
+    def enable_force_derivatives(
+            self, neighbours: Neighbours,
+            experiments: Sequence[ExperimentDerivatives] | None = None) -> MaterialSensitivity | None:
+        """Make every step compute exact derivatives of the force with respect to parameters.
 
-        To be called before the first step.
+        To be called before the first step; for the arguments see `Solver.enable_force_derivatives`.
 
         Returns:
             None with effects at the quadrature points, contact laws or weight, for which no derivatives exist.
@@ -406,7 +412,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
             return None
         from tissue_sim.fem.axisymmetric.sensitivity import MaterialSensitivity
 
-        self._sensitivity = MaterialSensitivity(self.equations, neighbours)
+        self._sensitivity = MaterialSensitivity(self.equations, neighbours, experiments)
         return self._sensitivity
 
     @property

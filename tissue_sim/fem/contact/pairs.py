@@ -16,6 +16,7 @@ from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS, Plate
+from tissue_sim.fem.solver import ExperimentDerivatives
 
 #: Coefficient of friction that stands for an interface without slip, 1.
 STICK = -1.0
@@ -189,6 +190,24 @@ def friction_coefficient_or_stick_marker(interface: str | float) -> float:
     if not isinstance(interface, str):
         return interface
     return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
+
+
+def differentiate_friction_coefficients(more: Experiment, less: Experiment, width: float) -> ExperimentDerivatives:
+    """Return the derivatives of the coefficients of friction by a difference of two experiments.
+
+    Args:
+        more: experiment with the parameter increased.
+        less: experiment with the parameter decreased; its interfaces are of the same kinds.
+        width: difference of the two values of the parameter.
+    """
+    def list_coefficients(experiment: Experiment) -> list[float]:
+        """Return the coefficients of face, shaft and base."""
+        shaft = experiment.friction if experiment.tool.is_plate else experiment.friction_wall
+        return [friction_coefficient_or_stick_marker(interface)
+                for interface in (experiment.friction, shaft, experiment.resolved_base_interface)]
+
+    return ExperimentDerivatives(*((above - below) / width for above, below in zip(
+        list_coefficients(more), list_coefficients(less), strict=True)))
 
 
 def build_contact_pairs(experiment: Experiment, parts: SurfaceParts, *, tool: bool = True, homogeneous: bool = False,

@@ -41,6 +41,7 @@ class NodalContactState(NamedTuple):
         normal: force along the normal, N.
         limit: limit of friction, N.
         friction: coefficient of friction, 1.
+        on_shaft: whether the friction is that of the shaft.
         springs: penalty stiffness of the gap, N/m.
         holds: penalty stiffness of the slip, N/m.
         normals: outward normals of the bodies, shape (n, 3).
@@ -62,6 +63,7 @@ class NodalContactState(NamedTuple):
     normal: np.ndarray
     limit: np.ndarray
     friction: np.ndarray
+    on_shaft: np.ndarray
     springs: np.ndarray
     holds: np.ndarray
     normals: np.ndarray
@@ -70,14 +72,15 @@ class NodalContactState(NamedTuple):
     curved: np.ndarray
     turn: np.ndarray
 
-    def differentiate_forces_and_residuals(self, motion: np.ndarray, anchors: np.ndarray,
-                                           forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def differentiate_forces_and_residuals(self, motion: np.ndarray, anchors: np.ndarray, forces: np.ndarray,
+                                           frictions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Differentiate the contact forces and the constraint residuals with respect to m parameters.
 
         Args:
             motion: derivatives of the nodal positions with respect to m parameters, shape (n, 3, m).
             anchors: derivatives of the anchors in the frames of their bodies, shape (n, 3, m).
             forces: present iterate of the derivatives of the forces, shape (n, 3, m).
+            frictions: derivatives of the coefficients of friction, shape (n, m).
 
         Returns:
             Derivatives of the contact forces, and derivatives of the constraint residuals times the penalty stiffness,
@@ -99,7 +102,8 @@ class NodalContactState(NamedTuple):
         normal = free_normal - np.where(_reshape_mask_for_broadcast(self.slides),
                                         limit * _compute_components_along(n, steered), 0.0)
         smooth = normal * n + self.normal[:, None, None] * tilt
-        sliding = smooth - mu * normal * way + limit * steered
+        pressure = np.maximum(-self.normal, 0.0)[:, None, None]
+        sliding = smooth - mu * normal * way + limit * steered + pressure * way * frictions[:, None]
         stuck = _reshape_mask_for_broadcast(self.held | self.sticks)
         found = np.where(stuck, forces, np.where(_reshape_mask_for_broadcast(self.slides), sliding, smooth))
         acts = _reshape_mask_for_broadcast(self.held | self.pressed)
@@ -113,7 +117,7 @@ class NodalContactState(NamedTuple):
     def differentiate_anchors(self, motion: np.ndarray, anchors: np.ndarray) -> np.ndarray:
         """Return the derivatives of the anchors that follow from this equilibrium, m per parameter, shape (n, 3, m).
 
-        The arguments are those of `differentiate_forces_and_residuals`.
+        For the arguments see `differentiate_forces_and_residuals`.
         """
         n = self.normals[:, :, None]
         curvature = self.gap[:, None, None] * (self.curved @ motion)
@@ -482,9 +486,8 @@ class ContactNodes:
             keeps = keeps | (others & (mu == 0.0) & (self.held == ContactBondState.TOUCHED))
         self._met_at[:] = np.where(keeps[:, None], self.held_at, surface)
         self.state = NodalContactState(held, pressed, sticks, sliding, goes, keeps, self._met != ContactBondState.FREE,
-                                       near,
-                                       gap, normal, limit, mu, springs, stick * springs, normals, slip, ways, curved,
-                                       turn)
+                                       near, gap, normal, limit, mu, shaft, springs, stick * springs, normals, slip,
+                                       ways, curved, turn)
         return ContactViolationAndCounts(float(violation), int(sliding.sum()), switched, wanting)
 
     def store_assembled_contact_rates(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives
 from tissue_sim.fem.solid.solver import SETTLING, SolidSolver
 from tissue_sim.fem.solid.tissue import find_element_layer_indices
 from tissue_sim.fem.solid.touch import PLACEMENT, FirstTouch, FirstTouchHeightAndSolverMaker, find_first_touch
-from tissue_sim.fem.solver import Neighbours, Step, StepStatus
+from tissue_sim.fem.solver import ExperimentDerivatives, Neighbours, Step, StepStatus
 from tissue_sim.fem.stepping import solve_self_weight_equilibrium
 from tissue_sim.material.material import Layer
 from tissue_sim.mesh.mesh_mapping import Circle
@@ -81,11 +81,14 @@ class SolidSelfWeightProblem:
         """See `SelfWeightProblem.store_resting_state`."""
         solver.equations.make_committed_state_the_resting_state()
 
-    def differentiate_state_settled_by_weight_or_none(self, neighbours: Neighbours) -> SettledStateDerivatives | None:
+    def differentiate_state_settled_by_weight_or_none(
+            self, neighbours: Neighbours,
+            experiments: Sequence[ExperimentDerivatives] | None) -> SettledStateDerivatives | None:
         """Repeat the load steps from their stored equilibria, and differentiate the last one.
 
         Args:
             neighbours: see `tissue_sim.fem.solver.Neighbours`.
+            experiments: derivatives of the inputs from the experiment; None: zero.
 
         Returns:
             Derivatives; None if the solver has none or a step does not converge.
@@ -94,7 +97,9 @@ class SolidSelfWeightProblem:
         # An undeformed height that was determined from the settled one is an additional parameter.
         height = (solver.material, solver.material, SETTLING.height_width)
         more = [height] if self._specimen.height_is == "placed" else []
-        derivatives = solver.enable_force_derivatives([*neighbours, *more])
+        if experiments is not None:
+            experiments = [*experiments, *(ExperimentDerivatives() for _ in more)]
+        derivatives = solver.enable_force_derivatives([*neighbours, *more], experiments)
         if derivatives is None:
             return None
         stretches = np.repeat([0.0, 1.0], [m, len(more)])
@@ -338,8 +343,9 @@ def _get_height_of_nearest_top_node(mesh: SolidMesh, heights: np.ndarray) -> np.
     return heights[nearest_top]
 
 
-def _differentiate_first_touch_or_none(settling: SolidSelfWeightProblem, experiment: Experiment,
-                                       first: FirstTouch, neighbours: Neighbours) -> FirstTouchDerivatives | None:
+def _differentiate_first_touch_or_none(
+        settling: SolidSelfWeightProblem, experiment: Experiment, first: FirstTouch, neighbours: Neighbours,
+        experiments: Sequence[ExperimentDerivatives] | None) -> FirstTouchDerivatives | None:
     """Differentiate the state of the first touch with respect to parameters; None if no derivatives are available."""
     mesh = settling.mesh
     specimen, over_sides = experiment.specimen, experiment.tool.is_plate or not experiment.specimen.is_flat
@@ -347,7 +353,7 @@ def _differentiate_first_touch_or_none(settling: SolidSelfWeightProblem, experim
         return None  # the areas for tractions would depend on the height as well
     if first.place is None:
         return None
-    found = settling.differentiate_state_settled_by_weight_or_none(neighbours)
+    found = settling.differentiate_state_settled_by_weight_or_none(neighbours, experiments)
     if found is None:
         return None
     ways = found.settled[0].reshape(len(neighbours), -1, 3).copy()

@@ -1,4 +1,4 @@
-"""Exact derivatives of a solid's force with respect to material parameters, updated from step to step.
+"""Exact derivatives of a solid's force with respect to parameters of material and friction, updated from step to step.
 
 The discrete equations of tissue and contact are differentiated at every converged step (Michaleris, Tortorelli and
 Vidal, Int. J. Numer. Methods Eng. 37 (1994) 2471). The derivative of the forces at constant displacements is a central
@@ -22,7 +22,7 @@ from tissue_sim.fem.history import MaterialMemory, RelaxationSofteningCoefficien
 from tissue_sim.fem.linear.sparse import SparseSolver
 from tissue_sim.fem.solid.contact import ContactNodes, ToolFrame
 from tissue_sim.fem.solid.equations import SolidEquations
-from tissue_sim.fem.solver import Neighbours
+from tissue_sim.fem.solver import ExperimentDerivatives, Neighbours
 from tissue_sim.material.material import Material
 from tissue_sim.material.viscoelasticity import Prony
 
@@ -292,6 +292,7 @@ class SolidSensitivity:
         input_rates: derivatives of each region's inputs, in their order, shape (m, ...).
         memories: derivatives of the history of each region.
         widths: distance of each parameter's neighbours, shape (m,).
+        experiments: derivatives of the inputs from the experiment; None: zero.
 
     Attributes:
         force: derivatives of the force on the tool along z, N per unit of the parameter, shape (m,).
@@ -299,10 +300,13 @@ class SolidSensitivity:
     """
 
     def __init__(self, equations: SolidEquations, input_rates: Sequence[Sequence[np.ndarray]],
-                 memories: Sequence[HistoryDerivatives], widths: np.ndarray):
+                 memories: Sequence[HistoryDerivatives], widths: np.ndarray,
+                 experiments: Sequence[ExperimentDerivatives] | None = None):
         self._equations, self._memories, self._half = equations, memories, _WIDTH * widths
         self._regions = range(len(memories))
         m, n = widths.size, equations.contact.nodes.size
+        #: Derivatives of the friction of face, shaft and base, shape (3, m).
+        self._frictions = np.array([each[:3] for each in experiments or [ExperimentDerivatives()] * m]).reshape(m, 3).T
         #: For each parameter and region: input arrays and their derivatives.
         self._inputs = [[[(array, rate[k]) for array, rate in zip(region.inputs, rates, strict=True) if rate[k].any()]
                          for region, rates in zip(equations.tissue.region_material_arrays, input_rates, strict=True)]
@@ -321,7 +325,8 @@ class SolidSensitivity:
         self._kinds, self._changed = np.zeros((5, n), dtype=bool), False
 
     @classmethod
-    def from_perturbed_materials(cls, equations: SolidEquations, neighbours: Neighbours) -> SolidSensitivity:
+    def from_perturbed_materials(cls, equations: SolidEquations, neighbours: Neighbours,
+                                 experiments: Sequence[ExperimentDerivatives] | None = None) -> SolidSensitivity:
         """Make the derivatives from materials with increased and decreased parameters, set one after the other.
 
         The material of the solver is restored.
@@ -329,6 +334,7 @@ class SolidSensitivity:
         Args:
             equations: equations of a solver before its first step.
             neighbours: see `tissue_sim.fem.solver.Neighbours`.
+            experiments: derivatives of the inputs from the experiment; None: zero.
         """
         def set_material_and_copy_inputs(material: Material) -> list[list[np.ndarray]]:
             """Set a material, and return copies of the arrays that it sets, for each region."""
@@ -352,7 +358,7 @@ class SolidSensitivity:
             rates.append(found[:-1])
             relaxations = [(region.relaxation(more), region.relaxation(less)) for more, less, _ in neighbours]
             memories.append(HistoryDerivatives(region.memory, found[-1], relaxations, widths))
-        return cls(equations, rates, memories, widths)
+        return cls(equations, rates, memories, widths, experiments)
 
     def set_first_touch_derivatives(self, start: FirstTouchDerivatives) -> None:
         """Set the derivatives of the state of the first touch, before the first step."""
@@ -538,12 +544,20 @@ class SolidSensitivity:
             of the laws, N, shape (n, 3, m) each.
         """
         state, against = self._equations.contact.state, self._select_contact_rows(motion) + self._apart
-        found, missing = state.differentiate_forces_and_residuals(against, self._anchors, forces)
+        found, missing = state.differentiate_forces_and_residuals(against, self._anchors, forces,
+                                                                  self._select_friction_derivatives())
         acting = found + missing
         if self._laws is not None:
             slip = against - state.turn @ self._anchors
             acting = acting + self._laws.differentiate_law_forces_by_parameters(against, slip, acting)
         return found, missing, acting
+
+    def _select_friction_derivatives(self) -> np.ndarray:
+        """Return the derivatives of the friction of the surface that each contact node touches, shape (n, m)."""
+        face, shaft, base = self._frictions
+        contact = self._equations.contact
+        at_tool = np.where(contact.state.on_shaft[:, None], shaft, face)
+        return np.where(contact.moves[:, None], at_tool, base)
 
     def _multiply_by_tissue_tangent(self, motion: np.ndarray) -> np.ndarray:
         """Return the tissue's stiffness times displacements, N per unit; the contact stiffness is excluded."""

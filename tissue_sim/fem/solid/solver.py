@@ -19,12 +19,26 @@ from tissue_sim.fem.solid.fields import SolidFields, SolidSurface, extract_defor
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives, SolidSensitivity
 from tissue_sim.fem.solid.state import FieldSample, SavedState
 from tissue_sim.fem.solid.touch import FirstTouchHeightAndSolverMaker
-from tissue_sim.fem.solver import AT_REST, Neighbours, Solver, StaticStiffnessRequest, Step, StepStatus
+from tissue_sim.fem.solver import (
+    AT_REST,
+    FRICTION_PATHS,
+    HEIGHT_PATH,
+    ExperimentDerivatives,
+    Neighbours,
+    Solver,
+    StaticStiffnessRequest,
+    Step,
+    StepStatus,
+)
 from tissue_sim.fem.taichi.launch import KernelOwner
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw, shift_pose_along_z
 from tissue_sim.tool_force import Matrix, PredictedForceOfNextStep
+
+#: Differentiates the state of the first touch; None if no derivatives are available. The arguments are those of
+#: `Solver.enable_force_derivatives`.
+StartDifferentiation = Callable[[Neighbours, Sequence[ExperimentDerivatives] | None], FirstTouchDerivatives | None]
 
 
 @dataclass(frozen=True)
@@ -117,9 +131,10 @@ class SolidSolver(KernelOwner, Solver):
 
     highest_order = 0
     ignores_twist = True
+    exact_experiment_parameters = FRICTION_PATHS | {HEIGHT_PATH}
 
     def __init__(self, mesh: SolidMesh, material: Material, fixed: dict[str, str], bonded: np.ndarray, *,
-                 start_rates: Callable[[Neighbours], FirstTouchDerivatives | None] | None = None, **others: Any):
+                 start_rates: StartDifferentiation | None = None, **others: Any):
         self.equations = equations = SolidEquations(mesh, material, fixed, bonded, **others)
         self.mesh, self.datum, self.x, self.tissue = mesh, equations.datum, equations.x, equations.tissue
         self.batches, self.contact = equations.batches, equations.contact
@@ -312,14 +327,18 @@ class SolidSolver(KernelOwner, Solver):
         wrench = cast("Screw", tuple((np.array(last.wrench) - more).tolist()))
         return PredictedForceOfNextStep(wrench, _to_matrix_tuples(np.array(last.step_stiffness_matrix) + stiffer))
 
-    def enable_force_derivatives(self, neighbours: Neighbours) -> SolidSensitivity | None:
-        """See `Solver.enable_force_derivatives`; None with point effects."""
+    def enable_force_derivatives(self, neighbours: Neighbours,
+                                 experiments: Sequence[ExperimentDerivatives] | None = None) -> SolidSensitivity | None:
+        """See `Solver.enable_force_derivatives`; None with point effects, and for the height with self-weight."""
+        stretch = np.array([each.log_height for each in experiments or ()])
         begins = self._start_rates if neighbours else None
-        start = None if begins is None else begins(neighbours)
-        if self.tissue.effects or (begins is not None and start is None):
+        start = None if begins is None else begins(neighbours, experiments)
+        if self.tissue.effects or (begins is not None and (start is None or stretch.any())):
             return None
+        if stretch.any():
+            start = FirstTouchDerivatives.from_undeformed_specimen(stretch)
         saved = self.save()
-        self._derivatives = SolidSensitivity.from_perturbed_materials(self.equations, neighbours)
+        self._derivatives = SolidSensitivity.from_perturbed_materials(self.equations, neighbours, experiments)
         self.restore(saved)
         self.equations.restore_committed_state()
         if start is not None:

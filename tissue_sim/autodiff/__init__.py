@@ -1,0 +1,1 @@
+"""Force of a test as a differentiable function of parameters, for NumPy, JAX and PyTorch."""
