@@ -223,7 +223,7 @@ class CampaignDiagnosis(Job):
         diagnosis = msgspec.convert(found, Diagnosis)
         return DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest, resumed=True), [
             *TABLES_OF_DIAGNOSIS, *diagnosis.files.values(),
-            *list_test_figure_file_names(self.campaign, self.figures_format)]
+            *list_test_figure_file_names(self.campaign, self.figures_format, held_out=False)]
 
     def check_before_writing(self) -> None:
         """Check the sections of the report and the law at its start values, and announce a long duration.

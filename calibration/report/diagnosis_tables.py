@@ -1,4 +1,4 @@
-"""Tables and sentences of a diagnosis, which the report and the terminal show."""
+"""Tables and sentences of a diagnosis or a design, which the report and the terminal show."""
 
 from __future__ import annotations
 
@@ -11,8 +11,19 @@ from calibration.diagnosis.diagnosis import (
     HeldOutPrediction,
     join_as_enumeration,
 )
+from calibration.effects.effect import CATEGORIES
 from calibration.fit.fit import Fit
-from calibration.report.content import EMPTY, LINE_BREAK, Column, Part, Span, Table, Text, join_texts
+from calibration.report.content import (
+    EMPTY,
+    LINE_BREAK,
+    Column,
+    Part,
+    Span,
+    Table,
+    Text,
+    join_texts,
+    make_text_of_page_or_terminal,
+)
 from calibration.report.drawing import LAYOUT, format_count
 from calibration.report.fit_text import (
     format_parameter_estimate,
@@ -30,6 +41,10 @@ from calibration.report.units import DisplayUnit, ReportUnits
 
 #: Relative change above which both values are written instead of a percentage.
 _LARGE_CHANGE = 0.5
+#: Smallest probability that is written; the number of random draws limits the resolution.
+_MIN_PROBABILITY = 1e-4
+#: Absolute score above which an effect of the wrong sign is marked, standard deviations.
+_MIN_WRONG_SIGN_SCORE = 3.0
 
 
 def format_effect_title_with_test(candidate: CandidateResult) -> str:
@@ -180,3 +195,50 @@ def make_held_out_error_table(held_out: Sequence[HeldOutPrediction], units: Repo
                   Column("Error, nothing added", "error before"),
                   Column("with the added effects", "error after", optional=True), Column(terminal="noise"),
                   Column("Within chance", "adequate"), Column("Note", text=True, optional=True)], rows, narrow=True)
+
+
+def make_detectable_effects_table(candidates: Sequence[CandidateResult], units: ReportUnits) -> Table:
+    """Return the table of the effects that these tests can detect, by category.
+
+    Columns: smallest detectable size, score, probability and effects that these tests cannot distinguish. A design has
+    no scores.
+    """
+    labels = map_candidate_names_to_labels(candidates)
+    seen = sorted((each for each in candidates if each.testable),
+                  key=lambda each: (CATEGORIES.index(each.category), each.title))
+    rows: list[list[Text | None]] = []
+    last = CandidateResult(name="", effect="", category="", title="", testable=True)
+    for each in seen:
+        rows.append([format_effect_title_with_test(each), None if each.category == last.category else each.category,
+                     None if each.effect == last.effect else each.title, each.name.partition("@")[2],
+                     format_detectable_sizes(each, units), EMPTY if each.score is None else f"{each.score:.1f}",
+                     _make_p_value_or_wrong_sign(each),
+                     ", ".join(labels.get(name, name) for name in each.twins) or EMPTY])
+        last = each
+    return Table([Column(terminal="effect"), Column("Category"), Column("Effect", text=True),
+                  Column("Test", text=True, optional=True),
+                  Column("Smallest detectable size", "detectable from", text=True),
+                  Column("Score", optional=True), Column("p", optional=True),
+                  Column("Similar effects", "similar to", text=True, optional=True)], rows)
+
+
+def _make_p_value_or_wrong_sign(each: CandidateResult) -> str | Span:
+    """Return the p value of the score, or ``wrong sign`` if no size of the effect gives a score of this sign."""
+    if each.p is None:
+        return EMPTY
+    if each.score is not None and each.score < -_MIN_WRONG_SIGN_SCORE and each.p > 0.5:
+        return Span("wrong sign", "bad")
+    return "< 10⁻⁴" if each.p < _MIN_PROBABILITY else f"{each.p:.2g}".replace("e-0", "e-")
+
+
+def make_undetectable_effects_table(candidates: Sequence[CandidateResult]) -> Table:
+    """Return the table of the effects that these tests cannot detect, grouped by the reason, with a remedy."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for each in candidates:
+        if not each.testable:
+            groups.setdefault((each.reason, each.separated_by), []).append(format_effect_title_with_test(each))
+    return Table([Column("Effect", "not detectable", text=True), Column("Not detectable because", "reason", text=True),
+                  Column("Detectable with", "detectable with", text=True)],
+                 [[", ".join(several), *(make_text_of_page_or_terminal(capitalise_first_letter(words), words)
+                                         for words in (reason, remedy))]
+                  for (reason, remedy), several in groups.items()], narrow=True)

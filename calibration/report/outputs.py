@@ -1,4 +1,4 @@
-"""Write reports, tables and result files of a calibrated or diagnosed campaign."""
+"""Write reports, tables and result files of a calibration, a diagnosis or a design."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
+from calibration.diagnosis.design import Design
 from calibration.diagnosis.diagnosis import DiagnosisResult, DiagnosisStage, diagnosis_to_json
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.effects.effect import Effect
 from calibration.fit.curves import TestCurves
 from calibration.fit.result import CalibrationResult, to_json_dictionary
-from calibration.output_folder import DIAGNOSIS_FILE, FIT_FILE
+from calibration.output_folder import DIAGNOSIS_FILE, FIT_FILE, make_numbered_test_figure_name
 from calibration.report.content import Column, Paragraph, Table
+from calibration.report.diagnosis_figures import build_fitted_curves_of_test
 from calibration.report.drawing import FigureEmbedder
 from calibration.report.fit_text import format_law_title
 from calibration.report.methods import make_plain_methods_text
 from calibration.report.page import build_report_page, render_page
-from calibration.report.section import CalibrationReport, DiagnosisReport
+from calibration.report.section import CalibrationReport, DesignReport, DiagnosisReport
 from calibration.report.units import ReportUnits
 from tissue_sim.files import write_text
 
@@ -87,6 +89,24 @@ def write_diagnosis_and_get_result(result: DiagnosisResult, before: FitEvidence,
     text = json.dumps(diagnosis_to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(result.output / DIAGNOSIS_FILE, text + "\n")
     return result
+
+
+def write_design_report(design: Design, evidence: FitEvidence, folder: Path, *, figures: bool = True,
+                        figures_format: str | None = None) -> None:
+    """Write the report of a design.
+
+    Args:
+        design: the result of the design.
+        evidence: noise-free recordings of the planned tests.
+        folder: folder of the report.
+        figures: whether the report includes figures.
+        figures_format: ``svg``, ``pdf`` or ``png`` to write each figure also as a file; None: no figure files.
+    """
+    campaign = evidence.campaign
+    curves = {make_numbered_test_figure_name(campaign, number): build_fitted_curves_of_test(evidence, test.name)
+              for number, test in enumerate(campaign.tests) if not test.hold_out}
+    pictures = FigureEmbedder(folder, figures_format) if figures else None
+    write_text(folder / "report.html", build_report_page(DesignReport(design, curves, pictures)))
 
 
 def write_failure_report(campaign: Campaign, failures: Mapping[str, str], folder: Path) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from calibration.report.content import Block, Details, Figure, Part, Table, Text, get_page_parts
 from calibration.report.drawing import FigureEmbedder
 from calibration.report.rounding import use_minus_signs
-from calibration.report.section import CalibrationReport, DiagnosisReport, Section
+from calibration.report.section import CalibrationReport, DesignReport, DiagnosisReport, Section
 from calibration.report.sections import SECTIONS
 from calibration.report.symbols import get_symbol_letter_index_owner_and_slant
 from tissue_sim.errors import InputError
@@ -19,13 +19,12 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 
-def build_report_page(report: CalibrationReport | DiagnosisReport) -> str:
+def build_report_page(report: CalibrationReport | DiagnosisReport | DesignReport) -> str:
     """Return the HTML page of a report: its sections in the order of `SECTIONS`."""
-    name = report.campaign.name if isinstance(report, CalibrationReport) else report.diagnosis.campaign
     sections = [(section.make_title(report), [*section.iterate_blocks(report)])
                 for section in list_sections_in_page_order()
                 if report.kind in section.reports and (report.has_figures or not section.needs_figures)]
-    return render_page(f"{report.kind.capitalize()} of {name}", sections, report.pictures)
+    return render_page(f"{report.kind.capitalize()} of {report.campaign_name}", sections, report.pictures)
 
 
 def require_usable_sections() -> None:

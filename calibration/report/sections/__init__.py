@@ -1,4 +1,4 @@
-"""Sections of the reports of calibrations and diagnoses: one file each, and the registry of all of them.
+"""Sections of the reports of calibrations, diagnoses and designs: one file each, and the registry of all of them.
 
 A new section is a file with a class that derives from `calibration.report.section.Section`, and its name in the list
 below. Another package declares an entry point of the group ``tissue_sim.report_sections``; a program calls
@@ -21,7 +21,7 @@ def _make_class_path(name: str) -> str:
 #: Name -> class, in the order of the page.
 SECTIONS: Registry[type[Section]] = Registry(
     "report section", "tissue_sim.report_sections", {name: _make_class_path(name) for name in (
-        "calibration_summary", "diagnosis_summary",
+        "calibration_summary", "diagnosis_summary", "planned_tests", "expected_errors",
         "predictions", "recordings_and_laws", "region_misfits", "ranking", "usability", "fitted_parameters",
         "specimens", "parameter_determination", "identifiability", "convergence", "recording_offsets", "segments",
         "misfit_by_test", "region_evidence", "parameter_changes", "held_out_errors", "catalogue_effects",

@@ -17,7 +17,7 @@ def make_printed_table(table: Table, *, text: int = 1) -> PrintedTable:
 
     Args:
         table: table; columns without a heading for the terminal are omitted.
-        text: number of left-aligned columns at the left.
+        text: number of left-aligned columns at the left; columns of text are left-aligned too.
     """
     return make_printed_table_of_groups([("", table)], text=text)
 
@@ -28,12 +28,16 @@ def make_printed_table_of_groups(groups: Sequence[tuple[str, Table]], *, text: i
     Args:
         groups: name and table of each group, at least one. A group with a name begins with a row that contains the
             name, and its other rows are indented.
-        text: number of left-aligned columns at the left.
+        text: see `make_printed_table`.
     """
     from rich.text import Text
 
     shown = [(name, table.select_terminal_columns()) for name, table in groups]
-    printed = make_table_with_headings(*(str(column.terminal) for column in shown[0][1].columns), text=text)
+    columns = shown[0][1].columns
+    printed = make_table_with_headings(*(str(column.terminal) for column in columns), text=text)
+    for column, style in zip(columns, printed.columns, strict=True):
+        if column.text:
+            style.justify, style.no_wrap = "left", False
     for name, table in shown:
         if name:
             printed.add_row(name)
