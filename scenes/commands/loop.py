@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from haptics.devices.back_ends import HAPTIC_DEVICES, MOTIONS
 from scenes.commands.shared.command import Command, CommandResult, ExitCode
 from scenes.commands.shared.console import make_progress_console
 from scenes.commands.shared.experiment_flags import (
@@ -92,6 +91,8 @@ def _add_duration_flag(parser: InputErrorArgumentParser) -> None:
 
 def _add_motion_source_flags(parser: InputErrorArgumentParser) -> None:
     """Add the flags of the prescribed motion and of the haptic device."""
+    from haptics.devices.back_ends import HAPTIC_DEVICES, MOTIONS
+
     source = parser.add_argument_group("source of the motion")
     source.add_argument("--motion", metavar="NAME[:SETTINGS]",
                         help=f"prescribed motion: one of {', '.join(MOTIONS)}. random: like a hand, with lift-off; "

@@ -11,9 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import python_calamine as calamine
-import xlrd
-
 from tissue_sim.errors import (
     InputError,
     format_foreign_exception_message,
@@ -111,6 +108,9 @@ def read_sheet(path: Path, sheet: str | int | None = None) -> Sheet:
 
 def _iterate_xlsx_or_ods_sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
     """Yield the requested sheets of an xlsx or ods file; all sheets without a request."""
+    # Imported on use: the check of the options of a text file imports this module.
+    import python_calamine as calamine
+
     _require_limited_cell_counts(data, path)
     with calamine.load_workbook(io.BytesIO(data)) as book:
         for name in _select_sheet_names(path, wanted, book.sheet_names):
@@ -120,6 +120,8 @@ def _iterate_xlsx_or_ods_sheets(data: bytes, path: Path, wanted: Sequence[str | 
 
 def _iterate_xls_sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
     """Yield the requested sheets of an xls file; all sheets without a request."""
+    import xlrd
+
     try:
         book = xlrd.open_workbook(file_contents=data, logfile=io.StringIO(), ragged_rows=True)
     except xlrd.XLRDError as error:
