@@ -12,21 +12,35 @@ from inspect import isabstract
 from calibration.report.section import Section
 from tissue_sim.registry import Registry
 
-
-def _make_class_path(name: str) -> str:
-    """Return the import path ``module:class`` of a section, such as ``calibration.report.sections.ranking:Ranking``."""
-    return f"calibration.report.sections.{name}:{''.join(part.capitalize() for part in name.split('_'))}"
-
-
 #: Name -> class, in the order of the page.
-SECTIONS: Registry[type[Section]] = Registry(
-    "report section", "tissue_sim.report_sections", {name: _make_class_path(name) for name in (
-        "calibration_summary", "diagnosis_summary", "planned_tests", "expected_errors",
-        "predictions", "recordings_and_laws", "region_misfits", "ranking", "usability", "fitted_parameters",
-        "specimens", "parameter_determination", "identifiability", "convergence", "recording_offsets", "segments",
-        "misfit_by_test", "region_evidence", "parameter_changes", "held_out_errors", "catalogue_effects",
-        "next_experiments",
-        "assumptions", "methods_text", "durations", "written_files", "recording_files")},
-    accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Section) and not isabstract(kind),
+SECTIONS: Registry[type[Section]] = Registry("report section", "tissue_sim.report_sections", {
+    "calibration_summary": "calibration.report.sections.calibration_summary:CalibrationSummary",
+    "diagnosis_summary": "calibration.report.sections.diagnosis_summary:DiagnosisSummary",
+    "planned_tests": "calibration.report.sections.planned_tests:PlannedTests",
+    "expected_errors": "calibration.report.sections.expected_errors:ExpectedErrors",
+    "predictions": "calibration.report.sections.predictions:Predictions",
+    "recordings_and_laws": "calibration.report.sections.recordings_and_laws:RecordingsAndLaws",
+    "region_misfits": "calibration.report.sections.region_misfits:RegionMisfits",
+    "ranking": "calibration.report.sections.ranking:Ranking",
+    "usability": "calibration.report.sections.usability:Usability",
+    "fitted_parameters": "calibration.report.sections.fitted_parameters:FittedParameters",
+    "specimens": "calibration.report.sections.specimens:Specimens",
+    "parameter_determination": "calibration.report.sections.parameter_determination:ParameterDetermination",
+    "identifiability": "calibration.report.sections.identifiability:Identifiability",
+    "convergence": "calibration.report.sections.convergence:Convergence",
+    "recording_offsets": "calibration.report.sections.recording_offsets:RecordingOffsets",
+    "segments": "calibration.report.sections.segments:Segments",
+    "misfit_by_test": "calibration.report.sections.misfit_by_test:MisfitByTest",
+    "region_evidence": "calibration.report.sections.region_evidence:RegionEvidence",
+    "parameter_changes": "calibration.report.sections.parameter_changes:ParameterChanges",
+    "held_out_errors": "calibration.report.sections.held_out_errors:HeldOutErrors",
+    "catalogue_effects": "calibration.report.sections.catalogue_effects:CatalogueEffects",
+    "next_experiments": "calibration.report.sections.next_experiments:NextExperiments",
+    "assumptions": "calibration.report.sections.assumptions:Assumptions",
+    "methods_text": "calibration.report.sections.methods_text:MethodsText",
+    "durations": "calibration.report.sections.durations:Durations",
+    "written_files": "calibration.report.sections.written_files:WrittenFiles",
+    "recording_files": "calibration.report.sections.recording_files:RecordingFiles",
+}, accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Section) and not isabstract(kind),
     expected="a class that derives from calibration.report.section.Section and defines iterate_blocks",
     is_used_in_tasks=False)
