@@ -11,7 +11,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.measured import MeasuredCurve, make_campaign_with_scaled_offset_defaults, read_measured_curves
@@ -252,7 +251,7 @@ class CampaignDiagnosis(Job):
                                   self.refit_settings)
         self.context.report_progress("writing the report")
         diagnosis = write_effect_files_and_get_diagnosis(
-            replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages]), found.after, self.folder)
+            msgspec.structs.replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages]), found.after, self.folder)
         return write_diagnosis_and_get_result(DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest),
                                               found.before, found.after, found.proposals.effects, self.measured,
                                               figures=self.figures, figures_format=self.figures_format)

@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from msgspec.structs import replace
+import msgspec
 
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.schema import replace_mesh_profile_and_rig_paths, resolve_path_to_text
@@ -75,10 +75,10 @@ def write_effect_files_and_get_diagnosis(diagnosis: Diagnosis, after: FitEvidenc
     write_text(folder / CAMPAIGN_FILE, _format_campaign_with_found_effects(diagnosis, after))
     files["campaign"] = CAMPAIGN_FILE
     file_of = {"tissue": name, "rig": files.get("rig", "rig files of the tests"), "population": name}
-    effects = [replace(effect, written_to=CAMPAIGN_FILE if _is_effect_of_single_tests(effect)
+    effects = [msgspec.structs.replace(effect, written_to=CAMPAIGN_FILE if _is_effect_of_single_tests(effect)
                        and effect.category == "tissue"
                        else file_of.get(effect.category, CAMPAIGN_FILE)) for effect in diagnosis.effects]
-    return replace(diagnosis, effects=effects, files=files)
+    return msgspec.structs.replace(diagnosis, effects=effects, files=files)
 
 
 def _is_effect_of_single_tests(effect: FoundEffect) -> bool:
@@ -98,7 +98,7 @@ def _make_material_file_with_effects(diagnosis: Diagnosis, after: FitEvidence, f
     # An effect of a single test or session is not a property of the tissue: the material file has it switched off.
     switched_off = {number.path: number.absent for effect in diagnosis.effects if _is_effect_of_single_tests(effect)
                     for number in effect.parameters if number.absent is not None}
-    fit = replace(fit, parameters={**fit.parameters, **switched_off})
+    fit = msgspec.structs.replace(fit, parameters={**fit.parameters, **switched_off})
     result = CalibrationResult(after.campaign, (fit,), (), diagnosis.message, folder, "", None, "estimated")
     file = make_material_file_of_fit(fit, result, after.measured, "inverse FEM with a diagnosed effect")
     added = [{"name": effect.name, "room": effect.category, "tests": effect.tests,
@@ -108,7 +108,7 @@ def _make_material_file_with_effects(diagnosis: Diagnosis, after: FitEvidence, f
     assert provenance is not None
     settings = {**(provenance.settings or {}), "diagnosis": {
         "campaign": diagnosis.campaign, "verdict": diagnosis.verdict, "effects": added}}
-    return replace(file, provenance=replace(provenance, settings=settings))
+    return msgspec.structs.replace(file, provenance=msgspec.structs.replace(provenance, settings=settings))
 
 
 def _copy_rig_with_fitted_values(after: FitEvidence, test: Test) -> Rig:
