@@ -250,8 +250,8 @@ class CampaignDiagnosis(Job):
         found = diagnose_campaign(self.campaign, self.measured, self.context, self.solves, self.limits,
                                   self.refit_settings)
         self.context.report_progress("writing the report")
-        diagnosis = write_effect_files_and_get_diagnosis(
-            msgspec.structs.replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages]), found.after, self.folder)
+        timed = msgspec.structs.replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages])
+        diagnosis = write_effect_files_and_get_diagnosis(timed, found.after, self.folder)
         return write_diagnosis_and_get_result(DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest),
                                               found.before, found.after, found.proposals.effects, self.measured,
                                               figures=self.figures, figures_format=self.figures_format)

@@ -75,9 +75,9 @@ def write_effect_files_and_get_diagnosis(diagnosis: Diagnosis, after: FitEvidenc
     write_text(folder / CAMPAIGN_FILE, _format_campaign_with_found_effects(diagnosis, after))
     files["campaign"] = CAMPAIGN_FILE
     file_of = {"tissue": name, "rig": files.get("rig", "rig files of the tests"), "population": name}
-    effects = [msgspec.structs.replace(effect, written_to=CAMPAIGN_FILE if _is_effect_of_single_tests(effect)
-                       and effect.category == "tissue"
-                       else file_of.get(effect.category, CAMPAIGN_FILE)) for effect in diagnosis.effects]
+    effects = [msgspec.structs.replace(effect, written_to=(
+        CAMPAIGN_FILE if _is_effect_of_single_tests(effect) and effect.category == "tissue"
+        else file_of.get(effect.category, CAMPAIGN_FILE))) for effect in diagnosis.effects]
     return msgspec.structs.replace(diagnosis, effects=effects, files=files)
 
 
