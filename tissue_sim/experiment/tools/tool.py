@@ -150,10 +150,13 @@ def _make_inapplicable_size_error(kind: type[Tool], name: str) -> InputError:
 
 #: Shape -> its class.
 TOOLS: Registry[type[Tool]] = Registry("tool shape", "tissue_sim.tools", {
-    name: f"tissue_sim.experiment.tools.{module}" for name, module in {
-        "plate": "plate:Plate", "flat": "flat:Flat", "round": "round:HemisphericalNeedle", "cone": "cone:Cone",
-        "sphere": "sphere:Sphere", "profile": "profile:ProfileTool"}.items()},
-    accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Tool) and is_dataclass(kind),
+    "plate": "tissue_sim.experiment.tools.plate:Plate",
+    "flat": "tissue_sim.experiment.tools.flat:Flat",
+    "round": "tissue_sim.experiment.tools.round:HemisphericalNeedle",
+    "cone": "tissue_sim.experiment.tools.cone:Cone",
+    "sphere": "tissue_sim.experiment.tools.sphere:Sphere",
+    "profile": "tissue_sim.experiment.tools.profile:ProfileTool",
+}, accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Tool) and is_dataclass(kind),
     expected="a frozen dataclass derived from Tool")
 
 
