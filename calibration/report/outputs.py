@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from msgspec.structs import replace
+import msgspec
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
@@ -85,7 +85,8 @@ def write_diagnosis_and_get_result(result: DiagnosisResult, before: FitEvidence,
     report = DiagnosisReport(diagnosis, before, after, effects, measured, pictures)
     write_text(result.output / "report.html", build_report_page(report))
     stages = [*diagnosis.stages, DiagnosisStage(name="report", wall_s=time.monotonic() - began)]
-    result = DiagnosisResult(result.campaign, replace(diagnosis, stages=stages), result.output, result.digest)
+    result = DiagnosisResult(result.campaign, msgspec.structs.replace(diagnosis, stages=stages), result.output,
+                             result.digest)
     text = json.dumps(diagnosis_to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(result.output / DIAGNOSIS_FILE, text + "\n")
     return result
