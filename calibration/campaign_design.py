@@ -25,8 +25,7 @@ from calibration.output_folder import (
     list_possible_design_result_paths,
     list_test_figure_file_names,
 )
-from calibration.report.outputs import write_design_report
-from calibration.report.page import require_usable_sections
+from calibration.report.outputs import require_usable_sections, write_design_report
 
 
 class CampaignDesign(Job):
@@ -34,7 +33,7 @@ class CampaignDesign(Job):
 
     The campaign has one law and is loaded with ``planned=True``, see
     `calibration.diagnosis.evidence.make_one_law_whole_recording_campaign`; its recordings are those of
-    `calibration.campaign.planned.read_or_plan_curves_of_all_tests`.
+    `calibration.campaign.measured.read_or_plan_curves_of_all_tests`.
 
     Args:
         campaign: the campaign.

@@ -14,7 +14,7 @@ _MOVED = {
     "tissue_sim.atomic_write": "tissue_sim.files",
     "tissue_sim.experiment.approach": "tissue_sim.experiment.experiment",
     "tissue_sim.experiment.protocol_text": "tissue_sim.experiment.protocol",
-    "tissue_sim.experiment.tools.sizes": "tissue_sim.experiment.tools.outline",
+    "tissue_sim.experiment.tools.sizes": "tissue_sim.experiment.tools.tool",
     "tissue_sim.fem.free_tool": "tissue_sim.fem.solver",
     "tissue_sim.force_error": "tissue_sim.simulation",
     "tissue_sim.kernel_owner": "tissue_sim.fem.taichi.launch",

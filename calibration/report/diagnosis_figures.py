@@ -20,8 +20,7 @@ from calibration.report.drawing import (
     create_figure_with_panel_rows,
     distribute_panels_over_rows,
 )
-from calibration.report.rounding import NORMAL_95, format_criterion_difference, format_odds_number
-from calibration.report.units import ReportUnits
+from calibration.report.quantities import NORMAL_95, ReportUnits, format_criterion_difference, format_odds_number
 from calibration.report.views import CurveTrace, have_times_and_several_segments, list_panels_of_test
 
 #: Line style of the model without the added effects.

@@ -19,7 +19,7 @@ from calibration.fit.fit import Fit
 from calibration.fit.result import CalibrationResult
 from calibration.report.content import Block, Text
 from calibration.report.drawing import FigureEmbedder
-from calibration.report.units import ReportUnits
+from calibration.report.quantities import ReportUnits
 from tissue_sim.laws import find_law
 
 #: Shear modulus, Pa, from which the display unit is chosen if the specimens of a design have different materials.

@@ -15,8 +15,8 @@ from scenes.commands.shared.campaigns import (
     progress_and_resume_hint_context,
 )
 from scenes.commands.shared.command import Command, CommandResult
+from scenes.commands.shared.console import print_sentence
 from scenes.commands.shared.parsing import InputErrorArgumentParser, add_overwrite_flag, make_integer_parser
-from scenes.commands.shared.text_table import print_sentence
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -79,9 +79,9 @@ def _run(arguments: Namespace) -> CommandResult:
     def print_text(console: Console) -> None:
         """Print planned tests, expected errors and detectable effects: the tables of the report."""
         from calibration.report.content import Paragraph, Table, get_terminal_text
-        from calibration.report.page import list_sections_in_page_order
+        from calibration.report.outputs import list_sections_in_page_order
         from calibration.report.section import DesignReport
-        from scenes.commands.shared.report_table import make_printed_table
+        from scenes.commands.shared.campaign_results import make_printed_table
 
         report = DesignReport(design)
         blocks = [block for section in list_sections_in_page_order() if report.kind in section.reports

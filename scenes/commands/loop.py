@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scenes.commands.shared.command import Command, CommandResult, ExitCode
-from scenes.commands.shared.console import make_progress_console
+from scenes.commands.shared.console import make_progress_console, make_table_with_headings, print_sentence
 from scenes.commands.shared.experiment_flags import (
     MOTION_FLAGS,
     add_experiment_flags,
@@ -30,7 +30,6 @@ from scenes.commands.shared.parsing import (
     parse_non_negative_number,
     parse_positive_number,
 )
-from scenes.commands.shared.text_table import make_table_with_headings, print_sentence
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:

@@ -11,7 +11,8 @@ from virtual_campaign import PLATES, diagnosed_plates
 
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.planned import read_or_plan_curves_of_all_tests
+from calibration.campaign.measured import read_or_plan_curves_of_all_tests
+from calibration.campaign_diagnosis import write_effect_files_and_get_diagnosis
 from calibration.diagnosis.design import (
     evaluate_experiment_design,
     list_variations_of_existing_tests,
@@ -25,15 +26,13 @@ from calibration.diagnosis.diagnosis import (
     SegmentMisfit,
     summarise_diagnosis,
 )
-from calibration.diagnosis.effect_files import write_effect_files_and_get_diagnosis
 from calibration.diagnosis.evidence import (
     compute_upper_limit_of_estimated_jitter,
     make_one_law_whole_recording_campaign,
 )
-from calibration.effects.machine_compliance import MachineCompliance
-from calibration.effects.plate_friction import PlateFriction
-from calibration.effects.sensor_drift import SensorDrift
-from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.effects.contact import PlateFriction
+from calibration.effects.rig import MachineCompliance, SensorDrift
+from calibration.effects.tissue import Viscoelasticity
 from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.tasks.executors import Workers, open_task_executor

@@ -229,7 +229,7 @@ def test_the_old_constructor_of_an_axial_force_warns(owner):
     ("haptics", "open_motion", "make_motion"), ("haptics", "open_haptic", "make_haptic_device"),
     ("haptics", "HandMotion", "TargetFollowingMotion"), ("haptics", "ForceLimits", "ForceLimiter"),
     ("haptics.devices.settings", "read_settings", "parse_number_settings"),
-    ("haptics.emulators.terminal", "TerminalEmulator", "SerialDeviceEmulator"),
+    ("haptics.emulators.emulator", "TerminalEmulator", "SerialDeviceEmulator"),
     ("haptics.safety.limits", "ForceRelease", "ForceFader"),
     ("haptics.recorder.plan", "IndentationPlan", "BenchTestPlan"),
     ("haptics.emulators.haply", "emulate_haply", "make_haply_emulator"),

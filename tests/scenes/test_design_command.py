@@ -8,10 +8,9 @@ import pytest
 from calibration import Design, evaluate_planned_experiments
 from calibration.campaign.parameters import OFFSET_DEFAULTS
 from calibration.diagnosis.settings import LIMITS
-from calibration.effects.backlash import Backlash
-from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.population import Population
-from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.effects.rig import Backlash, MachineCompliance
+from calibration.effects.tissue import Viscoelasticity
 from calibration.forward.simulation_cache import SimulationCache
 from scenes.cli import main
 from tissue_sim.errors import InputError

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scenes.commands.shared.command import Command, CommandResult, Need
-from scenes.commands.shared.console import make_progress_console
-from scenes.commands.shared.log_lines import TaskLogLines
+from scenes.commands.shared.console import TaskLogLines, make_progress_console
 from scenes.commands.shared.parsing import InputErrorArgumentParser, add_overwrite_flag, make_integer_parser
 
 if TYPE_CHECKING:

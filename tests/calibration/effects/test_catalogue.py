@@ -10,8 +10,7 @@ from virtual_campaign import TESTS, measured_campaign, model_of, situation_of
 
 import calibration.effects
 import tissue_sim as ts
-from calibration.effects.catalogue import CATALOGUE
-from calibration.effects.effect import CATEGORIES, NotTestableError
+from calibration.effects.effect import CATALOGUE, CATEGORIES, NotTestableError
 
 #: Names of the effects in files and reports.
 NAMES = [
