@@ -44,7 +44,7 @@ LONGEST_FUNCTION = 120
 #: Files of a folder, without `__init__.py`.
 MOST_FILES = 20
 #: Folders with one file per registered kind, which may have more.
-KIND_FOLDERS = {"tissue_sim/recording/formats", "calibration/effects", "calibration/report/sections"}
+KIND_FOLDERS = {"tissue_sim/recording/formats"}
 
 
 def place(path: Path) -> str:

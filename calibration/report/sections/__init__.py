@@ -1,8 +1,7 @@
-"""Sections of the reports of calibrations, diagnoses and designs: one file each, and the registry of all of them.
+"""Sections of the reports of calibrations, diagnoses and designs by subject, and the registry of all of them.
 
-A new section is a file with a class that derives from `calibration.report.section.Section`, and its name in the list
-below. Another package declares an entry point of the group ``tissue_sim.report_sections``; a program calls
-`SECTIONS.register`.
+A new section is a class that derives from `calibration.report.section.Section`, and a line in the table below. Another
+package declares an entry point of the group ``tissue_sim.report_sections``; a program calls `SECTIONS.register`.
 """
 
 from __future__ import annotations
